@@ -18,7 +18,7 @@ from estimator import LiteralSettings, SubpixelSettings, track
 from formats.spots import NoSpot, Spot, SpotRecord, write_spots
 from formats.stack import FrameLabels, Stack
 from scenes import Scene, SceneError
-from scenes.camera import Camera
+from scenes.camera import CameraSensor
 
 # Summaries of errors, and Shapley's fair shares of a whole.
 #
@@ -469,7 +469,7 @@ class Photographer:
         if shot.seed is None:  # so many electrons that their number has no noise
             none = dict.fromkeys(("read_noise_e", "dark_signal_e", "prnu", "dsnu_e"), 0.0)
             quiet = self.scene.camera.model_copy(update={"full_well_e": 1e12, **none})
-        camera = Camera(self.scene, seed=seed, settings=quiet)
+        camera = CameraSensor(self.scene, seed=seed, settings=quiet)
         for row, linear in zip(self.stack.exposed(way.exposure), light, strict=True):
             raw = camera.raw(
                 linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]

@@ -31,7 +31,7 @@ _MOST_ASKEW_DEG = 10.0
 `BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
 
 
-class Withdrawal(NamedTuple):
+class StraightWithdrawal(NamedTuple):
     """A straight motion of the tip away from the wall.
 
     Attributes:
@@ -47,7 +47,9 @@ class Withdrawal(NamedTuple):
     across: Float[np.ndarray, "2 3"]
 
 
-def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path) -> Withdrawal:
+def withdrawal(
+    times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path
+) -> StraightWithdrawal:
     """Distance of the tip since the first frame, its direction, and the tool's mean axis.
 
     Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
@@ -93,7 +95,7 @@ def withdrawal(times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path)
         )
     middle = poses[(first + last) // 2].rotation
     across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    return Withdrawal(readings, motion, axis, across)
+    return StraightWithdrawal(readings, motion, axis, across)
 
 
 def _direction(

@@ -159,7 +159,7 @@ KINDS = (
         "Viewing lens (TOML)",
         "A contact lens, or a lens held above the eye (`viewing.lens`). Those of eyespot lie in "
         "`optics/viewing/lenses`.",
-        models=("optics.viewing.eye:_LensFile",),
+        models=("optics.viewing.eye:_ViewingLensFile",),
     ),
 )
 

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 
 _ODD = 0.002  # share of the bright pixels that may exceed the level: hot pixels, writing over them
 _FEWEST = 8  # pixels that have a value which is the level
@@ -106,7 +106,9 @@ def rgb_8bit(image: np.ndarray, response: Response) -> np.ndarray:
     return cv2.cvtColor(image, cv2.COLOR_GRAY2RGB) if image.ndim == 2 else image.copy()
 
 
-def outline_px(ellipse: Sequence[float], camera: Camera | None) -> tuple[np.ndarray, np.ndarray]:
+def outline_px(
+    ellipse: Sequence[float], camera: LensDistortion | None
+) -> tuple[np.ndarray, np.ndarray]:
     """An ellipse as it appears in the frame.
 
     Args:

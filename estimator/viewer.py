@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from estimator.image import outline_px, rgb_8bit
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 from formats.inputs import InputError, in_utf8
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.spots import NoSpot, Spot
@@ -123,7 +123,7 @@ def check_recording_path(target: str) -> None:
 @contextmanager
 def recording_of(
     target: str, *, name: str, microscope: MicroscopeFile | None
-) -> Iterator[Recording]:
+) -> Iterator[ViewerRecording]:
     """Make a recording; a file gets its name when the block ends, whole or not at all.
 
     Args:
@@ -143,7 +143,7 @@ def recording_of(
     stream.send_recording_name(in_utf8(name))
     if target == LIVE:
         stream.connect_grpc(_opened_viewer(), default_blueprint=_blueprint())
-        yield Recording(stream, microscope)
+        yield ViewerRecording(stream, microscope)
         try:
             stream.flush(timeout_sec=_PATIENCE_S)
         except RuntimeError as error:
@@ -154,7 +154,7 @@ def recording_of(
         return
     with written_whole(Path(target)) as partial:
         stream.save(partial, default_blueprint=_blueprint())
-        yield Recording(stream, microscope)
+        yield ViewerRecording(stream, microscope)
         stream.disconnect()
 
 
@@ -177,7 +177,7 @@ def record_stack(folder: Path, target: str) -> None:
             recording.add_truth(labels)
 
 
-class Recording:
+class ViewerRecording:
     """Frames, contours, distances, and the beam in the eye, on the timelines `frame` and `time`.
 
     Args:
@@ -188,7 +188,7 @@ class Recording:
     def __init__(self, stream: Any, microscope: MicroscopeFile | None) -> None:
         self._stream = stream
         self._response = microscope.response if microscope else Response()
-        self._camera: Camera | None = microscope.camera() if microscope else None
+        self._camera: LensDistortion | None = microscope.camera() if microscope else None
         if microscope is not None:
             log_eyeball(stream, microscope)
 

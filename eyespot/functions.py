@@ -85,14 +85,14 @@ def track(
         InputError: wrong options or files.
     """
     from estimator.run.command import tracked
-    from estimator.run.options import Options, Recorded
+    from estimator.run.options import Options, RecordingOptions
     from formats.calibration import read_calibration
     from formats.spots import spots_table
 
     files = {"calibration": calibration, "microscope": microscope}
     given = {name: Path(file) for name, file in files.items() if file is not None}
     asked = Options.of({"mode": mode, **given, **options})
-    recorded = Recorded(exposure=exposure, poses=None if poses is None else Path(poses))
+    recorded = RecordingOptions(exposure=exposure, poses=None if poses is None else Path(poses))
     with quiet(bars=progress):
         frames, asked, track_of_poses = recorded.opened(str(source), asked, unrelated=unrelated)
         tracking, _ = tracked(frames, asked.reader(), track_of_poses)

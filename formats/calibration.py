@@ -267,7 +267,7 @@ def read_calibration(path: str | Path) -> Calibration:
         return _calibration(content)
 
 
-class _Medium(Strict):
+class _MediumKey(Strict):
     name: str = Field(description="Of the medium.")
     index: float = Field(description="Refractive index of the medium.")
 
@@ -295,7 +295,7 @@ class _CalibrationFile(Strict):
 
     schema_: Annotated[int, Field(alias="schema")]
     model: str
-    medium: _Medium
+    medium: _MediumKey
     parameters: dict[str, _Parameter] = Field(description="Values with standard errors, by name.")
     covariance: _Covariance
     fitted_on: _Origin

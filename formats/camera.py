@@ -418,7 +418,7 @@ _UNDONE_PX = 1.0  # OpenCV's few iterations end within this where there is an in
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Camera:
+class LensDistortion:
     """Removes a lens's distortion from image points.
 
     Attributes:

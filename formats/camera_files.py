@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
-from formats.camera import Camera
+from formats.camera import LensDistortion
 from formats.inputs import InputError, shortened
 from formats.whole_files import damage_reported
 
@@ -60,7 +60,7 @@ def calibration_in(text: str) -> dict[str, Any]:
     return maps[0]
 
 
-def camera_of(content: dict[str, Any]) -> tuple[Camera, list[int]]:
+def camera_of(content: dict[str, Any]) -> tuple[LensDistortion, list[int]]:
     """The camera of a calibration, and width and height of its frames, px.
 
     The matrix of a CameraInfo is that of the whole sensor, while its frames have `roi` and
@@ -92,10 +92,10 @@ def camera_of(content: dict[str, Any]) -> tuple[Camera, list[int]]:
                 f"binning_{name} is {binning}. Correct roi and binning_{name}."
             )
         size.append(part // binning)
-        if matrix.shape == (3, 3):  # or else `Camera` refuses it
+        if matrix.shape == (3, 3):  # or else `LensDistortion` refuses it
             matrix[axis] /= binning
             matrix[axis, 2] += (0.5 - offset) / binning - 0.5
-    return Camera(matrix=matrix, **_distortion(content)), size
+    return LensDistortion(matrix=matrix, **_distortion(content)), size
 
 
 def _of_kalibr(content: dict[str, Any], cameras: list[str]) -> dict[str, Any]:
@@ -123,7 +123,7 @@ def _row(content: dict[str, Any], name: str, length: int) -> list[float]:
 
 
 def _distortion(content: dict[str, Any]) -> dict[str, Any]:
-    """Coefficients and model of a `Camera`."""
+    """Coefficients and model of a `LensDistortion`."""
     values = _numbers(content, "distortion_coefficients").ravel()
     said = " ".join(f"{content.get(key)}" for key in ("model", "cameramodel")).lower()
     name = content.get("distortionmodel")

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, model_validator
 
-from formats.camera import Camera, CameraNoise, Response
+from formats.camera import CameraNoise, LensDistortion, Response
 from formats.camera_files import calibration_in, camera_of
 from formats.inputs import (
     InputError,
@@ -259,7 +259,7 @@ class MicroscopeFile:
             that of its paraxial pinhole. None for a pinhole.
         retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
         noise: of the camera; None if it was not measured.
-        distortion_model: as `Camera.model`; brown in files of ours.
+        distortion_model: as `LensDistortion.model`; brown in files of ours.
     """
 
     width_px: int
@@ -317,12 +317,12 @@ class MicroscopeFile:
         pole = np.array([0.0, 0.0, -self.eye_radius_mm])
         return optics.Plane(point=pole, inward=np.array(self.plane_normal))
 
-    def camera(self) -> Camera | None:
+    def camera(self) -> LensDistortion | None:
         """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
         is_ideal = self.distortion_model == "brown" and not self.distortion.any()
         if self.camera_matrix is None or is_ideal:
             return None
-        return Camera(
+        return LensDistortion(
             matrix=self.camera_matrix, distortion=self.distortion, model=self.distortion_model
         )
 

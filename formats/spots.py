@@ -235,7 +235,7 @@ _KINDS: dict[str, type] = {
 """Type of a Parquet column; the others are floats."""
 
 
-class BeamPose(NamedTuple):
+class RecordedPose(NamedTuple):
     """Tip and axis of the beam in the eye frame.
 
     Attributes:
@@ -286,7 +286,7 @@ class SpotRecord:
     distance_low_mm: float = field(default=math.nan)
     distance_high_mm: float = field(default=math.nan)
     largest_cause: str = ""
-    pose: BeamPose | None = None
+    pose: RecordedPose | None = None
     wall_memory: str = ""
 
     @property
@@ -462,21 +462,21 @@ def _line(record: SpotRecord) -> list[str]:
     ]
 
 
-def _pose_cells(pose: BeamPose | None) -> list[float]:
+def _pose_cells(pose: RecordedPose | None) -> list[float]:
     if pose is None:
         return [math.nan] * len(_POSES)
     covariance = [float(pose.covariance[i, j]) for i, j in _UPPER]
     return [*map(float, pose.tip_mm), *map(float, pose.axis), *covariance, pose.chi_squared]
 
 
-def _pose(values: dict[str, float]) -> BeamPose | None:
+def _pose(values: dict[str, float]) -> RecordedPose | None:
     if math.isnan(values["tip_x_mm"]):
         return None
     place = np.array([values[name] for name in _POSE])
     covariance = np.empty((5, 5))
     for (i, j), name in zip(_UPPER, _POSE_COVARIANCES, strict=True):
         covariance[i, j] = covariance[j, i] = values[name]
-    return BeamPose(place[:3], place[3:], covariance, values["chi_squared"])
+    return RecordedPose(place[:3], place[3:], covariance, values["chi_squared"])
 
 
 def _cell(value: float) -> str:

@@ -334,7 +334,7 @@ def tip_from_contour(
     return _refined(data, DirectionPrior(axis, _HELD), centre - distance * axis, axis)
 
 
-class _Seen(NamedTuple):
+class _FixedView(NamedTuple):
     """What does not depend on the pose, computed once."""
 
     points: Float[Array, "n 3"]
@@ -348,12 +348,12 @@ class _Seen(NamedTuple):
     sigma_px: Float[Array, ""]
 
 
-def _seen(contour, surface, microscope, half_angle, apex_offset, sigma_px) -> _Seen:
+def _seen(contour, surface, microscope, half_angle, apex_offset, sigma_px) -> _FixedView:
     def on_wall(pixel):
         return surface.intersect(*microscope.ray(pixel)).point
 
     met = surface.intersect(*microscope.ray(contour))
-    return _Seen(
+    return _FixedView(
         points=met.point,
         steps=jax.vmap(jax.jacfwd(on_wall))(contour),
         outward=-jnp.mean(met.normal, axis=0),
@@ -364,7 +364,7 @@ def _seen(contour, surface, microscope, half_angle, apex_offset, sigma_px) -> _S
     )
 
 
-def _refined(data: _Seen, prior: DirectionPrior | None, tip, axis) -> BeamPose:
+def _refined(data: _FixedView, prior: DirectionPrior | None, tip, axis) -> BeamPose:
     def off_contour_px(tip, axis):
         value, slope = _from_cone(data, tip, axis)
         # The gradient's length hardly moves with the pose: a constant within a step.
@@ -380,7 +380,7 @@ def _refined(data: _Seen, prior: DirectionPrior | None, tip, axis) -> BeamPose:
     )
 
 
-def _from_cone(data: _Seen, tip, axis):
+def _from_cone(data: _FixedView, tip, axis):
     """Signed distance of the wall points from the cone, mm, and its gradient, mm per px."""
     cos_a, sin_a = jnp.cos(data.half_angle), jnp.sin(data.half_angle)
     offset = data.points - (tip + data.apex_offset * axis)

@@ -414,7 +414,7 @@ def metered_exposure(
 Image = NDArray[np.uint8] | NDArray[np.uint16]
 
 
-class Camera:
+class CameraSensor:
     """A sensor with its fixed patterns.
 
     Args:

@@ -20,14 +20,14 @@ import numpy as np
 
 import optics
 from estimator import SubpixelSettings, TrackState, measure
-from estimator.distance.budget import Budget, Budgets, Motion
+from estimator.distance.budget import Budget, Budgets, ToolMotion
 from estimator.distance.ranger import Ranger
 from formats.calibration import Calibration
 from formats.microscope import MicroscopeFile
 from formats.spots import Spot
 from formats.stated import Stated
 from scenes import Scene, World, load_scene
-from scenes.camera import Camera
+from scenes.camera import CameraSensor
 from scenes.rendering.images import Images
 
 K, B, RADIUS, SCALE = 20.0, -5.117, 11.5, 0.0067
@@ -166,7 +166,7 @@ def seen_spots(count: int, *, seed: int) -> Iterator[Seen]:
 
 
 def _seen_at(world: World, count: int, noise: np.random.Generator) -> Iterator[Seen]:
-    images, camera = Images(world, variant="llvm_ad_rgb"), Camera(world.scene)
+    images, camera = Images(world, variant="llvm_ad_rgb"), CameraSensor(world.scene)
     point, normal = (np.asarray(part) for part in world.spot_frame[:2])
     sides = np.linalg.svd(normal[None])[2][1:]
     principal = np.asarray(world.microscope.principal_point)
@@ -207,7 +207,7 @@ def read(
     # A view that is larger than the pinhole's is one whose pixels are believed too small.
     scale *= 1 + stated.size_per_mm * c * noise.standard_normal()
     velocity = -errors.moving * noise.uniform(0, 5) * seen.axis
-    motion = Motion(
+    motion = ToolMotion(
         velocity_mm_s=(velocity[0], velocity[1], velocity[2]),
         turn_rad_s=errors.moving * noise.uniform(0, 0.2),
         pose_age_s=noise.uniform(0, 0.05),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from calibration.pixels.data import Footage, Instrument
+from calibration.pixels.data import BareFibre, Footage
 from formats.camera import CameraNoise, Response
 from formats.microscope import MicroscopeFile
 from formats.stack import StackWriter
@@ -265,7 +265,7 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
         axis=frames.where.reported,
         noise=noise,
         microscope=file,
-        instrument=Instrument(TUBE, 6.0),
+        instrument=BareFibre(TUBE, 6.0),
         in_view=False,
         kind=own.wall,
         medium_index=INDEX[own.medium],

@@ -21,7 +21,7 @@ from calibration.spots.cone_trials import (
     NUISANCES,
     RETINA,
     SIZE_PER_MM,
-    Group,
+    TrialGroup,
     misfit,
     whitening_of,
 )
@@ -385,7 +385,7 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
     covariances = sigma[..., None] ** 2 * jnp.eye(5)
     nothing = jnp.zeros(count)
     whitening = jax.vmap(whitening_of)(ellipses, covariances, nothing)
-    every = Group(
+    every = TrialGroup(
         ellipses=ellipses,
         whitening=jnp.where(seen.visible[..., None, None], whitening, 0.0),
         readings=jnp.broadcast_to(distance - distance[0], minor.shape),
@@ -406,7 +406,7 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         scale = SCALE_MM_PX * jnp.exp(unknown[0])
         return Pinhole(scale, unknown[1], RETINA.mean + RETINA.sigma * unknown[2])
 
-    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: Group) -> Array:
+    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: TrialGroup) -> Array:
         found = pinhole(eye)
         values = _NO_TILT | {
             "half_angle": CONE["half_angle"],

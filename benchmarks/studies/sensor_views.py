@@ -32,7 +32,7 @@ from optics.viewing import (
     viewing_path,
 )
 from scenes import Scene
-from scenes.camera import Camera
+from scenes.camera import CameraSensor
 from scenes.rendering.images import images_of
 from scenes.rendering.loaded_scene import radiance_along
 from scenes.world.world import World
@@ -445,7 +445,7 @@ def pictures(scene: Scene, one: Place, seen: Views) -> Pictures:
     taken = []
     for number, light in enumerate([np.mean(shots, axis=0), *pair]):
         # Each microscope has a sensor of its own; one pattern in both would look like texture.
-        camera = Camera(lit, seed=lit.seed + number)
+        camera = CameraSensor(lit, seed=lit.seed + number)
         exposure = camera.metered_s(light, everything)
         taken.append(camera.raw(light, exposure_s=exposure, noise_seed=[lit.seed, number]))
     return Pictures(taken[0], taken[1], taken[2], own)

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 
 import optics
 from calibration.command.choices import Choices
-from calibration.command.verdict import Curve, Fitted, bounds_hit
+from calibration.command.verdict import Fitted, PlotCurve, bounds_hit
 from calibration.pixels.data import CONE
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
@@ -58,7 +58,7 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     for recording in planes:
         line = line_through([recording], choices.loss)
         axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
-        lines[recording.name] = Curve(axis, line.delta_k * axis + line.b, line.band(axis))
+        lines[recording.name] = PlotCurve(axis, line.delta_k * axis + line.b, line.band(axis))
     return Fitted(
         calibration_model="planar",
         values={"k": pooled.delta_k / scale, "b": pooled.b},
@@ -137,7 +137,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         used=errors.size + pooled.residuals.size,
         degrees_of_freedom=errors.size - 1,
         notes=notes,
-        lines={sphere.name: Curve(axis[order], np.asarray(model)[order], band)},
+        lines={sphere.name: PlotCurve(axis[order], np.asarray(model)[order], band)},
     )
 
 

@@ -20,7 +20,7 @@ from calibration.solvers import accepted_range, excess_variance
 from formats.calibration import QUANTITIES
 
 
-class Curve(NamedTuple):
+class PlotCurve(NamedTuple):
     """A model's curve through one recording, for the figure of distance against spot size."""
 
     semi_minor_px: Float[np.ndarray, "n"]
@@ -75,7 +75,7 @@ class Fitted:
     """Name, value, sigma and unit of fitted parameters that the file does not contain."""
     notes: list[str] = field(default_factory=list)
     """Sentences for the report."""
-    lines: dict[str, Curve] = field(default_factory=dict)
+    lines: dict[str, PlotCurve] = field(default_factory=dict)
     """By the recording's name."""
     pixels: PixelResiduals | None = None
     """None for a fit to spots."""

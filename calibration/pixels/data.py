@@ -24,7 +24,7 @@ from optics.wall_light.lens import PARAMETERS as LENS
 _SHAFT_RADIUS_MM = 0.455
 
 
-class Instrument(NamedTuple):
+class BareFibre(NamedTuple):
     """Bare fibre at the end of a shaft: the fibre's radius and length, mm."""
 
     fibre_radius: float
@@ -96,7 +96,7 @@ class Footage:
     axis: Float[np.ndarray, "3"]
     noise: CameraNoise
     microscope: MicroscopeFile
-    instrument: Instrument
+    instrument: BareFibre
     in_view: bool
     kind: str
     medium_index: float
@@ -136,7 +136,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         axis=axis,
         noise=noise,
         microscope=microscope,
-        instrument=Instrument(
+        instrument=BareFibre(
             number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
         ),
         in_view=stack.described("scene.instrument.visible", bool),

@@ -15,9 +15,9 @@ from jaxtyping import Float
 
 import optics
 from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names, read_footage
-from calibration.pixels.light import NEAREST_MM, STATES, Cells, LensLight
+from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
-from calibration.pixels.solver import Point, Solver
+from calibration.pixels.solver import BeamSolver, Point
 from calibration.solvers import MOST_STEPS, covariance_and_lost
 from calibration.spots.cone_trials import BORESIGHT_SIGMA, Prior, phantom_wall
 from formats.inputs import InputError
@@ -25,7 +25,7 @@ from formats.stack import Stack
 from optics.wall_light.lens import lens_parameters
 
 
-class Criterion(Enum):
+class FitCriterion(Enum):
     """What a fit must meet to have converged."""
 
     STEPS = auto()
@@ -39,7 +39,7 @@ class Criterion(Enum):
 class Failure(NamedTuple):
     """The criterion of convergence that a fit does not meet, and the reason with its value."""
 
-    criterion: Criterion
+    criterion: FitCriterion
     reason: str
 
 
@@ -218,10 +218,10 @@ def fit_footage(
         sags = [min(factor * max(start["sag"], 0.01), highest) for factor in _OTHER_SAGS]
         starts += [{**at_start, "sag": sag} for sag in sags]
 
-    def run_of(free: Sequence[str], priors: dict[str, Prior]) -> _Run:
+    def run_of(free: Sequence[str], priors: dict[str, Prior]) -> _FitRun:
         names = (*free, *(name for name in NUISANCES if name not in free))
-        lens = LensLight(footage, names) if source == "lens" else None
-        return _Run(footage, names, priors, lens, radius, progress)
+        lens = LinearLensLight(footage, names) if source == "lens" else None
+        return _FitRun(footage, names, priors, lens, radius, progress)
 
     run = run_of(free, known)
     # From what the first start leads to, wrong radii are likelier than a wrong start.
@@ -292,17 +292,17 @@ def _known(
     }
 
 
-class _Run(NamedTuple):
+class _FitRun(NamedTuple):
     """What all rounds of a fit share."""
 
     footage: Footage
     names: tuple[str, ...]
     priors: dict[str, Prior]
-    lens: LensLight | None
+    lens: LinearLensLight | None
     radius_px: float
     progress: Callable[[float], None]
 
-    def solver(self, point: Point, *, first: bool, every: bool = False) -> Solver:
+    def solver(self, point: Point, *, first: bool, every: bool = False) -> BeamSolver:
         """A solver on some or all frames, in cells of a first fit or small ones."""
         spreads = "blur" in point.values or "spread" in point.values
         share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
@@ -311,7 +311,7 @@ class _Run(NamedTuple):
         nearest = 0.5 * NEAREST_MM if self.lens else 0.0
         usable = np.flatnonzero(self.footage.readings + self.priors["touch"].mean > nearest)
         count = len(usable) if every else min(len(usable), _SOME[first])
-        return Solver(
+        return BeamSolver(
             self.footage,
             Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
             usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
@@ -322,10 +322,10 @@ class _Run(NamedTuple):
             progress=self.progress,
         )
 
-    def first_fit(self, starts: Sequence[dict[str, float]]) -> Solver:
+    def first_fit(self, starts: Sequence[dict[str, float]]) -> BeamSolver:
         """The best of the fits of some frames from the starts, of which the first may do."""
-        tried: list[Solver] = []
-        found: list[Solver] = []
+        tried: list[BeamSolver] = []
+        found: list[BeamSolver] = []
         for left, start in zip(range(len(starts) - 1, -1, -1), starts, strict=True):
             still = np.zeros((len(self.footage.readings), len(STATES)))
             tried.append(self._guess(Point(dict(start), still), first=True))
@@ -338,7 +338,7 @@ class _Run(NamedTuple):
                 break
         return min(found, key=attrgetter("misfit"))
 
-    def _guess(self, point: Point, *, first: bool) -> Solver:
+    def _guess(self, point: Point, *, first: bool) -> BeamSolver:
         """A fit of some frames, in wide or in small cells, from a point that may be far off."""
         solver = self.solver(point, first=first)
         self._tabulate(solver, coarse=first)
@@ -349,7 +349,7 @@ class _Run(NamedTuple):
         solver.minimise(_TOLERANCE[True], follow=True, most_steps=steps)
         return solver
 
-    def whole_fit(self, some: Solver) -> ImageFit:
+    def whole_fit(self, some: BeamSolver) -> ImageFit:
         """The fit of all frames in small cells, after that of some."""
         some.choose(guess=False)
         some.minimise(_TOLERANCE[True], follow=True)
@@ -359,7 +359,7 @@ class _Run(NamedTuple):
                 f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
                 f"{100 * _HOPELESS:g} % are allowed"
             )
-            return _result(some, Failure(Criterion.FIRST_ROUND, why), None)
+            return _result(some, Failure(FitCriterion.FIRST_ROUND, why), None)
         solver = self.solver(some.point, first=False, every=True)
         solver.spread, solver.error = some.spread, some.error
         self._tabulate(solver, coarse=False)
@@ -372,11 +372,11 @@ class _Run(NamedTuple):
         failed, of_table = self._settled(solver)
         return _result(solver, failed, of_table)
 
-    def _tabulate(self, solver: Solver, *, coarse: bool) -> None:
+    def _tabulate(self, solver: BeamSolver, *, coarse: bool) -> None:
         if self.lens is not None:
             self.lens.tabulate(solver.point.values, coarse=coarse)
 
-    def _settled(self, solver: Solver) -> tuple[Failure | None, np.ndarray | None]:
+    def _settled(self, solver: BeamSolver) -> tuple[Failure | None, np.ndarray | None]:
         """Iterate until a lens's table is exact at the minimum; say why if it never is.
 
         Within a minimisation the table is linear in the lens's parameters. Each new table corrects
@@ -395,7 +395,7 @@ class _Run(NamedTuple):
                     f"after {found.steps} steps another one would lower chi squared by "
                     f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
                 )
-                return Failure(Criterion.STEPS, why), None
+                return Failure(FitCriterion.STEPS, why), None
             too_far = found.first > least
             if too_far:
                 solver.point = point.halfway(best)
@@ -416,16 +416,16 @@ class _Run(NamedTuple):
                 f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
                 f"the result; {_MOST_OF_TABLE:g} are allowed"
             )
-            return Failure(Criterion.TABLES, why), np.outer(asked, asked)
+            return Failure(FitCriterion.TABLES, why), np.outer(asked, asked)
         return None, np.outer(asked, asked)
 
-    def _step(self, solver: Solver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
+    def _step(self, solver: BeamSolver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
         """Difference of the parameters, over their sizes."""
         values = [[point.values[name] for name in self.names] for point in (before, after)]
         return (np.array(values[1]) - values[0]) / solver.sizes
 
 
-def _result(solver: Solver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:
+def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:
     values, names = solver.point.values, solver.names
     information, slopes_of = solver.effective()
     covariance, lost = covariance_and_lost(information, names, [values[name] for name in names])

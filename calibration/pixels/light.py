@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 import optics
 from calibration.pixels.data import CONE, LENS, POSE, Footage, beam_names
 from calibration.spots.cone_trials import beam_directions, phantom_wall
-from estimator.pixels.beam import Pose, blurred, blurred_with_growth
+from estimator.pixels.beam import BeamAtWall, blurred, blurred_with_growth
 from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import LensSamples, LensTable, halvings_for, lens_samples
@@ -61,7 +61,7 @@ as parts of this. The light is then linear in the sag, through zero, where the c
 _FLAT_MM = 1e-5  # least sag of a table
 
 
-class LensLight:
+class LinearLensLight:
     """The light of a fit's lens, to first order around the parameters of its last table.
 
     Args:
@@ -237,14 +237,14 @@ class Light:
     """
 
     def __init__(
-        self, footage: Footage, cells: Cells, names: tuple[str, ...], lens: LensLight | None
+        self, footage: Footage, cells: Cells, names: tuple[str, ...], lens: LinearLensLight | None
     ) -> None:
         self.footage, self.cells, self.names, self.lens = footage, cells, names, lens
         self.own = tuple(name for name in names if name in beam_names(lens is not None))
         self.differences = [name for name in ("scale", "eye_radius") if name in names]
-        self._view = functools.lru_cache(maxsize=8)(functools.partial(_View, footage, cells))
+        self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
 
-    def view(self, values: Mapping[str, float]) -> _View:
+    def view(self, values: Mapping[str, float]) -> _WallView:
         """The wall as the microscope sees it."""
         return self._view(values["scale"], values["eye_radius"])
 
@@ -323,13 +323,13 @@ class Light:
         number: int,
         pose: Float[np.ndarray, "6"],
         turn: Float[np.ndarray, "6 7"],
-        view: _View,
+        view: _WallView,
         source: CellBeam,
         emitted: float,
         slopes: bool,
     ) -> FrameLight | None:
         tip, axis = pose[:3] + state[TIP], pose[3:]
-        beam = Pose(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
+        beam = BeamAtWall(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
         if not beam.distance > 0:
             return None
         cells, shine = self._shine(values, view, source, beam, slopes)
@@ -365,9 +365,9 @@ class Light:
     def _shine(
         self,
         values: Mapping[str, float],
-        view: _View,
+        view: _WallView,
         source: CellBeam,
-        beam: Pose,
+        beam: BeamAtWall,
         slopes: bool,
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
@@ -435,7 +435,7 @@ class Light:
         return whole[:, numbers]
 
 
-class _View:
+class _WallView:
     """The wall behind the cells, for one scale and radius of the eye."""
 
     def __init__(self, footage: Footage, cells: Cells, scale: float, eye_radius: float) -> None:
@@ -500,7 +500,7 @@ def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"])
 
 
 def _through(
-    beam: Pose, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
+    beam: BeamAtWall, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
 ) -> tuple[Float[np.ndarray, "7 n"], Float[np.ndarray, "3 n"]]:
     """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
     change = np.linalg.inv(beam.slopes)

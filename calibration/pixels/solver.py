@@ -36,8 +36,8 @@ from calibration.pixels.light import (
     TIP,
     Cells,
     FrameLight,
-    LensLight,
     Light,
+    LinearLensLight,
 )
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from calibration.spots.cone_trials import Prior
@@ -95,7 +95,7 @@ class _At(NamedTuple):
     information: Float[np.ndarray, "n"]
 
 
-class Solver:
+class BeamSolver:
     """A running fit on one lattice of cells.
 
     Args:
@@ -114,7 +114,7 @@ class Solver:
         *,
         names: tuple[str, ...],
         priors: Mapping[str, Prior],
-        lens: LensLight | None,
+        lens: LinearLensLight | None,
         progress: Callable[[float], None],
     ) -> None:
         self.footage, self.cells, self.numbers, self.point = footage, cells, list(numbers), point

@@ -24,8 +24,8 @@ from calibration.spots.cone_trials import (
     HELD,
     NUISANCES,
     ConeTrial,
-    Group,
     Prior,
+    TrialGroup,
     misfit,
     spots,
 )
@@ -177,7 +177,7 @@ def fit_cone(
     nothing = [0.0] * len(trials)
     missed = size_sigmas or nothing, outline_sigmas or nothing
     groups = [
-        Group.of(trials, kind, lean_sigma, boresight_sigma, *missed)
+        TrialGroup.of(trials, kind, lean_sigma, boresight_sigma, *missed)
         for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
@@ -271,7 +271,7 @@ def _carried_on(
     return carried
 
 
-def _names(groups: list[Group]) -> list[str]:
+def _names(groups: list[TrialGroup]) -> list[str]:
     return [
         f"{name} of trial {number + 1}"
         for group in groups
@@ -281,7 +281,7 @@ def _names(groups: list[Group]) -> list[str]:
 
 
 def _by_trial(
-    residuals: Float[np.ndarray, "n"], groups: list[Group], trials: Sequence[ConeTrial]
+    residuals: Float[np.ndarray, "n"], groups: list[TrialGroup], trials: Sequence[ConeTrial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
     """Residuals of each trial's frames, sorted from the order of `_solve`."""
     found = {}
@@ -298,7 +298,7 @@ def _by_trial(
 @eqx.filter_jit
 def _solve(
     begin: Float[Array, "p"],
-    groups: list[Group],
+    groups: list[TrialGroup],
     microscope: optics.Microscope,
     fixed: Float[Array, "q"],
     steps: Float[Array, "q f"],

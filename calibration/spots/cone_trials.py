@@ -107,7 +107,7 @@ def phantom_wall(
     return optics.Plane(point=pole, inward=inward / jnp.linalg.norm(inward))
 
 
-class Group(eqx.Module):
+class TrialGroup(eqx.Module):
     """Trials on walls of one kind, padded to the same number of frames."""
 
     ellipses: optics.Ellipse
@@ -139,7 +139,7 @@ class Group(eqx.Module):
         boresight_sigma: float,
         size_sigmas: Sequence[float],
         outline_sigmas: Sequence[float],
-    ) -> Group:
+    ) -> TrialGroup:
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
         trials = [of_all_kinds[n] for n in numbers]
@@ -196,7 +196,7 @@ def whitening_of(
 
 
 def spots(
-    group: Group,
+    group: TrialGroup,
     camera: optics.Microscope,
     values: Mapping[str, ScalarLike],
     nuisances: Float[Array, "trials 8"],
@@ -212,13 +212,13 @@ def spots(
     return jax.vmap(of_trial)(group.ellipses, group.principal_points, nuisances)
 
 
-def _wall(group: Group, values: Mapping[str, ScalarLike]) -> optics.Surface:
+def _wall(group: TrialGroup, values: Mapping[str, ScalarLike]) -> optics.Surface:
     return phantom_wall(
         group.kind, eye_radius=values["eye_radius"], tilt=(values["tilt_x"], values["tilt_y"])
     )
 
 
-def misfit(group: Group, camera: optics.Microscope, values, nuisances) -> Array:
+def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> Array:
     """Residuals over their sigma: the mismatch of every frame and the priors of the nuisances."""
     wall = _wall(group, values)
 

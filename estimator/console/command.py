@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from cyclopts.types import Port
 
-from estimator.run.options import Options, Recorded
+from estimator.run.options import Options, RecordingOptions
 from formats.inputs import InputError
 from formats.poses import POSE_TOPIC
 
@@ -30,7 +30,7 @@ def console(
     host: str = "127.0.0.1",
     port: Port = 8080,
     options: Options = Options(),
-    recorded: Recorded = Recorded(),
+    recorded: RecordingOptions = RecordingOptions(),
 ) -> None:
     """Show a source, what is measured in it, and its distance on a page in the browser.
 
@@ -70,7 +70,9 @@ def console(
     serve(opened, options, folder=folder, host=host, port=port, token=token, poses=track)
 
 
-def _topic(topic: str, recorded: Recorded) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
+def _topic(
+    topic: str, recorded: RecordingOptions
+) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
     """The source of a topic, and the poses that arrive."""
     from estimator.rig.rig import RecentPoses
     from estimator.rig.topic import open_topic

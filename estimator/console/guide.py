@@ -13,7 +13,7 @@ from typing import IO, Any
 
 import numpy as np
 
-from estimator.console.session import Moment, Session
+from estimator.console.session import CoursePoint, Session
 from formats.camera import Response
 from formats.inputs import InputError
 from formats.spots import NoSpot, Spot
@@ -87,7 +87,7 @@ class Guide:
         self._bag = folder / "calibration.bag"
         self._fit: subprocess.Popen[bytes] | None = None
         self._log: IO[bytes] | None = None
-        self._last: Moment | None = None
+        self._last: CoursePoint | None = None
         self.spots, self._low_mm, self._high_mm = 0, math.inf, -math.inf
 
     @property

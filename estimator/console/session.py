@@ -151,7 +151,7 @@ class View:
 
 
 @dataclass(frozen=True)
-class Moment:
+class CoursePoint:
     """A point of the course; NaN where nothing was measured.
 
     Attributes:
@@ -200,7 +200,7 @@ class Session:
         self.recorded = 0
         self.recording_fault = ""
         """Why the last recording ended by itself; empty if it did not."""
-        self._course: deque[Moment] = deque()
+        self._course: deque[CoursePoint] = deque()
         self._file, self._record = ExitStack(), threading.RLock()
         self._write: Write | None = None
         self._wake = threading.Condition()
@@ -223,7 +223,7 @@ class Session:
         return self._reader.mode
 
     @property
-    def course(self) -> list[Moment]:
+    def course(self) -> list[CoursePoint]:
         """The last `COURSE_S`, in the order of time."""
         return list(self._course)
 
@@ -389,7 +389,7 @@ class Session:
             self._course.clear()  # the clock was set back
         robot = self._withdrawn_mm(poses, frame.time_s)
         self._course.append(
-            Moment(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot)
+            CoursePoint(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot)
         )
         while self._course[0].time_s < time_s - COURSE_S:
             self._course.popleft()

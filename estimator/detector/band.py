@@ -17,7 +17,7 @@ import numpy as np
 
 from estimator.detector.ellipse import (
     DESIGN,
-    Ellipse,
+    AffineEllipse,
     Patch,
     ring_variance,
     ring_variances,
@@ -31,7 +31,7 @@ _ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
 
 
 def hidden_edge(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels, reach: float
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels, reach: float
 ) -> tuple[Levels, float, float] | None:
     """Levels, radius offset and that offset's variance, of an edge whose plateau is at full scale.
 
@@ -112,7 +112,7 @@ def _flank(
 
 
 def hidden_bell(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> tuple[Levels, float, float] | None:
     """As `hidden_edge`, of a bell whose top is at full scale.
 
@@ -169,7 +169,7 @@ def hidden_bell(
 
 
 def _pixel_profile(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float, bins: int
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, reach: float, bins: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Radius offsets of bins along the edge, their mean signal, and their number of pixels."""
     height, width = patch.signal.shape
@@ -224,7 +224,7 @@ class Refined:
         band: from which they were measured.
     """
 
-    ellipse: Ellipse
+    ellipse: AffineEllipse
     move: float
     size_variance: float
     centre_variance: float
@@ -256,7 +256,7 @@ class Band:
         slope: (n,) its derivative.
     """
 
-    ellipse: Ellipse
+    ellipse: AffineEllipse
     from_edge: np.ndarray
     profiles: np.ndarray
     whole: np.ndarray
@@ -267,7 +267,7 @@ class Band:
 
     @classmethod
     def along(
-        cls, patch: Patch, ellipse: Ellipse, inliers: np.ndarray, reach: float
+        cls, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, reach: float
     ) -> Band | None:
         """The band that reaches so far on either side; None if too few rays lie in it.
 
@@ -547,7 +547,7 @@ _NEIGHBOURS = np.ones((1, 2 * Sharp.SPOILED_RAYS + 1), np.uint8)
 
 
 def refine_sharp(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
     """Ellipse of the half-maximum contour, from one that is off by less than the edge's width.
 

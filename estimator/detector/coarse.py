@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.ellipse import AffineEllipse
 from estimator.detector.tuning import Channel, Search
 from estimator.image import clip_level
 from formats.camera import GREY, GREY_WEIGHTS, Window
@@ -137,7 +137,7 @@ class Candidate:
         lobed: whether it is one of several like regions of soft light, as of a beam with lobes.
     """
 
-    ellipse: Ellipse
+    ellipse: AffineEllipse
     peak: float
     background: float
     mask: np.ndarray
@@ -280,7 +280,7 @@ def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:
     return int(np.argmax(difference * difference * both))
 
 
-def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:
+def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> AffineEllipse | None:
     hull = cv2.convexHull(points)[:, 0]
     height, width = coarse.levels.shape
     x, y = hull[:, 0], hull[:, 1]
@@ -292,7 +292,7 @@ def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> Ellipse | None:
     half = first / 2 + 0.5, second / 2 + 0.5
     if not (max(half) < 2 * max(height, width) and math.isfinite(u + v + degrees)):
         return None
-    return Ellipse.from_axes(
+    return AffineEllipse.from_axes(
         coarse.x0 + coarse.stride * u,
         coarse.y0 + coarse.stride * v,
         coarse.stride * half[0],

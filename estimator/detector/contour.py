@@ -27,7 +27,7 @@ import numpy as np
 
 from estimator.detector.coarse import Candidate, Coarse, TooSmall, bright_regions, channel_for
 from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import dark_radius
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
@@ -66,7 +66,7 @@ class Region:
         return float(np.count_nonzero(self.candidates[0].mask)) * self.coarse.stride**2
 
     @property
-    def ellipse(self) -> Ellipse:
+    def ellipse(self) -> AffineEllipse:
         """The ellipse round the region, good to a few px."""
         return self.candidates[0].ellipse
 
@@ -143,7 +143,7 @@ def region_at(
         return None
     if abs(filled - 1) < Search.UNHIDDEN:
         centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
-        ellipse = Ellipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
+        ellipse = AffineEllipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
     candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool)).relevelled(coarse)
     faint = candidate.is_below(settings.min_contrast)
     return Region(frame, settings, coarse, channel, full_scale, clips, full, [candidate], faint)
@@ -168,7 +168,7 @@ def coarse_window(
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
 
 
-def without_texture(patch: Patch, colours: np.ndarray, ellipse: Ellipse) -> Patch:
+def without_texture(patch: Patch, colours: np.ndarray, ellipse: AffineEllipse) -> Patch:
     """The patch divided by the texture that its colours show.
 
     Args:
@@ -208,7 +208,7 @@ def _without_long_waves(image: np.ndarray) -> np.ndarray:
     return image - cv2.GaussianBlur(image, (0, 0), Texture.SHORT_WAVES)
 
 
-def _rings(patch: Patch, ellipse: Ellipse, cells: tuple[int, int]) -> np.ndarray:
+def _rings(patch: Patch, ellipse: AffineEllipse, cells: tuple[int, int]) -> np.ndarray:
     """Number of the ring about the ellipse's centre in which each cell lies, (h w,)."""
     height, width = patch.signal.shape
     x = (np.arange(cells[0]) + 0.5) * (width / cells[0]) - 0.5 + patch.x0 - ellipse.centre[0]
@@ -238,7 +238,7 @@ _TURNS = [
 
 
 def hollow_share(
-    patch: Patch, ellipse: Ellipse, seen: np.ndarray, half: float, width: float
+    patch: Patch, ellipse: AffineEllipse, seen: np.ndarray, half: float, width: float
 ) -> float:
     """Area of dark places behind a visible edge, over the area inside the edge.
 
@@ -260,7 +260,7 @@ def hollow_share(
     return np.count_nonzero(thick & ~_reached_from_outside(passable)) / area
 
 
-def _on_grid(patch: Patch, ellipse: Ellipse) -> np.ndarray:
+def _on_grid(patch: Patch, ellipse: AffineEllipse) -> np.ndarray:
     """The signal on a grid on which the ellipse is the unit circle; NaN outside the patch."""
     x0, y0 = ((ellipse.centre - (patch.x0, patch.y0)) / patch.stride).tolist()
     (a, b), (c, d) = (ellipse.shape / patch.stride).astype(np.float32)
@@ -300,7 +300,7 @@ def contour_of(region: Region) -> EdgeFit | NoSpot:
     return failure if best is None else best
 
 
-def patch_round(region: Region, ellipse: Ellipse, width: float = 0.0) -> Patch:
+def patch_round(region: Region, ellipse: AffineEllipse, width: float = 0.0) -> Patch:
     """Light round an ellipse; for a broad edge (`width` in radii) without the wall's texture."""
     frame, meter = region.frame, region.settings.meter
     half_width, half_height = ellipse.half_extent()

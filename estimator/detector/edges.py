@@ -18,7 +18,7 @@ from estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.ellipse import (
     DESIGN,
-    Ellipse,
+    AffineEllipse,
     Patch,
     octaves_middle,
     red_share,
@@ -38,7 +38,7 @@ from formats.spots import NoSpot, Reason
 
 
 def refine_broad(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
     """Ellipse of the half-maximum contour, from one that is off by less than the flank's width.
 
@@ -104,7 +104,7 @@ def _simple_peak(gram: np.ndarray, pull: np.ndarray) -> float:
 
 
 def _with_sloping_top(
-    levels: Levels, patch: Patch, ellipse: Ellipse, inliers: np.ndarray
+    levels: Levels, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray
 ) -> Levels:
     """The levels with the peak of a top that slopes.
 
@@ -152,7 +152,7 @@ class EdgeFit:
 
     Attributes:
         ellipse: px.
-        step_covariance: 5x5, of the parameters of `Ellipse.stepped`.
+        step_covariance: 5x5, of the parameters of `AffineEllipse.stepped`.
         levels: peak, background, edge width.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
         found: (RAYS,) rays with an edge.
@@ -164,7 +164,7 @@ class EdgeFit:
             scatter.
     """
 
-    ellipse: Ellipse
+    ellipse: AffineEllipse
     step_covariance: np.ndarray
     levels: Levels
     offsets: np.ndarray
@@ -219,7 +219,7 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
 
 def _located(
     patch: Patch, coarse: Coarse, candidate: Candidate
-) -> tuple[Ellipse, np.ndarray, Levels] | None:
+) -> tuple[AffineEllipse, np.ndarray, Levels] | None:
     captured = _capture(patch, candidate)
     if captured is None:
         return None
@@ -232,7 +232,7 @@ def _located(
 
 
 def _refined(
-    patch: Patch, coarse: Coarse, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+    patch: Patch, coarse: Coarse, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> EdgeFit | NoSpot:
     refined = _refined_once(patch, ellipse, inliers, levels)
     for left in reversed(range(Refine.REPEATS)):
@@ -251,7 +251,7 @@ def _refined(
 
 
 def _refined_once(
-    patch: Patch, ellipse: Ellipse, inliers: np.ndarray, levels: Levels
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
     refine = refine_broad if levels.width > Refine.BROAD else refine_sharp
     return refine(patch, ellipse, inliers, levels)
@@ -282,7 +282,7 @@ def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels | None:
 
 def _capture(
     patch: Patch, candidate: Candidate
-) -> tuple[Ellipse, np.ndarray, np.ndarray, np.ndarray] | None:
+) -> tuple[AffineEllipse, np.ndarray, np.ndarray, np.ndarray] | None:
     """Ellipse, the step from it to the contour (a few tenths of a px), inliers, profiles."""
     ellipse, step = candidate.ellipse.upright(), np.zeros(5)
     level = (candidate.peak + candidate.background) / 2
@@ -369,7 +369,7 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     )
 
 
-def _centre_variance_of_slope(coarse: Coarse, ellipse: Ellipse, levels: Levels) -> float:
+def _centre_variance_of_slope(coarse: Coarse, ellipse: AffineEllipse, levels: Levels) -> float:
     """Variance of either coordinate of a bell's centre because the wall slopes under it, radii.
 
     A bell on a sloping wall looks like one that has moved, and the contour does not show that. What

@@ -16,7 +16,7 @@ from estimator.detector.tuning import RAYS, ErrorGrowth, Rays, Refine, Trimming
 
 
 @dataclass(frozen=True, eq=False)
-class Ellipse:
+class AffineEllipse:
     """The image of the unit circle under n -> centre + shape @ n.
 
     Unlike axes and angle, the shape matrix changes smoothly when the ellipse becomes a circle.
@@ -32,7 +32,7 @@ class Ellipse:
     @classmethod
     def from_axes(
         cls, x: float, y: float, semi_major: float, semi_minor: float, angle: float
-    ) -> Ellipse:
+    ) -> AffineEllipse:
         """The ellipse of a centre (px), semi-axes (px) and an angle from +x towards +y (rad)."""
         c, s = math.cos(angle), math.sin(angle)
         shape = np.array([[c * semi_major, -s * semi_minor], [s * semi_major, c * semi_minor]])
@@ -52,12 +52,12 @@ class Ellipse:
         angle = 0.5 * math.atan2(cross, half_difference)
         return major, minor, math.pi / 2 if angle <= -math.pi / 2 else angle
 
-    def canonical(self) -> Ellipse:
+    def canonical(self) -> AffineEllipse:
         """The same ellipse with its shape's columns along the semi-major and semi-minor axes."""
         x, y = self.centre.tolist()
-        return Ellipse.from_axes(x, y, *self.axes())
+        return AffineEllipse.from_axes(x, y, *self.axes())
 
-    def upright(self) -> Ellipse:
+    def upright(self) -> AffineEllipse:
         """The same ellipse with a symmetric shape matrix.
 
         Of all shape matrices of an ellipse it is unique, so the rays meet the same pixels however
@@ -68,17 +68,17 @@ class Ellipse:
         square = np.array(
             [[p * p + q * q + area, p * r + q * s], [p * r + q * s, r * r + s * s + area]]
         )
-        return Ellipse(self.centre, square / math.sqrt(square[0, 0] + square[1, 1]))
+        return AffineEllipse(self.centre, square / math.sqrt(square[0, 0] + square[1, 1]))
 
-    def scaled(self, factor: float) -> Ellipse:
+    def scaled(self, factor: float) -> AffineEllipse:
         """The concentric ellipse with all lengths times `factor`."""
-        return Ellipse(self.centre, self.shape * factor)
+        return AffineEllipse(self.centre, self.shape * factor)
 
-    def stepped(self, step: np.ndarray) -> Ellipse:
+    def stepped(self, step: np.ndarray) -> AffineEllipse:
         """The ellipse whose edge lies `DESIGN @ step` further out, in units of the radius."""
         u, v, p, q, r = step.tolist()
         grown = np.array([[1 + p, r], [r, 1 + q]])
-        return Ellipse(self.centre + self.shape @ np.array([u, v]), self.shape @ grown)
+        return AffineEllipse(self.centre + self.shape @ np.array([u, v]), self.shape @ grown)
 
     def half_extent(self) -> tuple[float, float]:
         """Half width and half height of the bounding box, px."""
@@ -87,7 +87,7 @@ class Ellipse:
 
 
 def offset_design(cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    """Matrix from the five parameters of `Ellipse.stepped` to radial edge offsets, (n, 5).
+    """Matrix from the five parameters of `AffineEllipse.stepped` to radial edge offsets, (n, 5).
 
     With n = (cos, sin), centre step w and symmetric growth G the edge at n moves out by
     w . n + n' G n to first order, in units of the local radius. Its least-squares fit minimises
@@ -173,7 +173,7 @@ def _trimmed(
     return step[:, 0], inliers
 
 
-def refitted(ellipse: Ellipse, points: np.ndarray) -> Ellipse:
+def refitted(ellipse: AffineEllipse, points: np.ndarray) -> AffineEllipse:
     """The ellipse nearest to points (n, 2) that lie near a given one."""
     for _ in range(3):
         cos, sin = np.linalg.solve(ellipse.shape, (points - ellipse.centre).T)
@@ -183,12 +183,12 @@ def refitted(ellipse: Ellipse, points: np.ndarray) -> Ellipse:
     return ellipse
 
 
-def covariance_of_axes(ellipse: Ellipse, step_covariance: np.ndarray) -> np.ndarray:
+def covariance_of_axes(ellipse: AffineEllipse, step_covariance: np.ndarray) -> np.ndarray:
     """Covariance of (x, y, semi_major, semi_minor, angle) from that of a step.
 
     Args:
         ellipse: the one that was stepped.
-        step_covariance: 5x5 covariance of the parameters of `Ellipse.stepped`.
+        step_covariance: 5x5 covariance of the parameters of `AffineEllipse.stepped`.
     """
     a, b, _ = ellipse.axes()
     canonical = ellipse.canonical().shape
@@ -210,7 +210,7 @@ _ACROSS = np.stack([_COS, _SIN])
 _ALONG = np.stack([-_SIN, _COS])
 
 DESIGN = offset_design(_COS, _SIN)
-"""Radial offsets of the rays' edges by the parameters of `Ellipse.stepped`, (RAYS, 5)."""
+"""Radial offsets of the rays' edges by the parameters of `AffineEllipse.stepped`, (RAYS, 5)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,7 +233,7 @@ class Patch:
     ceiling: float = math.inf
     clipped: float = 0.0
 
-    def unwrapped(self, ellipse: Ellipse, radii: np.ndarray, every: int = 1) -> np.ndarray:
+    def unwrapped(self, ellipse: AffineEllipse, radii: np.ndarray, every: int = 1) -> np.ndarray:
         """Bilinear samples on the ellipse's rays, (RAYS / every, radii); NaN outside the patch.
 
         Args:
@@ -255,7 +255,7 @@ class Patch:
             borderValue=math.nan,
         )
 
-    def contains(self, ellipse: Ellipse) -> bool:
+    def contains(self, ellipse: AffineEllipse) -> bool:
         """Whether the whole ellipse lies on the patch."""
         half_width, half_height = ellipse.half_extent()
         height, width = self.signal.shape
@@ -264,19 +264,19 @@ class Patch:
         return all(half <= at <= length - half for at, half, length in (x, y))
 
 
-def contour_points(ellipse: Ellipse, offsets: np.ndarray) -> np.ndarray:
+def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:
     """Image points (RAYS, 2) at radial offsets from the ellipse, px."""
     return ellipse.centre + ((1 + offsets) * (ellipse.shape @ _ACROSS)).T
 
 
-def normals_of(ellipse: Ellipse) -> tuple[np.ndarray, np.ndarray]:
+def normals_of(ellipse: AffineEllipse) -> tuple[np.ndarray, np.ndarray]:
     """Outward unit normals on the rays, (2, RAYS), and radii per px along them, (RAYS,)."""
     gradients = np.linalg.inv(ellipse.shape).T @ _ACROSS
     per_px = np.hypot(*gradients)
     return gradients / per_px, per_px
 
 
-def shares_of_contour(ellipse: Ellipse, *masks: np.ndarray) -> list[float]:
+def shares_of_contour(ellipse: AffineEllipse, *masks: np.ndarray) -> list[float]:
     """Fraction of the contour's length that belongs to the rays in each mask."""
     steps = np.hypot(*(ellipse.shape @ _ALONG))
     length = float(steps.sum())

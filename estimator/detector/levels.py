@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.coarse import Candidate, Coarse
-from estimator.detector.ellipse import DESIGN, Ellipse, Patch
+from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
 from estimator.detector.tuning import RAYS, HalfLevel, Rays, WideView
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
@@ -99,7 +99,7 @@ class Levels:
 
 
 def levels_of(
-    profiles: np.ndarray, coarse: Coarse, ellipse: Ellipse, candidate: Candidate
+    profiles: np.ndarray, coarse: Coarse, ellipse: AffineEllipse, candidate: Candidate
 ) -> Levels | None:
     """Levels of a spot.
 
@@ -147,7 +147,7 @@ def _falling_through(mean: np.ndarray, level: float) -> float:
 
 
 def background_of(
-    coarse: Coarse, ellipse: Ellipse, width: float
+    coarse: Coarse, ellipse: AffineEllipse, width: float
 ) -> tuple[float, float, float] | None:
     """Signal on rings outside an edge of that width: its median, where they begin, its scatter.
 
@@ -174,7 +174,9 @@ def background_of(
     return None
 
 
-def slope_of_surroundings(coarse: Coarse, ellipse: Ellipse, levels: Levels) -> np.ndarray | None:
+def slope_of_surroundings(
+    coarse: Coarse, ellipse: AffineEllipse, levels: Levels
+) -> np.ndarray | None:
     """Slope of the signal round a spot over its mean there, per radius of the ellipse, (2,).
 
     None if too little of the surroundings is in view, or if they are so dark that they show noise

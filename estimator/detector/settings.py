@@ -19,7 +19,7 @@ from functools import cached_property
 
 import numpy as np
 
-from formats.camera import Camera, LightMeter, Response
+from formats.camera import LensDistortion, LightMeter, Response
 from formats.inputs import InputError
 
 
@@ -47,7 +47,7 @@ class SubpixelSettings:
 
     response: Response = field(default_factory=Response)
     reference: np.ndarray | None = None
-    camera: Camera | None = None
+    camera: LensDistortion | None = None
     search_half_width_px: int = 200
     min_semi_minor_px: float = 15.0
     max_semi_major_px: float = 400.0

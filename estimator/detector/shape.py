@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.tuning import SpotProfile
 from estimator.image import clip_level
-from formats.camera import GREY, Camera, LightMeter, Response, Window, checked_frame
+from formats.camera import GREY, LensDistortion, LightMeter, Response, Window, checked_frame
 from formats.spots import Spot
 
 LEVELS = SpotProfile.LEVELS
@@ -33,7 +33,7 @@ class Shape(NamedTuple):
 
 
 def spot_shape(
-    frame: np.ndarray, spot: Spot, *, response: Response, camera: Camera | None
+    frame: np.ndarray, spot: Spot, *, response: Response, camera: LensDistortion | None
 ) -> Shape | None:
     """Shape and peak of a spot, from the median profile over its rays.
 
@@ -48,7 +48,7 @@ def spot_shape(
     x, y = spot.x_px, spot.y_px
     if camera is not None:
         x, y = camera.distorted(x, y)
-    ellipse = Ellipse.from_axes(x, y, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad)
+    ellipse = AffineEllipse.from_axes(x, y, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad)
     half_width, half_height = ellipse.scaled(_PROFILE_RADII[-1]).half_extent()
     window = Window.around(x, y, half_width + 1, half_height + 1, frame)
     values, full_scale = window.of(frame), response.full_scale_of(frame)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from estimator.detector.contour import Region, region_at, regions_in
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.ellipse import AffineEllipse
 from estimator.detector.levels import dark_radius
 from estimator.detector.literal import LiteralSettings, measure_literal
 from estimator.detector.settings import SubpixelSettings
@@ -233,6 +233,6 @@ def _bright_outlines(
     return found
 
 
-def _outline(ellipse: Ellipse) -> Outline:
+def _outline(ellipse: AffineEllipse) -> Outline:
     x, y = ellipse.centre.tolist()
     return Outline(x, y, *ellipse.axes())

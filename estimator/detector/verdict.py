@@ -28,7 +28,7 @@ from estimator.detector.coarse import Coarse, TooSmall, bright_regions
 from estimator.detector.contour import Region, contour_of, patch_round
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import (
-    Ellipse,
+    AffineEllipse,
     Patch,
     contour_points,
     covariance_of_axes,
@@ -54,7 +54,7 @@ class _Moving:
     At the time t, from -1/2 to 1/2, its centre is at ellipse.centre + path * t + bend * t**2.
     """
 
-    ellipse: Ellipse
+    ellipse: AffineEllipse
     path: np.ndarray
     bend: np.ndarray
     width: float
@@ -62,7 +62,7 @@ class _Moving:
     background: float
 
     def stepped(self, step: np.ndarray) -> _Moving:
-        """Changed by five parameters of `Ellipse.stepped`, path, bend, and three logarithms."""
+        """Changed by five parameters of the ellipse, path, bend, and three logarithms."""
         growth = np.exp(np.clip(step[9:], -0.5, 0.5)).tolist()
         longest = 0.25 * self.ellipse.axes()[1]
         return _Moving(

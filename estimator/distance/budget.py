@@ -18,7 +18,7 @@ import numpy as np
 from estimator.detector import tuning
 from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
-from estimator.distance.tilted_cone import Eye, Slopes, distance_of, slopes_of
+from estimator.distance.tilted_cone import ConeView, Slopes, distance_of, slopes_of
 from formats.calibration import BEAM, QUANTITIES
 from formats.spots import Spot
 from formats.stated import Stated
@@ -193,7 +193,7 @@ _AZIMUTHS = 6  # of an unknown direction
 _GAUSS = 0.5 / math.sqrt(3)  # nodes of a uniform interval, from its middle, in its width
 
 
-class Motion(NamedTuple):
+class ToolMotion(NamedTuple):
     """How the tool moved at a frame's time, by the robot's poses; 0 if that is not known.
 
     Attributes:
@@ -208,7 +208,7 @@ class Motion(NamedTuple):
     pose_age_s: float = 0.0
 
 
-AT_REST = Motion()
+AT_REST = ToolMotion()
 
 
 class Budgets:
@@ -228,7 +228,7 @@ class Budgets:
         self._through_path = view.viewing_path is not None
         if self._traced:
             k = values["k"] if "k" in values else 1 / math.tan(values["half_angle"])
-            self._eye = Eye(
+            self._eye = ConeView(
                 k=np.array([k]),
                 b=np.array([values["b"]]),
                 scale=view.scale_mm_px,
@@ -243,7 +243,7 @@ class Budgets:
         found: Range,
         *,
         axis: np.ndarray | None = None,
-        motion: Motion = AT_REST,
+        motion: ToolMotion = AT_REST,
     ) -> Budget | None:
         """The budget of a distance; None if there is no distance, or nothing explains the spot.
 
@@ -262,7 +262,7 @@ class Budgets:
             return self._of_cone(spot, found, axis, motion)
 
     def _of_cone(
-        self, spot: Spot, found: Range, axis: np.ndarray | None, motion: Motion
+        self, spot: Spot, found: Range, axis: np.ndarray | None, motion: ToolMotion
     ) -> Budget | None:
         told = axis is not None
         if found.poses:
@@ -326,7 +326,9 @@ class Budgets:
         axes = np.cos(tilt) * normal + np.sin(tilt) * lean
         return axes, np.full(len(axes), 1 / len(axes))
 
-    def _speed(self, motion: Motion, axis: np.ndarray, point: np.ndarray, *, told: bool) -> float:
+    def _speed(
+        self, motion: ToolMotion, axis: np.ndarray, point: np.ndarray, *, told: bool
+    ) -> float:
         """How fast the distance changes while the tip moves over a wall at rest, mm/s."""
         velocity = np.array(motion.velocity_mm_s)
         if not told:
@@ -340,7 +342,7 @@ class Budgets:
         found: Range,
         slopes: Slopes,
         spread: float,
-        moving: tuple[Motion, float],
+        moving: tuple[ToolMotion, float],
         *,
         known: bool,
     ) -> list[Part]:
@@ -435,7 +437,7 @@ class Budgets:
             unit=unit,
         )
 
-    def _of_clock(self, motion: Motion, speed: float, tilt: float) -> Part:
+    def _of_clock(self, motion: ToolMotion, speed: float, tilt: float) -> Part:
         late = self._stated.clock_sigma_s
         # The axis turned by so much in one direction, which is half of the square in each of two.
         turned = motion.turn_rad_s * math.hypot(motion.pose_age_s, late) / math.sqrt(2)
@@ -447,7 +449,7 @@ class Budgets:
             unit="s",
         )
 
-    def _of_lens(self, spot: Spot, found: Range, motion: Motion) -> Budget:
+    def _of_lens(self, spot: Spot, found: Range, motion: ToolMotion) -> Budget:
         """By a lens, whose curve contains the calibration's errors."""
         return Budget.of(
             found.distance_mm,

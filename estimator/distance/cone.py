@@ -61,7 +61,7 @@ _STEP = 1e-6  # of the differences, relative
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Seen:
+class _ViewedCone:
     """What a spot is compared with."""
 
     wall: optics.Surface
@@ -70,7 +70,7 @@ class _Seen:
     apex_offset: np.ndarray
 
     @classmethod
-    def of(cls, microscope: MicroscopeFile, values: dict[str, float]) -> _Seen:
+    def of(cls, microscope: MicroscopeFile, values: dict[str, float]) -> _ViewedCone:
         view = calibrated_view(microscope, values)
         own = values.get("half_angle")
         return cls(
@@ -91,12 +91,12 @@ class AreaDistances:
 
     def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
         values = dict(calibration.values)
-        self._seen = _Seen.of(microscope, values)
+        self._seen = _ViewedCone.of(microscope, values)
         self._covariance = calibration.covariance
         # The same with each calibrated value a step larger, for the derivatives.
         self._steps = np.array([_STEP * max(abs(value), 1e-3) for value in values.values()])
         self._varied = [
-            _Seen.of(microscope, values | {name: values[name] + step})
+            _ViewedCone.of(microscope, values | {name: values[name] + step})
             if self._covariance[row, row] > 0
             else self._seen
             for row, (name, step) in enumerate(zip(values, self._steps, strict=True))
@@ -129,7 +129,7 @@ class AreaDistances:
         variance += axis_sigma_rad**2 * (of_axis @ of_axis)
         return Range(distance_mm=distance, sigma_mm=math.sqrt(variance))
 
-    def _distance(self, seen: _Seen, ellipse: np.ndarray, axis: np.ndarray) -> float:
+    def _distance(self, seen: _ViewedCone, ellipse: np.ndarray, axis: np.ndarray) -> float:
         import optics
 
         x, y, major, minor = ellipse

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estimator.detector.ellipse import Ellipse
+from estimator.detector.ellipse import AffineEllipse
 from estimator.detector.shape import spot_shape
 from estimator.distance.cone import UNKNOWN_SIGMA_PX, AreaDistances, ConePoses, calibrated_view
 from estimator.distance.lens_range import distance_from_lens, lens_curve
@@ -325,7 +325,7 @@ def _slope(values: Mapping[str, Numbers]) -> Numbers:
     return values["k"] if "k" in values else 1 / np.tan(values["half_angle"])
 
 
-def _ellipse(spot: Spot) -> Ellipse:
-    return Ellipse.from_axes(
+def _ellipse(spot: Spot) -> AffineEllipse:
+    return AffineEllipse.from_axes(
         spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad
     )

@@ -15,7 +15,7 @@ _TURN = np.arange(_POINTS) * (2 * np.pi / _POINTS)
 _COS, _SIN = np.cos(_TURN)[:, None], np.sin(_TURN)[:, None]
 
 
-class Eye(NamedTuple):
+class ConeView(NamedTuple):
     """Cone, wall and pinhole; arrays (n,) or numbers, mm and rad.
 
     Attributes:
@@ -74,7 +74,9 @@ class SpotImage(NamedTuple):
         return np.sqrt(self.semi_major * self.semi_minor) if by_area else self.semi_minor
 
 
-def spot_image(eye: Eye, *, spot: np.ndarray, axis: np.ndarray, distance: np.ndarray) -> SpotImage:
+def spot_image(
+    eye: ConeView, *, spot: np.ndarray, axis: np.ndarray, distance: np.ndarray
+) -> SpotImage:
     """Ellipse of the image of a cone's edge on the wall; NaN where part of it misses the wall.
 
     Args:
@@ -93,7 +95,7 @@ def spot_image(eye: Eye, *, spot: np.ndarray, axis: np.ndarray, distance: np.nda
 
 
 def distance_of(
-    eye: Eye,
+    eye: ConeView,
     *,
     at_px: np.ndarray,
     size_px: np.ndarray,
@@ -136,7 +138,7 @@ def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, np.stack([across, sign + y * y * scale, -y], axis=1)
 
 
-def _to_wall(eye: Eye, apex: np.ndarray, ray: np.ndarray) -> np.ndarray:
+def _to_wall(eye: ConeView, apex: np.ndarray, ray: np.ndarray) -> np.ndarray:
     """How far along each ray the wall is, in the ray's own length, (n, points)."""
     radius = np.reshape(eye.eye_radius, (-1, 1))
     if eye.normal is not None:
@@ -150,7 +152,7 @@ def _to_wall(eye: Eye, apex: np.ndarray, ray: np.ndarray) -> np.ndarray:
     return (np.sqrt(along**2 - square * inside) - along) / square
 
 
-def _projected(eye: Eye, point: np.ndarray) -> np.ndarray:
+def _projected(eye: ConeView, point: np.ndarray) -> np.ndarray:
     """Images of wall points, (n, points, 2), px from the principal point."""
     height = point[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
     depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
@@ -204,7 +206,7 @@ class Slopes(NamedTuple):
         x: by its place, per px.
         y: by its place, per px.
         tilt: by the beam's axis, per rad: the root of the squares across it.
-        of: by the quantities of `Eye`, per their unit.
+        of: by the quantities of `ConeView`, per their unit.
     """
 
     size: float
@@ -215,7 +217,7 @@ class Slopes(NamedTuple):
 
 
 def slopes_of(
-    eye: Eye, *, axis: np.ndarray, point: np.ndarray, distance: float, by_area: bool
+    eye: ConeView, *, axis: np.ndarray, point: np.ndarray, distance: float, by_area: bool
 ) -> Slopes:
     """Derivatives of `distance_of`, from those of the spot's size at the distance found.
 
@@ -250,7 +252,7 @@ def slopes_of(
     pixel = np.tile(np.array([point[0], -point[1]]) / (eye.scale * depth), (count, 1))
     pixel[2, 0] += 1.0
     pixel[3, 1] += 1.0
-    varied = Eye(**grid, normal=eye.normal)
+    varied = ConeView(**grid, normal=eye.normal)
     seen = spot_image(varied, spot=varied.wall_point(pixel), axis=axes, distance=distances)
     size = seen.size(by_area=by_area)
     change = size - size[0]

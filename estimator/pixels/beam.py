@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.fft import dct
 from scipy.special import j1
 
-from estimator.pixels.cells import COUNT, STILL, WallMotion, Window
+from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from formats.camera import CameraNoise
 from formats.microscope import MicroscopeFile
 
@@ -146,7 +146,7 @@ _LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as muc
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
-class Pose(NamedTuple):
+class BeamAtWall(NamedTuple):
     """A beam that meets the wall; `BeamFrame` of `optics` has the same fields."""
 
     tip: Float[np.ndarray, "3"]
@@ -250,7 +250,7 @@ class BeamLight:
         self.scale_mm_px = microscope.scale_mm_px
         self._middle_px = 0.5 * np.array([microscope.width_px, microscope.height_px])
 
-    def pose(self, tip: np.ndarray, axis: np.ndarray) -> Pose | None:
+    def pose(self, tip: np.ndarray, axis: np.ndarray) -> BeamAtWall | None:
         """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
         from optics.wall_light.pose_light import beam_meets
 
@@ -259,7 +259,7 @@ class BeamLight:
             return None
         right, down = _across(normal)
         first, second = _across(np.asarray(axis))
-        return Pose(tip, axis, distance, right, down, first, second)
+        return BeamAtWall(tip, axis, distance, right, down, first, second)
 
     def wall_points(self, pixels: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
         """Wall points that pixels see, and the inward normals there, (n, 3)."""
@@ -268,7 +268,7 @@ class BeamLight:
         point, normal = pixels_see(self.camera, self.wall, np.asarray(pixels, float))
         return np.asarray(point), np.asarray(normal)
 
-    def _lattice(self, window: Window, motion: WallMotion, parts: int = 1) -> Lattice:
+    def _lattice(self, window: CellWindow, motion: WallMotion, parts: int = 1) -> Lattice:
         """The wall that a window's cells show after a motion of the wall's picture.
 
         Each side of a cell may be divided into some parts.
@@ -281,9 +281,9 @@ class BeamLight:
 
     def irradiance(
         self,
-        window: Window,
+        window: CellWindow,
         motion: WallMotion,
-        pose: Pose,
+        pose: BeamAtWall,
         own: Float[np.ndarray, "q"],
         *,
         sweep: Sweep | None = None,
@@ -369,7 +369,7 @@ class BeamLight:
 
         Takes 1 to 3 s where JAX has kept what it compiled.
         """
-        window = Window.around(self._middle_px, _USUAL_REACH_PX)
+        window = CellWindow.around(self._middle_px, _USUAL_REACH_PX)
         (point,), (normal,) = self.wall_points(self._middle_px[None])
         pose = self.pose(point + normal, -normal)
         assert pose is not None, "the middle of an image shows the wall"
@@ -386,15 +386,15 @@ class BeamLight:
                     blur_px2=blur_px2,
                 )
 
-    def swept_px(self, pose: Pose, sweep: Sweep) -> float:
+    def swept_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
         return self._way_px(pose, np.diff(sweep.tip + pose.distance * sweep.axis, axis=0))
 
-    def _aside_px(self, pose: Pose, sweep: Sweep) -> float:
+    def _aside_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
         """How far the light's mean place is from that in the middle of an exposure, px."""
         return self._way_px(pose, np.mean(sweep.tip + pose.distance * sweep.axis, axis=0)[None])
 
-    def _way_px(self, pose: Pose, steps: Float[np.ndarray, "n 3"]) -> float:
+    def _way_px(self, pose: BeamAtWall, steps: Float[np.ndarray, "n 3"]) -> float:
         """Way of the light along steps of the spot, px."""
         along = steps @ pose.axis
         across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)
@@ -403,7 +403,7 @@ class BeamLight:
     def irradiance_alone(
         self,
         lattice: Lattice,
-        pose: Pose,
+        pose: BeamAtWall,
         own: Float[np.ndarray, "q"],
         steps: Steps | None = None,
     ) -> Float[np.ndarray, "n"]:

@@ -96,7 +96,7 @@ _AHEAD, _AHEAD_FRAMES = 0.15, 4.0
 both. So it serves for several frames; what is kept of earlier ones takes as long to model anew."""
 
 
-class Window(NamedTuple):
+class CellWindow(NamedTuple):
     """A lattice of COUNT x COUNT cells of the image.
 
     Attributes:
@@ -109,7 +109,7 @@ class Window(NamedTuple):
     side: int
 
     @classmethod
-    def around(cls, centre_px: np.ndarray, reach_px: float) -> Window:
+    def around(cls, centre_px: np.ndarray, reach_px: float) -> CellWindow:
         """The window with a point in its middle, that reaches at least so far."""
         side = max(2, int(np.ceil(2.0 * reach_px / COUNT)))
         left, top = np.round(np.asarray(centre_px) - 0.5 * COUNT * side).astype(int).tolist()
@@ -117,7 +117,7 @@ class Window(NamedTuple):
 
     def following(
         self, centre_px: Float[np.ndarray, "2"], reach_px: float, way_px: Float[np.ndarray, "2"]
-    ) -> Window:
+    ) -> CellWindow:
         """This window as long as it serves for a point that moves, or else one ahead of the point.
 
         If only the place does not serve, it is moved by whole cells.
@@ -133,7 +133,7 @@ class Window(NamedTuple):
             return self
         ahead = _AHEAD_FRAMES * way_px
         most = _AHEAD * reach_px / max(float(np.abs(ahead).max()), 1e-9)
-        fresh = Window.around(centre_px + min(most, 1.0) * ahead, reach_px)
+        fresh = CellWindow.around(centre_px + min(most, 1.0) * ahead, reach_px)
         if not sized:
             return fresh
         right, down = np.round((fresh.middle_px - self.middle_px) / self.side).astype(int).tolist()
@@ -214,7 +214,7 @@ class CellLight:
         self._bad = cv2.integral((bad > 0).astype(np.uint8), sdepth=cv2.CV_32S)
 
     def means(
-        self, window: Window
+        self, window: CellWindow
     ) -> tuple[Float[np.ndarray, "count count"], Bool[np.ndarray, "count count"]]:
         """Mean light of each cell, and whether the cell is in the image and all of it usable."""
         left, top = self._corner

@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from estimator.pixels.beam import BeamLight, Pose, Sweep
-from estimator.pixels.cells import COUNT, STILL, CellLight, WallMotion, Window
+from estimator.pixels.beam import BeamAtWall, BeamLight, Sweep
+from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
 from estimator.pixels.frame_fit import (
     STEPS,
     far_moved,
@@ -33,13 +33,13 @@ from estimator.pixels.frame_model import (
     FrameState,
     Linear,
     RobotPose,
-    Texture,
+    TextureVariances,
     contrast,
     lit,
     texture_of,
 )
-from estimator.pixels.picture import Mix, Picture, Reference, evener_mix
-from estimator.pixels.solver import Solution, Solver
+from estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
+from estimator.pixels.solver import PoseSolution, PoseSolver
 from formats.camera import CameraNoise
 from formats.spots import Outline
 
@@ -58,7 +58,7 @@ class Look(NamedTuple):
         robot: where the robot says the tool is; None if it does not.
     """
 
-    picture: Picture
+    picture: FramePixels
     direction: Direction | None
     sweep: Sweep | None
     robot: RobotPose | None
@@ -96,9 +96,9 @@ class Belief:
         shake_before_px: `shake_px` of the frame before.
     """
 
-    solver: Solver
+    solver: PoseSolver
     kept: list[tuple[FrameState, Linear]]
-    solution: Solution
+    solution: PoseSolution
     learnt_px2: float
     surprise: float = 1.0
     lost: bool = False
@@ -185,7 +185,7 @@ class Belief:
         return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
 
 
-def lit_px2(solver: Solver, solution: Solution) -> float:
+def lit_px2(solver: PoseSolver, solution: PoseSolution) -> float:
     """Area of the window's wall that any frame of a solution lights."""
     seen = [lit(solver.model.light(frame, solution.own)) for frame in solution.frames]
     return float(np.count_nonzero(np.any(seen, axis=0))) * solver.window.side**2
@@ -219,8 +219,8 @@ exp(-r/L)."""
 
 
 def scanned_starts(
-    solver: Solver,
-    frame_at: Callable[[Pose], FrameState],
+    solver: PoseSolver,
+    frame_at: Callable[[BeamAtWall], FrameState],
     spot: Outline,
     own: np.ndarray,
     directions: list[np.ndarray],
@@ -268,7 +268,7 @@ def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
     ]
 
 
-def mirrored_start(solver: Solver, frame: FrameState, own: np.ndarray) -> FrameState | None:
+def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> FrameState | None:
     """A frame with the beam leaning to the other side of the wall's normal, as alike in the image.
 
     Args:
@@ -344,15 +344,15 @@ def explained_alone(
         reference: the wall without the spot; None if there is no image of it.
     """
 
-    def solver_for(mix: Mix, texture: Texture) -> Solver:
+    def solver_for(mix: Mix, texture: TextureVariances) -> PoseSolver:
         known = None if reference is None else reference.seen_in(mix).known
-        return Solver(beam, window, texture, known)
+        return PoseSolver(beam, window, texture, known)
 
     picture, direction, sweep, robot = look
-    window = Window.around(np.array([spot.x_px, spot.y_px]), reach_px(spot, sharp=beam.sharp))
+    window = CellWindow.around(np.array([spot.x_px, spot.y_px]), reach_px(spot, sharp=beam.sharp))
     mix = picture.plain_mix(spot)
     cells = picture.cells(mix)
-    solver = solver_for(mix, Texture.usual())
+    solver = solver_for(mix, TextureVariances.usual())
     own = np.zeros(beam.spread.shape[1])
     starts = scanned_starts(
         solver,
@@ -401,7 +401,7 @@ def explained_alone(
     return FirstFrame(distinct(beliefs), mix)
 
 
-def learnt_texture(solver: Solver, solution: Solution) -> Texture:
+def learnt_texture(solver: PoseSolver, solution: PoseSolution) -> TextureVariances:
     """The texture that all frames of a solution show. Takes a second or two."""
     return texture_of(*solution.together, count=COUNT, side_mm=solver.model.side_mm)
 
@@ -479,13 +479,13 @@ def explained_with(
 
 
 def _fitted(
-    solver: Solver,
+    solver: PoseSolver,
     kept: list[tuple[FrameState, Linear]],
     start: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
     usual: float,
-) -> tuple[Solution, float, bool, list[tuple[FrameState, Linear]]]:
+) -> tuple[PoseSolution, float, bool, list[tuple[FrameState, Linear]]]:
     """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
     for _ in range(_ANEW):
         found, surprise, lost = fit_wherever(solver, kept, start, own, cells, usual=usual)
@@ -498,7 +498,7 @@ def _fitted(
 
 def _start(
     last: FrameState,
-    solver: Solver,
+    solver: PoseSolver,
     cells: CellLight,
     point: Float[np.ndarray, "3"],
     own: Float[np.ndarray, "q"],
@@ -523,7 +523,7 @@ def _start(
 
 
 def _kept(
-    solver: Solver, solution: Solution, before: list[tuple[FrameState, Linear]]
+    solver: PoseSolver, solution: PoseSolution, before: list[tuple[FrameState, Linear]]
 ) -> list[tuple[FrameState, Linear]]:
     """The kept frames, with the newest if it shows the wall in another light.
 

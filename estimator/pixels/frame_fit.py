@@ -24,9 +24,9 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from estimator.pixels.cells import COUNT, SIDES, STILL, CellLight, WallMotion, Window, rolled
+from estimator.pixels.cells import COUNT, SIDES, STILL, CellLight, CellWindow, WallMotion, rolled
 from estimator.pixels.frame_model import FrameState, Linear, share
-from estimator.pixels.solver import Solution, Solver
+from estimator.pixels.solver import PoseSolution, PoseSolver
 
 _FARTHEST = 6  # cells; 1 mm/s is two or three of them from frame to frame
 _TURN = 0.02  # standard deviation of the turn from frame to frame, rad
@@ -36,7 +36,7 @@ _CELLS = 0.5 * COUNT * SIDES
 """Columns and rows from the window's middle."""
 
 
-def farthest_px(window: Window) -> float:
+def farthest_px(window: CellWindow) -> float:
     """The longest shift that is searched for."""
     return float(_FARTHEST * window.side)
 
@@ -45,7 +45,7 @@ def registered(
     line: Linear,
     known: Float[np.ndarray, "n"],
     variance: Float[np.ndarray, "n"],
-    window: Window,
+    window: CellWindow,
 ) -> WallMotion | None:
     """The motion of the wall since the cells of the map were where the frame's are now.
 
@@ -137,13 +137,13 @@ class Surprise(NamedTuple):
 
 
 def robust_fit(
-    solver: Solver,
+    solver: PoseSolver,
     kept: list[tuple[FrameState, Linear]],
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     *,
     steps: int = STEPS,
-) -> tuple[Solution, Surprise]:
+) -> tuple[PoseSolution, Surprise]:
     """A solution in which cells with other light have little weight, and the surprise."""
     line = solver.model.linear(frame, own)
     trust = _trust(_unlike_at_start(solver, frame, own, line))
@@ -170,7 +170,7 @@ def robust_fit(
 
 
 def _distances(
-    solver: Solver, solution: Solution, trust: Float[np.ndarray, "n"]
+    solver: PoseSolver, solution: PoseSolution, trust: Float[np.ndarray, "n"]
 ) -> tuple[Linear, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """The newest frame's model with all trust, and how far its cells are from what all else says.
 
@@ -183,7 +183,7 @@ def _distances(
 
 
 def modelled(
-    solver: Solver, frames: list[FrameState], own: Float[np.ndarray, "q"]
+    solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray, "q"]
 ) -> list[tuple[FrameState, Linear]]:
     """Frames with their models, in which cells that are unlike the wall have little weight."""
 
@@ -197,11 +197,11 @@ def modelled(
 
 
 def moved(
-    solver: Solver,
-    window: Window,
+    solver: PoseSolver,
+    window: CellWindow,
     kept: list[tuple[FrameState, Linear]],
     own: Float[np.ndarray, "q"],
-) -> tuple[Solver, list[tuple[FrameState, Linear]]]:
+) -> tuple[PoseSolver, list[tuple[FrameState, Linear]]]:
     """The solver of another window with its map, and kept frames with their models there.
 
     A frame is modelled anew only if it has some light in cells that are new.
@@ -224,7 +224,7 @@ def moved(
 
 
 def far_moved(
-    solver: Solver, kept: list[tuple[FrameState, Linear]], solution: Solution
+    solver: PoseSolver, kept: list[tuple[FrameState, Linear]], solution: PoseSolution
 ) -> list[tuple[FrameState, Linear]] | None:
     """Kept frames, with new models of those that a solution moves too far for theirs.
 
@@ -245,7 +245,7 @@ def far_moved(
     return kept
 
 
-def unlike_wall(solver: Solver, solution: Solution) -> Bool[np.ndarray, "n"]:
+def unlike_wall(solver: PoseSolver, solution: PoseSolution) -> Bool[np.ndarray, "n"]:
     """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
     return _grown(_unlike(solver, solver.model.linear(solution.frames[-1], solution.own))) > _FAR
 
@@ -256,7 +256,7 @@ def _trust(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
 
 
 def _unlike_at_start(
-    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"], line: Linear
+    solver: PoseSolver, frame: FrameState, own: Float[np.ndarray, "q"], line: Linear
 ) -> Float[np.ndarray, "n"]:
     """As `_unlike`, at a pose from which a fit starts, near which any pose may be right."""
     if not _large(_unlike(solver, line)).any():
@@ -284,7 +284,7 @@ def _large(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count"]:
     return np.where(least > _FAR, least, 0.0)
 
 
-def _unlike(solver: Solver, line: Linear) -> Float[np.ndarray, "n"]:
+def _unlike(solver: PoseSolver, line: Linear) -> Float[np.ndarray, "n"]:
     """How far cells are from any place of such a wall, in standard deviations.
 
     What hides a part of the wall, or a light on it, is as even as a wall is. So its cells are as
@@ -297,14 +297,14 @@ def _unlike(solver: Solver, line: Linear) -> Float[np.ndarray, "n"]:
 
 
 def fit_wherever(
-    solver: Solver,
+    solver: PoseSolver,
     kept: list[tuple[FrameState, Linear]],
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
     *,
     usual: float,
-) -> tuple[Solution, float, bool]:
+) -> tuple[PoseSolution, float, bool]:
     """As `robust_fit`, wherever the wall is now.
 
     Args:
@@ -342,7 +342,7 @@ def fit_wherever(
     return solution, surprise.square, lost
 
 
-def _unlikelihood(solver: Solver, solution: Solution) -> float:
+def _unlikelihood(solver: PoseSolver, solution: PoseSolution) -> float:
     """-2 log likelihood of the newest frame, given the earlier ones."""
     *earlier, _ = zip(solution.frames, solution.linear, strict=True)
     before = solver.unlikelihood(earlier, solution.own) if earlier else 0.0

@@ -34,8 +34,8 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from estimator.pixels.beam import POSE, BeamLight, Pose, Sweep, blurred
-from estimator.pixels.cells import COUNT, SHADES, CellLight, Window, rolled
+from estimator.pixels.beam import POSE, BeamAtWall, BeamLight, Sweep, blurred
+from estimator.pixels.cells import COUNT, SHADES, CellLight, CellWindow, rolled
 
 _TURNED = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
@@ -58,7 +58,7 @@ class RobotPose(NamedTuple):
     sigma: float
 
 
-class Motion(NamedTuple):
+class RobotMotion(NamedTuple):
     """What the robot says of two frames, less what is believed of them.
 
     Attributes:
@@ -72,7 +72,7 @@ class Motion(NamedTuple):
     first_slopes: Float[np.ndarray, "5 5"]
     precision: Float[np.ndarray, "5"]
 
-    def after(self, by: Float[np.ndarray, "5"], by_first: Float[np.ndarray, "5"]) -> Motion:
+    def after(self, by: Float[np.ndarray, "5"], by_first: Float[np.ndarray, "5"]) -> RobotMotion:
         """After small changes of the two poses."""
         rest = self.rest - self.slopes @ by - self.first_slopes @ by_first
         return self._replace(rest=rest)
@@ -93,8 +93,8 @@ class Motion(NamedTuple):
 
 
 def motion_between(
-    first: tuple[Pose, RobotPose | None], later: tuple[Pose, RobotPose | None]
-) -> Motion | None:
+    first: tuple[BeamAtWall, RobotPose | None], later: tuple[BeamAtWall, RobotPose | None]
+) -> RobotMotion | None:
     """The motion between two frames with their poses; None if the robot says nothing of one."""
     (pose_0, robot_0), (pose, robot) = first, later
     if robot_0 is None or robot is None:
@@ -108,7 +108,7 @@ def motion_between(
     first_slopes[:3] = -pose_0.slopes[:3]
     first_slopes[3:, 3:] = -across @ turn @ np.stack([pose_0.first, pose_0.second], axis=-1)
     place = math.hypot(robot.sigma, robot_0.sigma, _TURNED * float(np.linalg.norm(told)))
-    return Motion(
+    return RobotMotion(
         rest=rest,
         slopes=pose.slopes,
         first_slopes=first_slopes,
@@ -226,7 +226,7 @@ _NODES = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is ta
 
 
 @dataclass(frozen=True, eq=False)
-class Texture:
+class TextureVariances:
     """Variances of the texture's parts.
 
     Attributes:
@@ -236,7 +236,7 @@ class Texture:
     variances: Float[np.ndarray, "parts"]
 
     @classmethod
-    def usual(cls) -> Texture:
+    def usual(cls) -> TextureVariances:
         """Before a frame was seen."""
         return cls(np.square(_USUAL))
 
@@ -262,7 +262,7 @@ def texture_of(
     *,
     count: int,
     side_mm: float,
-) -> Texture:
+) -> TextureVariances:
     """The texture that explains the residuals of cells.
 
     Args:
@@ -294,7 +294,7 @@ def texture_of(
     start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=unlikelihood)
     near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
     off = minimize(unlikelihood, start, method="Nelder-Mead", options=near).x
-    return Texture(np.square(_USUAL) * _mean_exponential(unlikelihood, off))
+    return TextureVariances(np.square(_USUAL) * _mean_exponential(unlikelihood, off))
 
 
 def _mean_exponential(
@@ -403,7 +403,7 @@ class FrameState:
     """
 
     cells: CellLight
-    pose: Pose
+    pose: BeamAtWall
     log_gain: float
     log_ambient: float
     direction: Direction | None
@@ -508,8 +508,8 @@ class FrameModel:
     def __init__(
         self,
         beam: BeamLight,
-        window: Window,
-        texture: Texture,
+        window: CellWindow,
+        texture: TextureVariances,
         grain: Float[np.ndarray, "2 n"] | None = None,
     ) -> None:
         self.beam, self.window, self.texture, self.grain = beam, window, texture, grain

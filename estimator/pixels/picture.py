@@ -22,8 +22,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from estimator.image import clip_level
-from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, WallMotion, Window
-from estimator.pixels.solver import Solution
+from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
+from estimator.pixels.solver import PoseSolution
 from formats.camera import GREY_WEIGHTS, CameraNoise
 from formats.inputs import InputError
 from formats.spots import Outline
@@ -83,8 +83,8 @@ def plain_mix(light: Float[np.ndarray, "3"], saturated: Bool[np.ndarray, "3"]) -
 def evener_mix(
     channels: Float[np.ndarray, "h w 3"],
     usable: Bool[np.ndarray, "h w"],
-    window: Window,
-    solution: Solution,
+    window: CellWindow,
+    solution: PoseSolution,
     mix: Mix,
 ) -> Mix:
     """The mixture of channels with the least texture in a fitted frame.
@@ -170,7 +170,7 @@ class ReferenceView:
     def __init__(self, cells: CellLight) -> None:
         self._cells = cells
 
-    def known(self, window: Window) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+    def known(self, window: CellWindow) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
         """Information on the cells' log reflectance, and its product with the best guess of it."""
         light, usable = (part.ravel() for part in self._cells.means(window))
         sigma = np.sqrt(self._cells.variance(np.maximum(light, 0.0))) / window.side
@@ -241,7 +241,7 @@ _LEAST_PX = 2.0  # of that
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
+class FramePixels:
     """A frame's pixels.
 
     Attributes:
@@ -261,7 +261,7 @@ class Picture:
     saturated: Bool[np.ndarray, "3"]
 
     @classmethod
-    def of(cls, image: np.ndarray, noise: CameraNoise) -> Picture:
+    def of(cls, image: np.ndarray, noise: CameraNoise) -> FramePixels:
         """All of an image, H x W x 3.
 
         Raises:
@@ -280,7 +280,7 @@ class Picture:
         ends = noise.channels(np.array(clips, image.dtype))
         return cls(noise, noise.channels(image), ends, image >= clips, usable, saturated)
 
-    def with_sharp(self, spot: Outline) -> Picture:
+    def with_sharp(self, spot: Outline) -> FramePixels:
         """The frame without what hides a spot with a sharp edge, which may be saturated."""
         hidden = hidden_pixels(self.channels, spot)
         usable = self.usable if hidden is None else self.usable & ~hidden

@@ -5,11 +5,11 @@ The logarithm of a cell's light in frame k is
     y_k = log g_k + log(B_k E(pose_k) + A_k) + m + noise,
 
 with the gain g_k, the ambient light A_k, which may have a gradient, the image's blur B_k, and the
-logarithm m of the cell's reflectance, which all frames share. m is a Gaussian process (`Texture`),
+logarithm m of the cell's reflectance, which all frames share. m is a Gaussian process,
 so it is eliminated exactly from the normal equations. A filter that keeps only each cell's mean and
 variance would forget that the errors of map and poses hang together, and drift.
 
-A `Solution` has the frames' states, how well they are known, and the wall's map.
+A `PoseSolution` has the frames' states, how well they are known, and the wall's map.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
 from estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, POSE, BeamLight
-from estimator.pixels.cells import COUNT, Window
+from estimator.pixels.cells import COUNT, CellWindow
 from estimator.pixels.frame_model import (
     AMBIENT,
     BLUR,
@@ -36,8 +36,8 @@ from estimator.pixels.frame_model import (
     FrameModel,
     FrameState,
     Linear,
-    Motion,
-    Texture,
+    RobotMotion,
+    TextureVariances,
     motion_between,
     prior_cost,
     prior_of,
@@ -45,7 +45,7 @@ from estimator.pixels.frame_model import (
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class PoseSolution:
     """The states of all frames, and how well they are known.
 
     Attributes:
@@ -160,7 +160,7 @@ failed. It falls after each that succeeds: what frames tell only together, as th
 that is not known, has far less information, and a damping that stays would hold it where it is."""
 
 
-class Solver:
+class PoseSolver:
     """Fits frames in one window.
 
     Args:
@@ -172,9 +172,9 @@ class Solver:
     def __init__(
         self,
         beam: BeamLight,
-        window: Window,
-        texture: Texture,
-        reference: Callable[[Window], tuple[np.ndarray, np.ndarray]] | None = None,
+        window: CellWindow,
+        texture: TextureVariances,
+        reference: Callable[[CellWindow], tuple[np.ndarray, np.ndarray]] | None = None,
         grain: Float[np.ndarray, "2 n"] | None = None,
     ) -> None:
         self.beam, self.window, self.texture = beam, window, texture
@@ -186,15 +186,15 @@ class Solver:
             information, self._pull = reference(window)
             self._precision = self._precision + information
 
-    def at(self, window: Window) -> Solver:
+    def at(self, window: CellWindow) -> PoseSolver:
         """The solver of another window on the same wall."""
-        return Solver(self.beam, window, self.texture, self._reference)
+        return PoseSolver(self.beam, window, self.texture, self._reference)
 
-    def of_texture(self, texture: Texture) -> Solver:
+    def of_texture(self, texture: TextureVariances) -> PoseSolver:
         """The solver of the same window for another texture."""
-        return Solver(self.beam, self.window, texture, self._reference, self.model.grain)
+        return PoseSolver(self.beam, self.window, texture, self._reference, self.model.grain)
 
-    def with_map(self, texture_map: Float[np.ndarray, "n"] | None) -> Solver:
+    def with_map(self, texture_map: Float[np.ndarray, "n"] | None) -> PoseSolver:
         """This solver, whose models take the wall's grain from a map; from none, if it is None."""
         grain = None
         if texture_map is not None:
@@ -205,7 +205,7 @@ class Solver:
         fresh.model = FrameModel(self.beam, self.window, self.texture, grain)
         return fresh
 
-    def with_map_of(self, kept: list[tuple[FrameState, Linear]]) -> Solver:
+    def with_map_of(self, kept: list[tuple[FrameState, Linear]]) -> PoseSolver:
         """The same with the map that frames show."""
         lines = [line for _, line in kept]
         return self.with_map(self._map(lines, self._factor(lines)))
@@ -224,7 +224,7 @@ class Solver:
         steps: int,
         trust: Float[np.ndarray, "n"] | None = None,
         line: Linear | None = None,
-    ) -> Solution:
+    ) -> PoseSolution:
         """Iterate from the frames' states.
 
         Args:
@@ -289,7 +289,7 @@ class Solver:
         for k in range(newest):
             before = frames[k]
             frames[k] = self._moved(before, gone[OWN * k : OWN * (k + 1)]) or before
-        return Solution(
+        return PoseSolution(
             frames=frames,
             linear=lines,
             own=own,
@@ -310,7 +310,7 @@ class Solver:
         cost = self._cost(frames, lines, _motions(frames), own, gone, factor)
         return self._unlikelihood(cost, lines, factor)
 
-    def unlikelihood_of(self, solution: Solution) -> float:
+    def unlikelihood_of(self, solution: PoseSolution) -> float:
         """The same of all frames of a solution."""
         return self._unlikelihood(solution.cost, solution.linear, solution.factor)
 
@@ -329,7 +329,7 @@ class Solver:
         self,
         frames: list[FrameState],
         lines: list[Linear],
-        told: list[Motion | None],
+        told: list[RobotMotion | None],
         own: np.ndarray,
         gone: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
@@ -381,7 +381,7 @@ class Solver:
         self,
         frames: list[FrameState],
         lines: list[Linear],
-        told: list[Motion | None],
+        told: list[RobotMotion | None],
         own: np.ndarray,
         gone: np.ndarray,
         factor: tuple[np.ndarray, bool],
@@ -418,7 +418,7 @@ class Solver:
 
 
 @functools.lru_cache(maxsize=8)
-def _precision(texture: Texture, side_mm: float) -> Float[np.ndarray, "n n"]:
+def _precision(texture: TextureVariances, side_mm: float) -> Float[np.ndarray, "n n"]:
     """Of the cells' log reflectance before any frame. A window of the same cells has the same."""
     covariance = texture.covariance(COUNT, side_mm)
     return solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
@@ -470,13 +470,15 @@ def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     return line._replace(residual=line.residual - own @ line.slopes - shared @ line.shared)
 
 
-def _motions(frames: list[FrameState]) -> list[Motion | None]:
+def _motions(frames: list[FrameState]) -> list[RobotMotion | None]:
     """What the robot says of the later frames and the first one."""
     first, *later = frames
     return [motion_between((first.pose, first.robot), (one.pose, one.robot)) for one in later]
 
 
-def _motions_after(told: list[Motion | None], gone: np.ndarray) -> Iterator[tuple[int, Motion]]:
+def _motions_after(
+    told: list[RobotMotion | None], gone: np.ndarray
+) -> Iterator[tuple[int, RobotMotion]]:
     """What the robot says, by the frame's number, after changes of the states."""
     for k, motion in enumerate(told, 1):
         if motion is not None:

@@ -24,7 +24,7 @@ from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.first_frame import Belief, Look, distinct, explained_alone, explained_with
 from estimator.pixels.frame_fit import farthest_px
 from estimator.pixels.frame_model import Direction, RobotPose
-from estimator.pixels.picture import Mix, Picture, Reference
+from estimator.pixels.picture import FramePixels, Mix, Reference
 from estimator.pixels.verdict import flag_of, range_of, shake_covariance
 from formats.calibration import LENS_PARAMETERS, Calibration
 from formats.camera import CameraNoise
@@ -85,7 +85,7 @@ class PoseTracker:
             sweep: motion during the exposure, from the robot; None if unknown.
             robot: where the robot says the tool is; None if it does not.
         """
-        look = Look(Picture.of(image, self.noise), direction, sweep, robot)
+        look = Look(FramePixels.of(image, self.noise), direction, sweep, robot)
         if any(outline.measured for outline in outlines):
             return self._read_spot(look, outlines[0])
         return self._read_unmeasured(look, outlines)

@@ -37,12 +37,12 @@ from estimator.pixels.frame_model import (
     BLOOM_DOUBT_PX,
     BLUR,
     FrameState,
-    Texture,
+    TextureVariances,
     contrast,
     halo,
     lit,
 )
-from estimator.pixels.solver import Solution, Solver
+from estimator.pixels.solver import PoseSolution, PoseSolver
 from formats.spots import Outline
 
 _X, _Y = SIDES
@@ -54,7 +54,7 @@ _CUBIC_SHARE = 1.5  # of the third degree over those of the first and second
 _LEAST = 0.02  # of the shading's terms, below which the ambient light counts as even
 
 
-def ambient_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+def ambient_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`.
 
     Args:
@@ -71,7 +71,7 @@ def ambient_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, 
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-def _share(solver: Solver, solution: Solution, frame: FrameState) -> Float[np.ndarray, "n"]:
+def _share(solver: PoseSolver, solution: PoseSolution, frame: FrameState) -> Float[np.ndarray, "n"]:
     """The ambient light's share of each cell's light."""
     light = np.maximum(solver.model.light(frame, solution.own), 0.0)
     ambient = np.exp(frame.log_ambient)
@@ -85,7 +85,7 @@ _FOURTH = 3.0  # mean of the fourth power of a normal number
 
 
 def bend_covariance(
-    solver: Solver, solution: Solution, covariance: Float[np.ndarray, "5 5"]
+    solver: PoseSolver, solution: PoseSolution, covariance: Float[np.ndarray, "5 5"]
 ) -> Float[np.ndarray, "5 5"]:
     """What the bend may do to the newest pose, in the terms of `POSE`.
 
@@ -109,7 +109,10 @@ def bend_covariance(
 
 
 def _even_part(
-    solver: Solver, frame: FrameState, own: Float[np.ndarray, "q"], change: Float[np.ndarray, "5"]
+    solver: PoseSolver,
+    frame: FrameState,
+    own: Float[np.ndarray, "q"],
+    change: Float[np.ndarray, "5"],
 ) -> Float[np.ndarray, "n"]:
     """How the log light of a frame's cells changes by a change of its pose and by its opposite."""
     model = solver.model
@@ -133,7 +136,7 @@ _PER_WAY = 0.03  # error of the distance's pull, over the drift
 
 
 def drift_covariance(
-    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+    solver: PoseSolver, solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5 5"]:
     """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
 
@@ -151,7 +154,7 @@ def drift_covariance(
     return np.outer(pull, pull) + np.diag([way, way, distance, turn, turn]) ** 2 * _PULL_SHARE**2
 
 
-def shake_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+def shake_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What a shake of the view by a pixel along each side does to all poses on a map, per px².
 
     Args:
@@ -162,7 +165,7 @@ def shake_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5
 
 
 def _pulled(
-    solver: Solver, solution: Solution, drifts_px: list[Float[np.ndarray, "2"]]
+    solver: PoseSolver, solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5"]:
     """How far the newest pose would be off."""
     model, beam, own = solver.model, solver.beam, solution.own
@@ -200,7 +203,7 @@ where the view moves during the exposure, by the whole of it. A motion by seven 
 wider blur is that of a camera out of focus."""
 
 
-def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 5"]:
+def edge_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What such errors may have done to the newest pose, in the terms of `POSE`.
 
     Args:
@@ -218,7 +221,7 @@ def edge_covariance(solver: Solver, solution: Solution) -> Float[np.ndarray, "5 
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-def _changes(solver: Solver, solution: Solution, k: int) -> Float[np.ndarray, "7 n"]:
+def _changes(solver: PoseSolver, solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     """How frame k's log light changes by each of these errors."""
     frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
     light = solver.model.light(frame, solution.own)
@@ -238,11 +241,11 @@ def _changes(solver: Solver, solution: Solution, k: int) -> Float[np.ndarray, "7
     return np.concatenate([outwards * shifts, one_way * by_blur * oval])
 
 
-def _growth(texture: Texture, radius_px: float, scale_mm_px: float) -> float:
+def _growth(texture: TextureVariances, radius_px: float, scale_mm_px: float) -> float:
     """Standard deviation of the growth of log reflectance across a spot, 1/px."""
     across = 2.0 * radius_px
     # A blurred wall looks more even than it is.
-    least = Texture.usual()
+    least = TextureVariances.usual()
     return math.sqrt(max(one.variogram(across * scale_mm_px) for one in (texture, least))) / across
 
 

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from estimator.distance.range import TipPose
-from estimator.rig.rig import Doubt, Output, Parameters
+from estimator.rig.rig import OutputState, Parameters, RigOutput
 from formats.poses import Pose
 
 PERIOD_S = 1.0  # how often a node should look
@@ -115,7 +115,7 @@ def message_types() -> Messages:
     )
 
 
-def messages_of(output: Output, image: Any) -> Messages:
+def messages_of(output: RigOutput, image: Any) -> Messages:
     """The messages of an output; None for a topic on which it has nothing to say.
 
     Args:
@@ -125,7 +125,9 @@ def messages_of(output: Output, image: Any) -> Messages:
     from sensor_msgs import msg as sensor
 
     types = message_types()
-    level = {Doubt.NONE: "OK", Doubt.DOUBTFUL: "WARN", Doubt.FAILED: "ERROR"}[output.level]
+    level = {OutputState.NONE: "OK", OutputState.DOUBTFUL: "WARN", OutputState.FAILED: "ERROR"}[
+        output.level
+    ]
     x, y, valid = output.centre
     major, minor, angle = output.axes
     distance = types.range(

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from pydantic import Field
 
 from estimator.distance.range import TipPose, WallMemory
-from estimator.run import exit_codes as internal_errors
+from estimator.run import exit_codes
 from estimator.run.options import Options
 from estimator.run.reader import Reading
 from estimator.sources.ros import IMAGE_TOPIC, frame_of_message
@@ -88,7 +88,7 @@ class Parameters(Options):
 Show = Callable[[Frame, Reading], None]
 
 
-class Doubt(Enum):
+class OutputState(Enum):
     """What an output is worth."""
 
     NONE = "none"
@@ -96,7 +96,7 @@ class Doubt(Enum):
     FAILED = "failed"
 
 
-class Output(NamedTuple):
+class RigOutput(NamedTuple):
     """A reading in the form of the messages.
 
     Attributes:
@@ -116,7 +116,7 @@ class Output(NamedTuple):
     distance_m: float
     sigma_m: float
     doubt: str
-    level: Doubt
+    level: OutputState
     beam: TipPose | None
     details: dict[str, str]
 
@@ -152,7 +152,7 @@ class Rig:
         """
         self._poses.take(message, received_s)
 
-    def output(self, message: Any, time_s: float, number: int) -> Output:
+    def output(self, message: Any, time_s: float, number: int) -> RigOutput:
         """Measure an image; one that cannot be measured gives an output that says why.
 
         Args:
@@ -177,7 +177,7 @@ class Rig:
         except InputError as error:
             fault = f"{error}"
         except Exception as error:
-            internal_errors.note(error, name)
+            exit_codes.note(error, name)
         counts = {"images": str(self._measured), "skipped_images": str(self._skipped)}
         return _output(reading, fault, counts)
 
@@ -210,7 +210,7 @@ def opened_rig(parameters: Parameters) -> Iterator[Rig]:
         yield Rig(parameters, show)
 
 
-def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
+def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:
     spot, distance = reading.result, reading.range
     centre, axes = (math.nan, math.nan, 0.0), (math.nan, math.nan, math.nan)
     details = {"pose_age_s": reading.pose_age_s}
@@ -230,10 +230,10 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> Output:
         said["wall_memory"] = distance.wall.value
     best = distance.poses[0] if distance and distance.poses else None
     doubt = fault or reading.doubt
-    level = Doubt.DOUBTFUL if doubt else Doubt.NONE
+    level = OutputState.DOUBTFUL if doubt else OutputState.NONE
     if fault or spot == NoSpot(Reason.INTERNAL_ERROR):
-        level = Doubt.FAILED
-    return Output(
+        level = OutputState.FAILED
+    return RigOutput(
         centre=centre,
         axes=axes,
         distance_m=reading.distance_mm / 1e3,

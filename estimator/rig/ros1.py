@@ -15,7 +15,7 @@ from estimator.rig.messages import (
     silence_message,
     topics_of,
 )
-from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
+from estimator.rig.rig import POSES_KEPT, OutputState, Parameters, Rig, opened_rig
 from formats.inputs import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
@@ -35,13 +35,13 @@ def run() -> None:
     rospy.init_node("eyespot")
     parameters = Parameters.of(rospy.get_param("~", {}))
     with opened_rig(parameters) as rig:
-        connection = Connection(rig, parameters)
+        connection = Ros1Connection(rig, parameters)
         while not rospy.is_shutdown():
             rospy.rostime.wallsleep(PERIOD_S)
             connection.watch()
 
 
-class Connection:
+class Ros1Connection:
     """Subscribes the rig to images and poses, and publishes its outputs."""
 
     def __init__(self, rig: Rig, parameters: Parameters) -> None:
@@ -81,7 +81,7 @@ class Connection:
         self._silence.end()
         self._last = image
         output = self._rig.output(image, image.header.stamp.to_sec(), image.header.seq)
-        if output.level is Doubt.FAILED:
+        if output.level is OutputState.FAILED:
             rospy.logerr_throttle(1.0, output.doubt)
         for publisher, message in zip(self._out, messages_of(output, image), strict=True):
             if message is not None:

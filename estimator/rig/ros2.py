@@ -18,7 +18,7 @@ from estimator.rig.messages import (
     silence_message,
     topics_of,
 )
-from estimator.rig.rig import POSES_KEPT, Doubt, Parameters, Rig, opened_rig
+from estimator.rig.rig import POSES_KEPT, OutputState, Parameters, Rig, opened_rig
 from formats.inputs import InputError
 from formats.ros_bags import stamp_s
 
@@ -42,7 +42,7 @@ def run() -> None:
         node = rclpy.create_node("eyespot", automatically_declare_parameters_from_overrides=True)
         parameters = parameters_of(node)
         with opened_rig(parameters) as rig:
-            connection = Connection(node, rig, parameters)
+            connection = Ros2Connection(node, rig, parameters)
             with suppress(KeyboardInterrupt, ExternalShutdownException), connection.measuring():
                 rclpy.spin(node)
     finally:
@@ -96,7 +96,7 @@ def check_topics(*names: str) -> None:
             ) from error
 
 
-class Connection:
+class Ros2Connection:
     """Subscribes the rig to images and poses, and publishes its outputs."""
 
     def __init__(self, node: Any, rig: Rig, parameters: Parameters) -> None:
@@ -152,7 +152,7 @@ class Connection:
 
     def _publish(self, image: Any, number: int) -> None:
         output = self._rig.output(image, stamp_s(image.header), number)
-        if output.level is Doubt.FAILED:
+        if output.level is OutputState.FAILED:
             self._log.error(output.doubt, throttle_duration_sec=1.0)
         for publisher, message in zip(self._out, messages_of(output, image), strict=True):
             if message is not None:

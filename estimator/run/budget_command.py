@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from estimator.run.options import OUTPUT, Options, Recorded
+from estimator.run.options import OUTPUT, Options, RecordingOptions
 from estimator.run.progress_bar import progress
 from formats.inputs import InputError
 
@@ -26,7 +26,7 @@ def budget(
     *,
     frame: int | None = None,
     options: Options = Options(),
-    recorded: Recorded = Recorded(),
+    recorded: RecordingOptions = RecordingOptions(),
     as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
     """Say how uncertain a distance is, why, and what would halve the largest part.

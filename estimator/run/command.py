@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estimator.run.options import OUT, OUTPUT, Options, Recorded, Rerun
+from estimator.run.options import OUT, OUTPUT, Options, RecordingOptions, Rerun
 from estimator.run.progress_bar import progress
 from formats.inputs import InputError
 
@@ -39,7 +39,7 @@ def track(
     out: Annotated[Path, OUT],
     unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
     options: Options = Options(),
-    recorded: Recorded = Recorded(),
+    recorded: RecordingOptions = RecordingOptions(),
     overwrite: Annotated[bool, OUTPUT] = False,
     overlay: Annotated[Path | None, OUTPUT, Parameter(metavar="VIDEO|DIR")] = None,
     rerun: Rerun = None,

@@ -24,7 +24,6 @@ from typing import Any, NoReturn
 
 from cyclopts import CycloptsError
 
-from estimator.run import exit_codes as internal_errors
 from formats.inputs import InputError
 
 STOPPED = 128 + signal.SIGINT
@@ -176,7 +175,7 @@ def run_command(app: Callable[[], object]) -> None:
     Args:
         app: raises SystemExit with the exit code of the command.
     """
-    internal_errors.taken()  # those of another caller in this process
+    taken()  # those of another caller in this process
     try:
         with ending_on_ctrl_c():
             app()
@@ -205,7 +204,7 @@ def option(name: str) -> str:
 
 
 def _reported_bugs() -> bool:
-    number = internal_errors.taken()
+    number = taken()
     if number:
         print(
             f"eyespot: {number} frames met a bug in eyespot; their reason is internal_error."

@@ -22,7 +22,7 @@ from estimator.run.reader import Reader, Reading
 from estimator.sources.source import Frame, Source
 from formats.inputs import InputError
 from formats.poses import PoseTrack
-from formats.spots import BeamPose, NoSpot, Reason, SpotRecord
+from formats.spots import NoSpot, Reason, RecordedPose, SpotRecord
 
 if TYPE_CHECKING:
     from estimator.run.overlay import Draw
@@ -235,12 +235,12 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
     )
 
 
-def _pose(reading: Reading) -> BeamPose | None:
+def _pose(reading: Reading) -> RecordedPose | None:
     """The pose of the mode pixels."""
     best = reading.range.poses[0] if reading.range and reading.range.poses else None
     if reading.range is None or best is None or best.covariance is None:
         return None
-    return BeamPose(best.tip_mm, best.axis, best.covariance, reading.range.chi_squared)
+    return RecordedPose(best.tip_mm, best.axis, best.covariance, reading.range.chi_squared)
 
 
 _TOLD = (WallMemory.MOVED.value, WallMemory.DROPPED.value)

@@ -348,7 +348,7 @@ class Options(Given):
 
 @Parameter(name="*")
 @dataclass(frozen=True, kw_only=True)
-class Recorded:
+class RecordingOptions:
     """How a command reads a recording and its poses."""
 
     exposure: Exposure = None

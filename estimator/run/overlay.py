@@ -15,7 +15,7 @@ import numpy as np
 
 from estimator.image import outline_px, rgb_8bit
 from estimator.sources.source import Frame
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 from formats.inputs import InputError
 from formats.spots import NoSpot, Spot, SpotRecord
 from formats.whole_files import errors_named, written_whole
@@ -32,7 +32,7 @@ Draw = Callable[[Frame, SpotRecord], None]
 
 
 def annotated(
-    frame: Frame, record: SpotRecord, *, response: Response, camera: Camera | None = None
+    frame: Frame, record: SpotRecord, *, response: Response, camera: LensDistortion | None = None
 ) -> np.ndarray:
     """The frame as 8-bit RGB with the ellipse, the frame's number, and the distance or the reason.
 
@@ -58,7 +58,7 @@ def annotated(
 
 @contextmanager
 def overlay_writer(
-    path: Path, *, rate_hz: float, response: Response, camera: Camera | None = None
+    path: Path, *, rate_hz: float, response: Response, camera: LensDistortion | None = None
 ) -> Iterator[Draw]:
     """Make an overlay; it gets its name when the block ends, whole or not at all.
 
@@ -163,7 +163,7 @@ def _folder(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]
     yield write
 
 
-def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: Camera | None) -> None:
+def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: LensDistortion | None) -> None:
     points, centre = outline_px(spot.ellipse, camera)
     fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
     cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)

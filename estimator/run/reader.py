@@ -14,10 +14,10 @@ import numpy as np
 from estimator.detector.literal import LiteralSettings
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tracking import TrackState, measure, outlines_of
-from estimator.distance.budget import AT_REST, Budget, Budgets, Motion
+from estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
 from estimator.distance.range import Range, RangeFlag
 from estimator.distance.ranger import Ranger
-from estimator.run import exit_codes as internal_errors
+from estimator.run import exit_codes
 from formats.calibration import Calibration
 from formats.inputs import InputError
 from formats.poses import Pose, PoseTrack, Quaternion, turned
@@ -170,7 +170,7 @@ class Reader:
         except InputError:
             raise
         except Exception as error:
-            internal_errors.note(error, name)
+            exit_codes.note(error, name)
             self._state = TrackState(at_px=self._state.at_px)
             reading = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan)
         self._start = None
@@ -253,7 +253,7 @@ class Reader:
             turned(turned(calibration.beam_in_tool, pose.rotation), self._eye_from_robot)
         )
 
-    def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> Motion:
+    def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> ToolMotion:
         """The tool's motion at a pose, from the pose some time before."""
         before, _ = poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
         span_s = pose.time_s - before.time_s
@@ -265,7 +265,7 @@ class Reader:
         if self._eye_from_robot is not None:
             velocity = turned(velocity, self._eye_from_robot)
         turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
-        return Motion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
+        return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
 
     def _scaled(
         self, image: np.ndarray, full_scale: float | None

@@ -339,7 +339,7 @@ class _WideFieldFile(Strict):
     power_d: float = Field(ge=20.0, le=300.0)
 
 
-class _LensFile(Strict):
+class _ViewingLensFile(Strict):
     lens: _ContactLensFile | _WideFieldFile = Field(discriminator="kind")
 
 
@@ -354,7 +354,7 @@ def load_viewing_lens(name_or_path: str | Path) -> ViewingLens:
     Raises:
         InputError: no such lens, or an unknown, missing or wrong key.
     """
-    file = read_data_file(_LensFile, "lenses", name_or_path).lens
+    file = read_data_file(_ViewingLensFile, "lenses", name_or_path).lens
     if isinstance(file, _WideFieldFile):
         power = file.power_d / 1000.0
         return WideFieldLens(power=jnp.asarray(power), height=jnp.asarray(1.0 / power))

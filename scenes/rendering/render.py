@@ -17,7 +17,7 @@ _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
 _ALL_SIDES = np.pi  # irradiance with which radiance equals reflectance
 
 
-class Window(NamedTuple):
+class ImageWindow(NamedTuple):
     """A part of an image: rows [top, bottom) and columns [left, right)."""
 
     top: int
@@ -26,7 +26,7 @@ class Window(NamedTuple):
     right: int
 
 
-class Pose(NamedTuple):
+class Placement(NamedTuple):
     """Tip (mm) and axis of the beam, and what [unrest] moves at that time."""
 
     tip: np.ndarray
@@ -45,10 +45,10 @@ class FineWall(NamedTuple):
 
     unlit: np.ndarray
     reflectance: np.ndarray
-    window: Window
+    window: ImageWindow
     factor: int
 
-    def part(self, window: Window) -> FineWall:
+    def part(self, window: ImageWindow) -> FineWall:
         """The same in a part of the window."""
         rows = slice(*(self.factor * (row - self.window.top) for row in window[:2]))
         columns = slice(*(self.factor * (column - self.window.left) for column in window[2:]))
@@ -71,7 +71,7 @@ class FineLight(NamedTuple):
 
 
 def fine_wall(
-    images: Images | ColourImages, moment: Moment | None, *, window: Window, factor: int
+    images: Images | ColourImages, moment: Moment | None, *, window: ImageWindow, factor: int
 ) -> FineWall:
     """The wall in a window without the beam.
 
@@ -91,7 +91,9 @@ def fine_wall(
     return FineWall(both[0], both[1] - both[0], window, factor)
 
 
-def fine_light(images: Images | ColourImages, poses: Sequence[Pose], wall: FineWall) -> FineLight:
+def fine_light(
+    images: Images | ColourImages, poses: Sequence[Placement], wall: FineWall
+) -> FineLight:
     """The light of the beam on a wall, as its mean over some poses.
 
     Args:
@@ -118,7 +120,7 @@ def _in_colours(images: Images | ColourImages, image: Callable[[Images], np.ndar
 
 
 def _unlit(
-    images: Images, moment: Moment | None, window: Window, factor: int, added: float
+    images: Images, moment: Moment | None, window: ImageWindow, factor: int, added: float
 ) -> np.ndarray:
     """Radiance without the beam, with more even light from all sides."""
     from scenes.rendering.pixels import fine_image, more_even_light  # Mitsuba needs its variant
@@ -128,7 +130,7 @@ def _unlit(
         return fine_image(images.mitsuba_scene, window, factor=factor)[0]
 
 
-def _lit(images: Images, pose: Pose, wall: FineWall) -> np.ndarray:
+def _lit(images: Images, pose: Placement, wall: FineWall) -> np.ndarray:
     """Radiance with the beam; NaN where something else than the wall is seen."""
     from scenes.rendering.pixels import fine_image
 
@@ -292,7 +294,7 @@ class Renderer:
             factor: places along a side of a pixel.
         """
         moment = self.world.unrest.at(frame, self.world.times[frame])
-        return fine_wall(self.images, moment, window=Window(*window), factor=factor)
+        return fine_wall(self.images, moment, window=ImageWindow(*window), factor=factor)
 
     def fine_light(
         self, frame: int, wall: FineWall, *, exposure_s: float, sub_frames: int
@@ -306,7 +308,7 @@ class Renderer:
         places = (np.arange(sub_frames) + 0.5) / sub_frames - 0.5
         times = self.world.times[frame] + exposure_s * places
         poses = [
-            Pose(tip, axis, self.world.unrest.at(frame, time))
+            Placement(tip, axis, self.world.unrest.at(frame, time))
             for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True)
         ]
         return fine_light(self.images, poses, wall)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import optics
 from scenes.camera import light_information
 from scenes.description.settings import SceneError
-from scenes.rendering.render import FineWall, Renderer, Window
+from scenes.rendering.render import FineWall, ImageWindow, Renderer
 from scenes.world.world import World
 
 
@@ -299,7 +299,7 @@ class Bounds:
         )
         return self._stated(frame, found)
 
-    def _wall(self, frame: int, window: Window) -> FineWall:
+    def _wall(self, frame: int, window: ImageWindow) -> FineWall:
         """The wall in a frame; if nothing but the tip moves, it is rendered once."""
         if not self._scene.unrest.still:
             return self._renderer.fine_wall(frame, window=window, factor=self._factor)
@@ -308,12 +308,12 @@ class Bounds:
             self._at_rest = self._renderer.fine_wall(frame, window=whole, factor=self._factor)
         return self._at_rest.part(window)
 
-    def _window(self, ellipses: Sequence[Affine]) -> Window:
+    def _window(self, ellipses: Sequence[Affine]) -> ImageWindow:
         """The part of the image that contains the light of all these ellipses."""
         height, width = self._scene.microscope.height_px, self._scene.microscope.width_px
         reach = [self._reach * ellipse.semi_major + _MARGIN_PX for ellipse in ellipses]
         around = list(zip(ellipses, reach, strict=True))
-        return Window(
+        return ImageWindow(
             top=_even(min(ellipse.y - r for ellipse, r in around), height),
             bottom=_even(max(ellipse.y + r for ellipse, r in around), height),
             left=_even(min(ellipse.x - r for ellipse, r in around), width),

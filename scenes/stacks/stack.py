@@ -19,7 +19,7 @@ from formats.manifest import fingerprint
 from formats.stack import FrameLabels, Stack, StackWriter, read_stack
 from formats.whole_files import require_space, written_whole
 from optics.viewing.camera import PathCamera
-from scenes.camera import Camera
+from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
 from scenes.description.settings import CameraSettings
 from scenes.rendering.images import images_of
@@ -47,7 +47,7 @@ class Photography:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._camera = Camera(world.scene)
+        self._camera = CameraSensor(world.scene)
         self.paper_exposure_s = paper_exposure(world)
 
     def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
@@ -165,7 +165,7 @@ class _Metered(NamedTuple):
     durations: list[float]
 
 
-class _Exposed(NamedTuple):
+class _ExposedFrame(NamedTuple):
     """The light during one exposure of a frame, its time, and the labels of its bound."""
 
     light: np.ndarray
@@ -204,7 +204,7 @@ def _render_frames(
                 for light, duration in zip(lights, metered.durations, strict=True)
             ]
             exposed = [
-                _Exposed(light.radiance, duration, own)
+                _ExposedFrame(light.radiance, duration, own)
                 for light, duration, own in zip(lights, metered.durations, bound, strict=True)
             ]
             writing.append(
@@ -241,7 +241,7 @@ def _photograph(
     photography: Photography,
     writer: StackWriter,
     metered: _Metered,
-    exposures: list[_Exposed],
+    exposures: list[_ExposedFrame],
 ) -> None:
     spot = spot_labels(renderer.world, metered.frame)
     spot["visible_fraction"] = metered.sharp.visible_fraction
@@ -430,7 +430,7 @@ class LiveCamera:
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
         self._images = Renderer(scene, variant=variant).images
-        self._camera, self._seed = Camera(scene), scene.seed
+        self._camera, self._seed = CameraSensor(scene), scene.seed
 
     def image(
         self, tips: np.ndarray, axes: np.ndarray, *, exposure_s: float, frame: int
@@ -486,7 +486,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
     small = World(_small(scene))
     radiance, _ = images_of(small, variant=variant).at(tip=tip, axis=axis, seed=0)
-    camera = Camera(small.scene)
+    camera = CameraSensor(small.scene)
     exposure_s = camera.metered_s(radiance, np.ones(radiance.shape[:2], bool))
     return camera.raw(radiance, exposure_s=exposure_s, noise_seed=[scene.seed])
 

@@ -238,7 +238,7 @@ class Aim(NamedTuple):
     axis: np.ndarray
 
 
-class Geometry:
+class SceneGeometry:
     """The wall, the aim and the microscope of a scene, each derived once."""
 
     def __init__(self, scene: Scene) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import optics
 from optics.viewing.camera import PathCamera
 from scenes.description.settings import SceneError
-from scenes.world.geometry import Geometry, circle_across
+from scenes.world.geometry import SceneGeometry, circle_across
 
 _UNDISTORTED_PX = 1e-3
 """Largest error of projection that is accepted: a fiftieth of the labels' accuracy."""
@@ -17,7 +17,7 @@ _CONTACT_MM = 1e-6
 
 
 def check_poses(
-    geometry: Geometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
+    geometry: SceneGeometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
 ) -> None:
     """Refuse a motion that enters the wall.
 
@@ -90,7 +90,7 @@ def check_light(
     )
 
 
-def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:
+def check_window(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarray) -> None:
     """Refuse a scene whose spot leaves the window, unless window_offset_px is set.
 
     Args:
@@ -119,7 +119,7 @@ def check_window(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray)
     )
 
 
-def check_view(geometry: Geometry, *, times: np.ndarray, contours: np.ndarray) -> None:
+def check_view(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarray) -> None:
     """Refuse a scene in which the iris, or a lens's edge, hides a part of the spot.
 
     Args:
@@ -160,7 +160,7 @@ def _clearance(wall: optics.Ellipsoid, tip: np.ndarray, axis: np.ndarray, rim: f
     return np.min((1 - square) / np.maximum(growth, 1e-9), axis=1)
 
 
-def _check_distortion(geometry: Geometry, camera: optics.Microscope) -> None:
+def _check_distortion(geometry: SceneGeometry, camera: optics.Microscope) -> None:
     """Refuse a distortion with which a pixel of the window sees two points of the wall, or none."""
     distortion = geometry.scene.microscope.distortion
     if not any(distortion):

@@ -15,7 +15,7 @@ from formats.inputs import in_file
 from formats.poses import read_poses
 from scenes.description.scene import Scene
 from scenes.description.settings import MOST_FRAMES, Hand, Recorded, Scan, SceneError, Withdrawal
-from scenes.world.geometry import Geometry
+from scenes.world.geometry import SceneGeometry
 
 _TREMOR_HZ = (8.0, 12.0)
 """Band of physiological tremor in microsurgery (Wells et al. 2013)."""
@@ -65,7 +65,7 @@ class Trajectory(NamedTuple):
         return steps / _STEP_S
 
 
-def trajectory(geometry: Geometry) -> Trajectory:
+def trajectory(geometry: SceneGeometry) -> Trajectory:
     """The scene's motion.
 
     Args:
@@ -160,7 +160,7 @@ def _pose_count(scene: Scene, last_s: float) -> int:
     return count
 
 
-def _withdrawal(geometry: Geometry, motion: Withdrawal) -> PosesAt:
+def _withdrawal(geometry: SceneGeometry, motion: Withdrawal) -> PosesAt:
     spot, axis = geometry.aim
     start = motion.start_mm
     if isinstance(start, str):
@@ -173,7 +173,7 @@ def _withdrawal(geometry: Geometry, motion: Withdrawal) -> PosesAt:
     return at
 
 
-def _scan(geometry: Geometry, motion: Scan) -> PosesAt:
+def _scan(geometry: SceneGeometry, motion: Scan) -> PosesAt:
     spot, axis = geometry.aim
     wall = geometry.wall
     outward, meridional, azimuthal = (np.asarray(v) for v in geometry.spot_frame[1:])
@@ -197,11 +197,13 @@ def _scan(geometry: Geometry, motion: Scan) -> PosesAt:
     return at
 
 
-def _hand(geometry: Geometry, motion: Hand) -> PosesAt:
+def _hand(geometry: SceneGeometry, motion: Hand) -> PosesAt:
     spot, axis = geometry.aim
     rng = np.random.default_rng(motion.seed)
-    tremor = _Band.random(rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm)
-    slow = _Band.random(rng, _VOLUNTARY_HZ, rms=1.0)
+    tremor = _BandLimitedMotion.random(
+        rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm
+    )
+    slow = _BandLimitedMotion.random(rng, _VOLUNTARY_HZ, rms=1.0)
     last = _moments(geometry.scene)[-1]
     fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
     size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
@@ -243,7 +245,7 @@ def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float6
     return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
 
 
-class _Band(NamedTuple):
+class _BandLimitedMotion(NamedTuple):
     """Random motion in three dimensions, with frequencies in a band.
 
     It is a sum of sinusoids, so it is known exactly at any time. Its RMS is the root of the three
@@ -255,7 +257,9 @@ class _Band(NamedTuple):
     sine: NDArray[np.float64]  # n x 3, mm
 
     @classmethod
-    def random(cls, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float) -> _Band:
+    def random(
+        cls, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float
+    ) -> _BandLimitedMotion:
         """Frequencies drawn uniformly from a band, with random phases and directions."""
         rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)
         cosine, sine = rng.standard_normal((2, _LINES, 3))

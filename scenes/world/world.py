@@ -17,7 +17,7 @@ from optics.viewing.camera import PathCamera
 from scenes.description.scene import Scene
 from scenes.walls.picture import wall_colour, wall_spread
 from scenes.world.geometry import (
-    Geometry,
+    SceneGeometry,
     colour_cameras,
     colour_shifts,
     scene_pencils,
@@ -127,7 +127,7 @@ class Cone(NamedTuple):
     apex_offset: float
 
 
-class World(Geometry):
+class World(SceneGeometry):
     """A scene's wall, microscope, light, motion and truth.
 
     A part that is already known can be set before it is first used: `world.light = ...`.

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.pixels.data import Footage, Instrument
+from calibration.pixels.data import BareFibre, Footage
 from calibration.pixels.fit import fit_footage
 from formats.camera import CameraNoise, Response
 from formats.inputs import InputError
@@ -48,7 +48,7 @@ def saturated_footage() -> Footage:
         axis=np.array([0.0, 0.0, -1.0]),
         noise=noise,
         microscope=microscope,
-        instrument=Instrument(0.25, 6.0),
+        instrument=BareFibre(0.25, 6.0),
         in_view=False,
         kind="plane",
         medium_index=1.0,

@@ -20,7 +20,7 @@ from calibration.command.verdict import (
     runs_probability,
     verdict,
 )
-from calibration.pixels.fit import Criterion, Failure
+from calibration.pixels.fit import Failure, FitCriterion
 from calibration.pixels.misfit import Misfit
 
 
@@ -115,7 +115,7 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
     assert "c.html" in details
 
 
-def failed(criterion: Criterion) -> dict[str, Any]:
+def failed(criterion: FitCriterion) -> dict[str, Any]:
     return {"converged": False, "failed": Failure(criterion, "12 of at most 3")}
 
 
@@ -125,11 +125,15 @@ LARGE = {"misfit": Misfit(0.03, 1e-9, True, 17.0, "the core is darker"), "residu
 @pytest.mark.parametrize(
     ("model", "change", "tries"),
     [
-        ("lens", failed(Criterion.STEPS), ["--lens FILE", "nearer"]),
-        ("image", failed(Criterion.STEPS), ["--free", "--prior"]),
+        ("lens", failed(FitCriterion.STEPS), ["--lens FILE", "nearer"]),
+        ("image", failed(FitCriterion.STEPS), ["--free", "--prior"]),
         ("plane", {"converged": False}, ["--robust", "--model cone"]),
-        ("lens", failed(Criterion.FIRST_ROUND), ["core, aperture and rim", "keeps still"]),
-        ("lens", failed(Criterion.TABLES), ["--free", "distances at which the spot is sharpest"]),
+        ("lens", failed(FitCriterion.FIRST_ROUND), ["core, aperture and rim", "keeps still"]),
+        (
+            "lens",
+            failed(FitCriterion.TABLES),
+            ["--free", "distances at which the spot is sharpest"],
+        ),
         ("lens", {"bounds": ("sag = 0 mm",)}, ["--prior", "at its bound"]),
         ("sphere", {"bounds": ("eccentricity = 0",)}, ["--model cone"]),
         ("cone", {"undetermined": ("b is not determined",)}, ["--prior", "--free"]),

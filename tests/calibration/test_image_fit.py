@@ -17,7 +17,7 @@ from scipy import integrate, ndimage, stats
 
 import calibration
 import optics
-from calibration.pixels.data import Footage, Instrument, check_names, read_footage
+from calibration.pixels.data import BareFibre, Footage, check_names, read_footage
 from calibration.pixels.fit import fit_footage
 from calibration.pixels.light import STATES, Cells, Light
 from formats.camera import CameraNoise, Response
@@ -415,7 +415,7 @@ def test_noise_is_that_of_the_camera(response, level):
 def test_hidden_pixels_are_those_in_which_the_renderer_sees_the_instrument():
     settings = scene(motion={"start_mm": 0.5, "travel_mm": 1.0, "frames": 2})
     renderer = Renderer(settings)
-    instrument = Instrument(0.25, 6.0)
+    instrument = BareFibre(0.25, 6.0)
     v, u = np.mgrid[:128, :128]
     world = World(settings)
     sight = world.microscope.ray(jnp.stack([u, v], axis=-1).astype(float))

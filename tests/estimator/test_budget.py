@@ -12,10 +12,10 @@ from uncertainties import correlated_values, ufloat, umath
 
 import optics
 from benchmarks.model_error import Geometry, estimates, semi_minor
-from estimator.distance.budget import Budget, Budgets, Cause, Motion, Part
+from estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
 from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
-from estimator.distance.tilted_cone import Eye, distance_of, spot_image
+from estimator.distance.tilted_cone import ConeView, distance_of, spot_image
 from formats.calibration import write_calibration
 from formats.inputs import InputError
 from formats.spots import read_spots
@@ -42,7 +42,7 @@ def budget_of(
     model: str = "corrected",
     stated: Stated | None = None,
     axis: np.ndarray | None = None,
-    motion: Motion | None = None,
+    motion: ToolMotion | None = None,
     seen=None,
     covariance: np.ndarray | None = None,
     view=None,
@@ -85,7 +85,7 @@ def test_the_contour_in_numpy_is_that_of_optics(height, normal):
     if normal is not None:
         wall = optics.Plane(point=np.array([0.0, 0.0, -R_EYE]), inward=np.array(normal))
     view = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
-    eye = Eye(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
+    eye = ConeView(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
     for c, incidence, azimuth, distance in [(0.5, 0.0, 0.0, 1.0), (3.0, 0.5, 2.0, 4.0)]:
         beam = optics.beam_at_spot(
             wall,
@@ -147,7 +147,7 @@ def test_the_linear_part_is_that_of_another_program():
         view=view,
         stated=stated,
         axis=down,
-        motion=Motion(velocity_mm_s=(0.5, 0.0, 2.0)),
+        motion=ToolMotion(velocity_mm_s=(0.5, 0.0, 2.0)),
     )
     k, b = correlated_values([K, B], covariance)
     size = ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
@@ -220,7 +220,7 @@ def test_the_model_area_states_what_the_ranger_states():
     assert budget.sigma_mm == pytest.approx(found.sigma_mm, rel=0.02)
 
 
-MOVING = Motion(velocity_mm_s=(0.0, 0.0, 3.0))
+MOVING = ToolMotion(velocity_mm_s=(0.0, 0.0, 3.0))
 
 
 @pytest.mark.parametrize(
@@ -262,7 +262,7 @@ def test_an_unknown_axis_widens_the_interval_and_says_so():
 
 def test_a_pose_that_is_old_counts_as_far_as_the_tool_turned():
     # A random direction across the axis has 1/sqrt(2) of the turn in each of the two.
-    turning = Motion(turn_rad_s=0.2, pose_age_s=0.1)
+    turning = ToolMotion(turn_rad_s=0.2, pose_age_s=0.1)
     axis = tilted_axis()
     by_pose = part(budget_of(axis=axis, motion=turning), Cause.CLOCK)
     degrees = math.degrees(0.02 / math.sqrt(2))

@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from estimator import SubpixelSettings, TrackState, measure
-from formats.camera import Camera
+from formats.camera import LensDistortion
 from formats.microscope import MicroscopeFileError, read_microscope
 from formats.spots import Spot
 
@@ -119,7 +119,7 @@ FILES = {
 }
 
 
-def camera_in(tmp_path: Path, text: str) -> Camera:
+def camera_in(tmp_path: Path, text: str) -> LensDistortion:
     path = tmp_path / "camera.yaml"
     path.write_text(text)
     microscope = read_microscope(path, **EYE)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator.detector.band import _flank, hidden_edge
-from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import RAYS
 
@@ -27,7 +27,7 @@ def test_a_flank_of_a_single_grey_pixel_hides_its_edge(radius, grey):
         half_radius=1.0,
     )
     patch = Patch((255.0 * part).astype(np.float32), 0.0, 0.0, ceiling=255.0)
-    ellipse = Ellipse.from_axes(20.0, 20.0, radius, radius, 0.0)
+    ellipse = AffineEllipse.from_axes(20.0, 20.0, radius, radius, 0.0)
     # One number cannot tell height, place and width apart.
     assert hidden_edge(patch, ellipse, np.ones(RAYS, bool), levels, 0.2) is None
 

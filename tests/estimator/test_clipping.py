@@ -12,7 +12,7 @@ import pytest
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.photon_transfer import measured_noise
-from estimator.pixels.picture import Picture
+from estimator.pixels.picture import FramePixels
 from estimator.run.options import Options
 from formats.camera import CameraNoise, Response
 from formats.inputs import InputError
@@ -234,11 +234,11 @@ def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
         full_scale=255,
         response=Response(),
     )
-    picture = Picture.of(np.dstack([frame] * 3), noise)
+    picture = FramePixels.of(np.dstack([frame] * 3), noise)
     assert (picture.full[..., 0] == (frame == 235)).all()
     assert picture.ends == pytest.approx([235 / 255] * 3)
     with pytest.raises(InputError, match=r"end at 255.* up to 4000.*bit_depth"):
-        Picture.of(np.full((9, 9, 3), 4000, np.uint16), noise)
+        FramePixels.of(np.full((9, 9, 3), 4000, np.uint16), noise)
 
 
 def test_clipped_pairs_do_not_measure_a_camera() -> None:

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.detector.ellipse import (
-    Ellipse,
+    AffineEllipse,
     covariance_of_axes,
     offset_design,
     refitted,
@@ -26,9 +26,9 @@ angles = st.floats(-math.pi / 2 + 1e-3, math.pi / 2 - 1e-3)
 def test_upright_keeps_the_ellipse_and_forgets_its_turn(
     minor: float, ratio: float, angle: float, turn: float
 ) -> None:
-    ellipse = Ellipse.from_axes(3, 4, minor * ratio, minor, angle)
+    ellipse = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle)
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
-    upright = Ellipse(ellipse.centre, ellipse.shape @ rotation).upright().shape
+    upright = AffineEllipse(ellipse.centre, ellipse.shape @ rotation).upright().shape
     # float64 through squares of lengths up to 600 px.
     np.testing.assert_allclose(upright, upright.T, atol=1e-9)
     np.testing.assert_allclose(
@@ -38,7 +38,7 @@ def test_upright_keeps_the_ellipse_and_forgets_its_turn(
 
 @given(minor=axes, ratio=st.floats(1.01, 3), angle=angles)
 def test_axes_and_angle_come_back(minor: float, ratio: float, angle: float) -> None:
-    a, b, back = Ellipse.from_axes(3, 4, minor * ratio, minor, angle).axes()
+    a, b, back = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle).axes()
     # float64 through squares of lengths: 1e-9 relative, the angle divided by the axes' difference.
     assert a == pytest.approx(minor * ratio, rel=1e-9)
     assert b == pytest.approx(minor, rel=1e-9)
@@ -47,10 +47,10 @@ def test_axes_and_angle_come_back(minor: float, ratio: float, angle: float) -> N
 
 def test_vertical_major_axis_has_angle_plus_half_pi() -> None:
     for angle in (math.pi / 2, -math.pi / 2):
-        assert Ellipse.from_axes(0, 0, 2, 1, angle).axes()[2] == pytest.approx(math.pi / 2)
+        assert AffineEllipse.from_axes(0, 0, 2, 1, angle).axes()[2] == pytest.approx(math.pi / 2)
 
 
-def _radius(ellipse: Ellipse, about: Ellipse) -> np.ndarray:
+def _radius(ellipse: AffineEllipse, about: AffineEllipse) -> np.ndarray:
     """Radius of one ellipse's points along the rays of another, by bisection."""
     low, high = np.full(_ANGLES.size, 0.5), np.full(_ANGLES.size, 2.0)
     direction = about.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
@@ -63,7 +63,7 @@ def _radius(ellipse: Ellipse, about: Ellipse) -> np.ndarray:
 
 
 def test_a_step_moves_the_edge_as_the_design_says() -> None:
-    start = Ellipse.from_axes(100, 80, 70, 50, 0.4)
+    start = AffineEllipse.from_axes(100, 80, 70, 50, 0.4)
     rng = np.random.default_rng(0)
     for _ in range(5):
         step = rng.normal(0, 1e-4, 5)
@@ -101,8 +101,8 @@ def test_random_samples_take_over_where_trimming_cannot_start() -> None:
 
 
 def test_refit_of_exact_points_is_exact() -> None:
-    truth = Ellipse.from_axes(51, 47, 40, 30, -0.7)
-    start = Ellipse.from_axes(50, 48, 39, 31, -0.6)
+    truth = AffineEllipse.from_axes(51, 47, 40, 30, -0.7)
+    start = AffineEllipse.from_axes(50, 48, 39, 31, -0.6)
     points = truth.centre + (truth.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])).T
     found = refitted(start, points)
     np.testing.assert_allclose(found.centre, truth.centre, atol=1e-6)
@@ -114,8 +114,8 @@ def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
     root = rng.normal(0, 1e-4, (5, 5))
     # A shape whose columns are not the axes, as refinement leaves it.
     turn = np.array([[math.cos(0.8), -math.sin(0.8)], [math.sin(0.8), math.cos(0.8)]])
-    start = Ellipse.from_axes(10, 20, 70, 50, 0.3)
-    ellipse = Ellipse(start.centre, start.shape @ turn)
+    start = AffineEllipse.from_axes(10, 20, 70, 50, 0.3)
+    ellipse = AffineEllipse(start.centre, start.shape @ turn)
     steps = rng.standard_normal((4000, 5)) @ root.T
     samples = []
     for step in steps:
@@ -129,7 +129,7 @@ def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
 
 
 def test_a_circle_has_a_finite_covariance() -> None:
-    circle = Ellipse.from_axes(0, 0, 50, 50, 0)
+    circle = AffineEllipse.from_axes(0, 0, 50, 50, 0)
     assert np.isfinite(covariance_of_axes(circle, 1e-8 * np.eye(5))).all()
 
 
@@ -138,7 +138,7 @@ def test_covariance_of_a_contour_is_that_of_its_harmonics() -> None:
     n = 96
     t = np.arange(n) * (2 * math.pi / n)
     design = offset_design(np.cos(t), np.sin(t))
-    circle = Ellipse.from_axes(0.0, 0.0, 1.0, 1.0, 0.0)
+    circle = AffineEllipse.from_axes(0.0, 0.0, 1.0, 1.0, 0.0)
     step = np.linalg.inv(design.T @ design)
     covariance = covariance_of_axes(circle, step)
     x, y, major, minor = np.diag(covariance)[:4]

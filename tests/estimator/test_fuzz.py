@@ -12,7 +12,7 @@ from hypothesis.extra import numpy as hnp
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.detector.levels import Levels
 from estimator.detector.shape import spot_shape
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, any_truth, light_of
 from tests.drawn_frames_at_random import random_frame
@@ -155,7 +155,9 @@ def _settings_for(
     focal = width * rng.uniform(0.5, 3)
     matrix = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
     wildness = rng.choice([0.1, 3.0])
-    camera = Camera(matrix=matrix, distortion=rng.normal(0, wildness, 5) * [1, 1, 0.1, 0.1, 1])
+    camera = LensDistortion(
+        matrix=matrix, distortion=rng.normal(0, wildness, 5) * [1, 1, 0.1, 0.1, 1]
+    )
     every = (
         SubpixelSettings(),
         _LENIENT,

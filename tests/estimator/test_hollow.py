@@ -9,7 +9,7 @@ import pytest
 
 from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.contour import hollow_share
-from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.tuning import RAYS, Hollow
 from formats.spots import Spot
 from tests import own_frames
@@ -26,7 +26,7 @@ _ANGLES = 2 * math.pi * np.arange(RAYS) / RAYS
 def _share(dark: np.ndarray) -> float:
     """Hollow share of an evenly lit ellipse with these dark places."""
     lit = ((_RADIUS < 1) & ~dark).astype(np.float32)
-    ellipse = Ellipse.from_axes(_SIDE / 2, _SIDE / 2, *_AXES, 0.0)
+    ellipse = AffineEllipse.from_axes(_SIDE / 2, _SIDE / 2, *_AXES, 0.0)
     u, v = (0.97 * axis * f(_ANGLES) for axis, f in zip(_AXES, (np.cos, np.sin), strict=True))
     seen = lit[np.rint(v + _SIDE / 2).astype(int), np.rint(u + _SIDE / 2).astype(int)] > 0
     return hollow_share(Patch(lit, 0, 0), ellipse, seen, 0.5, 0.02)

@@ -9,7 +9,7 @@ import pytest
 from estimator.photon_transfer import measured_noise
 from formats.inputs import InputError
 from formats.microscope import read_microscope
-from scenes.camera import Camera
+from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
 from tests.command_line import call
 
@@ -23,7 +23,7 @@ def _pairs(**camera):
         "camera": {**_SHEET, **camera},
         "microscope": {"width_px": 640, "height_px": 480},
     }
-    made = Camera(Scene.model_validate(settings), seed=5)
+    made = CameraSensor(Scene.model_validate(settings), seed=5)
     pairs = []
     for number, level in enumerate(_LEVELS):
         # 200 full wells per second and unit of radiance: the scene's own sensitivity.

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import optics
-from estimator.pixels.cells import COUNT, CellLight, Window, rolled
+from estimator.pixels.cells import COUNT, CellLight, CellWindow, rolled
 from estimator.pixels.picture import _most_even
 from estimator.pixels.tracker import PixelRanger
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.inputs import InputError
 from formats.poses import read_poses
-from formats.spots import BeamPose, NoSpot, Reason, SpotRecord, read_spots, write_spots
+from formats.spots import NoSpot, Reason, RecordedPose, SpotRecord, read_spots, write_spots
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes, square_lattice
 from tests.pixel_stacks import calibration_in, cone_stack
@@ -151,7 +151,7 @@ def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_ou
     usable = np.ones((200, 200), bool)
     usable[57, 83] = False
     cells = CellLight(np.full((200, 200), 0.25), usable, np.zeros_like)
-    light, kept = cells.means(Window(left=40, top=30, side=7))
+    light, kept = cells.means(CellWindow(left=40, top=30, side=7))
     assert not kept[(57 - 30) // 7, (83 - 40) // 7]
     assert not kept[-1].any()  # 30 + 26 * 7 = 212 px
     assert np.count_nonzero(~kept[:24, :22]) == 1
@@ -159,7 +159,7 @@ def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_ou
 
 
 def test_a_window_stays_as_long_as_it_serves_and_moves_ahead_by_whole_cells():
-    window = Window.around(np.array([300.0, 200.0]), 70.0)
+    window = CellWindow.around(np.array([300.0, 200.0]), 70.0)
     for way in (3.0, -3.0):
         places = [np.array([300.0 + way * k, 200.0]) for k in range(60)]
         now, changes = window, 0
@@ -268,7 +268,9 @@ def test_the_mode_needs_a_calibration_and_takes_no_model(stack, tmp_path):
 def test_a_pose_survives_the_spots_file(tmp_path):
     rng = np.random.default_rng(1)
     root = rng.normal(size=(5, 5))
-    pose = BeamPose(np.array([0.1, -0.2, -9.0]), np.array([0.0, 0.6, -0.8]), root @ root.T, 1.07)
+    pose = RecordedPose(
+        np.array([0.1, -0.2, -9.0]), np.array([0.0, 0.6, -0.8]), root @ root.T, 1.07
+    )
     record = SpotRecord(
         frame=0,
         file_name="a.png",

@@ -9,8 +9,8 @@ from scipy.special import k1
 from scipy.stats import norm
 
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, STILL, CellLight, Window
-from estimator.pixels.frame_model import FrameModel, FrameState, Texture
+from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow
+from estimator.pixels.frame_model import FrameModel, FrameState, TextureVariances
 from formats.microscope import MicroscopeFile
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.pose_light import Steps
@@ -133,8 +133,8 @@ def test_a_beam_that_lights_nothing_of_the_window_suits_no_frame():
     )
     # The spot is some 50 px wide and near the centre; the second window is 500 px below it.
     for below, lit in ((0.0, True), (500.0, False)):
-        window = Window.around(CENTRE + np.array([0.0, below]), 60.0)
-        model = FrameModel(beam, window, Texture.usual())
+        window = CellWindow.around(CENTRE + np.array([0.0, below]), 60.0)
+        model = FrameModel(beam, window, TextureVariances.usual())
         assert (model.scanned(frame, np.zeros(0)) is not None) == lit
 
 
@@ -142,7 +142,7 @@ def test_a_beam_that_lights_nothing_of_the_window_suits_no_frame():
 def test_the_growth_with_a_narrow_blur_is_the_derivative(blur_px2):
     # A fit that is told another growth than the light has goes to and fro about its minimum.
     beam, pose = _cone_beam(sharp=True)
-    window, step = Window.around(CENTRE, 104.0), 1e-3
+    window, step = CellWindow.around(CENTRE, 104.0), 1e-3
     below, here, above = (
         beam.irradiance(window, STILL, pose, np.zeros(0), blur_px2=blur_px2 + by)
         for by in (-step, 0.0, step)
@@ -157,7 +157,7 @@ def test_the_growth_with_a_narrow_blur_is_the_derivative(blur_px2):
 def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     radius = 2.0  # px, of the disc that a focus 0.5 mm off makes at NA 0.05
     beam, pose = _cone_beam(sharp)
-    window = Window.around(CENTRE, 104.0)
+    window = CellWindow.around(CENTRE, 104.0)
     lattice = beam.lattice(window, STILL)
     none = np.zeros(0)
     seen = beam.irradiance(window, STILL, pose, none, blur_px2=radius**2 / 4).value

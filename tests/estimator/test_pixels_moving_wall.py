@@ -3,7 +3,7 @@
 import numpy as np
 
 from estimator.distance.range import WallMemory
-from estimator.pixels.cells import COUNT, CellLight, WallMotion, Window
+from estimator.pixels.cells import COUNT, CellLight, CellWindow, WallMotion
 from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import OWN, Linear
 from estimator.sources.opening import open_source
@@ -31,7 +31,7 @@ def test_cells_follow_a_wall_that_turns():
     motion = WallMotion.about(np.array([200.0, 150.0]), np.array([9.0, -4.0]), 0.09)
     image = picture(motion.map_px(np.stack([u, v], axis=-1)))
     usable = np.ones(image.shape, bool)
-    window = Window(left=130, top=90, side=5)
+    window = CellWindow(left=130, top=90, side=5)
     still = CellLight(picture(np.stack([u, v], axis=-1)), usable, np.zeros_like).means(window)[0]
     moved, kept = CellLight(image, usable, np.zeros_like, motion).means(window)
     assert kept.all()
@@ -66,7 +66,7 @@ def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():
         shared=np.zeros((0, COUNT**2)),
         weight=np.full(COUNT**2, noise**-2),
     )
-    window = Window(left=100, top=80, side=6)
+    window = CellWindow(left=100, top=80, side=6)
     found = registered(line, known, np.full(COUNT**2, noise**2), window)
     assert found is not None
     moved = found.image_px(window.middle_px) - window.middle_px

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator.pixels.beam import Pose
+from estimator.pixels.beam import BeamAtWall
 from estimator.pixels.frame_model import RobotPose, _turn, motion_between
 from formats.poses import PoseTrack, read_poses
 from tests.pixel_stacks import cone_stack, readings_of
@@ -20,7 +20,9 @@ def _pose(tip, axis):
     first = np.cross(axis, [0.3, 0.8, 0.1])
     first /= np.linalg.norm(first)
     right, down = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    return Pose(np.array(tip), axis, np.asarray(2.0), right, down, first, np.cross(axis, first))
+    return BeamAtWall(
+        np.array(tip), axis, np.asarray(2.0), right, down, first, np.cross(axis, first)
+    )
 
 
 def _moved(pose, change):

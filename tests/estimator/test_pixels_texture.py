@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import cho_factor
 
 from estimator.pixels.cells import COUNT, SHADES
-from estimator.pixels.frame_model import LENGTHS_MM, Linear, Texture, texture_of
-from estimator.pixels.solver import Solution
+from estimator.pixels.frame_model import LENGTHS_MM, Linear, TextureVariances, texture_of
+from estimator.pixels.solver import PoseSolution
 
 _SIDE_MM = 0.06
 
@@ -28,7 +28,7 @@ def _found_in_even_light(root, rng, *, noise):
 
 def test_the_texture_of_a_drawn_wall_is_found():
     rng = np.random.default_rng(3)
-    true = Texture(np.array([0.05, 0.10, 0.001]) ** 2)
+    true = TextureVariances(np.array([0.05, 0.10, 0.001]) ** 2)
     root = _root(true, 20)
     found = [np.sum(_found_in_even_light(root, rng, noise=0.005).variances[:2]) for _ in range(6)]
     # 400 cells and lengths of 1.3 and 5 cells have some 60 independent parts: 18 % a wall. The
@@ -39,7 +39,7 @@ def test_the_texture_of_a_drawn_wall_is_found():
 
 @pytest.mark.parametrize(("part", "power"), [(0, 1), (1, 2), (2, 2)])
 def test_grain_is_rough_and_what_is_larger_is_smooth(part, power):
-    texture, near = Texture(np.eye(3)[part]), 1e-3 * LENGTHS_MM[part]
+    texture, near = TextureVariances(np.eye(3)[part]), 1e-3 * LENGTHS_MM[part]
     # Near 0, 2 (1 - exp(-x)) is 2 x, and 2 (1 - (1 + y) exp(-y)), y = sqrt(3) x, is 3 x^2; the next
     # terms are 5e-4 and 1.2e-3 of these.
     slope = 2.0 if power == 1 else 3.0
@@ -51,7 +51,7 @@ def test_grain_is_rough_and_what_is_larger_is_smooth(part, power):
 def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contrast):
     rng = np.random.default_rng(11)
     noise = 0.002
-    true = Texture(np.square(contrast * np.array([0.5, 0.7, 0.5])))
+    true = TextureVariances(np.square(contrast * np.array([0.5, 0.7, 0.5])))
     found = _found_in_even_light(_root(true, 20), rng, noise=noise)
     # Of 400 cells the noise's variance is known to sqrt(2 / 400), which a texture may hide in: a
     # quarter of the noise. The longest part, as long as the window, may be twice too large.
@@ -77,7 +77,7 @@ def _seen(wall, rng, *, middle):
 
 def test_frames_in_different_light_show_a_texture_that_one_frame_hides_in_its_light():
     rng = np.random.default_rng(8)
-    true = Texture(np.array([0.02, 0.06, 0.08]) ** 2)
+    true = TextureVariances(np.array([0.02, 0.06, 0.08]) ** 2)
     root = _root(true, COUNT)
     one: list[float] = []
     both: list[float] = []
@@ -85,7 +85,7 @@ def test_frames_in_different_light_show_a_texture_that_one_frame_hides_in_its_li
         wall = root @ rng.standard_normal(COUNT**2)
         frames = [_seen(wall, rng, middle=middle) for middle in ((0, 0), (0.3, 0.2))]
         for found, lines in ((one, frames[:1]), (both, frames)):
-            total = Solution(
+            total = PoseSolution(
                 [], lines, np.zeros(0), np.eye(1), 0.0, wall, cho_factor(np.eye(1)), True
             )
             texture = texture_of(*total.together, count=COUNT, side_mm=_SIDE_MM)

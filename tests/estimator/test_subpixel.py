@@ -12,7 +12,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import (
     SHAPE,
@@ -339,7 +339,7 @@ def _turn(angle: float) -> float:
 
 
 def test_lens_distortion_is_taken_out() -> None:
-    camera = Camera(
+    camera = LensDistortion(
         matrix=np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]),
         distortion=np.array([-0.35, 0.1, 0, 0]),
     )

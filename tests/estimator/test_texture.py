@@ -10,11 +10,11 @@ from scipy.ndimage import gaussian_filter
 
 from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.contour import without_texture
-from estimator.detector.ellipse import Ellipse, Patch
+from estimator.detector.ellipse import AffineEllipse, Patch
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0
-ELLIPSE = Ellipse.from_axes(SHAPE[1] / 2, SHAPE[0] / 2, SEMI_MINOR_PX, SEMI_MINOR_PX, 0.0)
+ELLIPSE = AffineEllipse.from_axes(SHAPE[1] / 2, SHAPE[0] / 2, SEMI_MINOR_PX, SEMI_MINOR_PX, 0.0)
 DENSITY = (0.25, 0.65, 0.55)  # of a pigment in red, green and blue
 
 

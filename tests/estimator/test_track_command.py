@@ -27,7 +27,7 @@ from estimator.run.overlay import annotated, overlay_writer
 from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame
 from formats.calibration import Calibration, read_calibration, write_calibration
-from formats.camera import Camera, Response
+from formats.camera import LensDistortion, Response
 from formats.microscope import read_microscope
 from formats.poses import Pose
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
@@ -115,7 +115,7 @@ def distorted(tmp_path) -> Path:
     return path
 
 
-CAMERA = Camera(
+CAMERA = LensDistortion(
     matrix=np.array([[400.0, 0, 100], [0, 400, 80], [0, 0, 1]]),
     distortion=np.array([-0.6, 0, 0, 0, 0]),
 )
