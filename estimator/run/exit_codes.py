@@ -24,8 +24,6 @@ from typing import Any, NoReturn
 
 from cyclopts import CycloptsError
 
-from formats.inputs import InputError
-
 STOPPED = 128 + signal.SIGINT
 """Exit code of a command that Ctrl-C ended, as shells report it: 130."""
 
@@ -217,7 +215,8 @@ def _reported_bugs() -> bool:
 def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
-    pydantic, variant = map(sys.modules.get, ("pydantic", "scenes.machine.variant"))
+    modules = ("pydantic", "scenes.machine.variant", "formats.inputs")
+    pydantic, variant, inputs = map(sys.modules.get, modules)
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
         of_model = message_of(error.__context__, of_options=True) if error.__context__ else None
@@ -239,4 +238,5 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
         remedy = _REMEDIES.get(error.errno or 0, "")
         name = repr(str(error.filename))[1:-1][:300]  # a name may have line breaks
         return f"{name}: {error.strerror}. {remedy}".rstrip()
-    return str(error) if isinstance(error, InputError | OSError) else None
+    ours = inputs and isinstance(error, inputs.InputError)
+    return str(error) if ours or isinstance(error, OSError) else None
