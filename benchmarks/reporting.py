@@ -249,7 +249,7 @@ def column_of(name: str, values: pd.Series) -> Column:
     if values.dtype.kind == "f":
         sizes = values[np.isfinite(values)].abs()
         if (sizes % 1 > 0).any():
-            digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 4))
+            digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 6))
     return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
 
 
