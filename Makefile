@@ -32,7 +32,7 @@ check: $(PACKAGES) ## lint, format, types
 	.venv/bin/mypy
 
 docs: $(SITE) $(LIBRARIES) ## build the documentation into out/docs/site
-	.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet --jobs 2 docs out/docs/site
+	.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet docs out/docs/site
 
 bench: $(LIBRARIES) ## measure speed and accuracy, compared with alternatives
 	.venv/bin/python -m benchmarks.bench
