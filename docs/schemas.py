@@ -138,7 +138,7 @@ KINDS = (
         "Entry of a leaderboard (`entry.json`)",
         "What an entrant says of its tracker; `eyespot score --entries` reads it.",
         models=("benchmarks.sets.score.spots:_About",),
-        meanings=("benchmarks.sets.score.spots:Entry",),
+        meanings=("benchmarks.sets.score.spots:ScoredEstimator",),
     ),
     FileKind(
         "glue-lens",

@@ -61,7 +61,7 @@ _PLACES = (("plane", 1.5, 0.0), ("plane", 3.0, 120.0), ("eyeball", 4.0, 0.0), ("
     ),
     chi_squared_per_dof=lambda _, fit, name: fit.chi_squared / fit.degrees_of_freedom,
 )
-class ConeFit:
+class ConeWithdrawals:
     """Four withdrawals of 13 rendered frames of a cone, from starts 30 % off."""
 
     params = (["half_angle", "b"],)

@@ -73,7 +73,7 @@ def _frames() -> list[np.ndarray]:
     return [frame_of(Drawing(truth=place, wall=wall), rng) for place in places]
 
 
-class Reading(_Run):
+class ReaderLoad(_Run):
     """A `Reader` of 640 x 480 px frames: as fast as it can, and at 30 Hz (full: an hour, 300 s)."""
 
     params = (["as fast as it can", "at 30 Hz"],)
@@ -103,7 +103,7 @@ class Reading(_Run):
         self.lost = number - spots
 
 
-class Tracking(_Run):
+class TrackingLoad(_Run):
     """`eyespot track` of a folder of 320 x 240 px, a process of its own (full: 100,000 files)."""
 
     def setup(self) -> None:

@@ -395,7 +395,7 @@ def _drawn(rows: Iterable[tuple[dict[str, Any], Circumstances]], rng: Any) -> pd
 
 # The bound is Cramér and Rao's, for the distance from the ellipse on a known wall.
 @tracks(bound_um=_of_posed(lambda posed: 1e3 * rms(posed.bound_mm)))
-class Poses(_Read):
+class PixelPoses(_Read):
     """First frames, and those from the fifth on, which use what the earlier ones showed."""
 
     params = ([*BEAMS], [*WALLS], ["first", "5th on"])
@@ -441,7 +441,7 @@ _ADVERSE: dict[str, dict[str, Any]] = {
 """Changes of the scene's tables, and relative errors of the beam that the mode is told."""
 
 
-class Adverse(_Read):
+class AdversePixels(_Read):
     """Beams, walls and cameras that are not as the mode believes; two beams on two walls."""
 
     params = ([*_ADVERSE],)

@@ -17,7 +17,7 @@ from skimage.feature import canny
 from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
-from benchmarks.rivals.learned.network import LearnedEstimator, Window, blob_in
+from benchmarks.rivals.learned.network import LearnedEstimator, PixelSquare, blob_in
 from benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from benchmarks.sets.read import Mode, own_reader, plain_spot
 from estimator import Frame, Range
@@ -174,7 +174,7 @@ class Ransac(Entry):
         blob = blob_in(frame.image)
         if blob is None:
             return NO_SPOT
-        left, top, side = Window.around(blob)
+        left, top, side = PixelSquare.around(blob)
         left, top, right, bottom = max(left, 0), max(top, 0), left + side, top + side
         grey = rgb2gray(frame.image[top:bottom, left:right])
         points = self._edges(grey)

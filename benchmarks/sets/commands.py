@@ -14,7 +14,7 @@ from formats.inputs import InputError, in_file, shortened
 from scenes.commands import Changes
 
 if TYPE_CHECKING:
-    from benchmarks.sets.make import Estimate, Shard
+    from benchmarks.sets.make import CostEstimate, Shard
 
 
 def make(
@@ -116,7 +116,7 @@ def _shard(text: str | None) -> Shard:
     raise InputError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
 
 
-def _print(found: Estimate, *, workers: int) -> None:
+def _print(found: CostEstimate, *, workers: int) -> None:
     from rich.filesize import decimal
 
     from estimator.run.progress_bar import duration

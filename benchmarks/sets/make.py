@@ -199,7 +199,7 @@ def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client
 _TIMED = 5  # frames rendered of a stack
 
 
-class Estimate(NamedTuple):
+class CostEstimate(NamedTuple):
     """Expected cost of a set.
 
     Attributes:
@@ -219,7 +219,7 @@ class _Enough(Exception):
     """Ends the rendering of a trial stack."""
 
 
-def estimate(planned: Sequence[PlannedStack]) -> Estimate:
+def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
     """Render a few frames of each condition, and scale up.
 
     One stack per condition is tried, and one without condition. Processor time is measured, because
@@ -243,7 +243,7 @@ def estimate(planned: Sequence[PlannedStack]) -> Estimate:
         images += sum(counts)
         size += sum(counts) * image_bytes
         tried += number
-    return Estimate(len(planned), images, size, seconds, tried)
+    return CostEstimate(len(planned), images, size, seconds, tried)
 
 
 def _trial(scene: scenes.Scene, *, images: int) -> tuple[int, float, float, float]:

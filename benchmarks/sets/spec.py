@@ -190,11 +190,11 @@ _Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
 
 
-class _Table(BaseModel):
+class _SpecTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
-class Splits(_Table):
+class Splits(_SpecTable):
     """Number of stacks in each split."""
 
     train: _Count = Field(0, description="Number of stacks.")
@@ -202,7 +202,7 @@ class Splits(_Table):
     test: _Count = Field(0, description="Number of stacks.")
 
 
-class Adverse(_Table):
+class Adverse(_SpecTable):
     """The split with difficult conditions."""
 
     stacks: _Count = Field(description="Number of stacks per condition.")
@@ -213,14 +213,14 @@ class Adverse(_Table):
     )
 
 
-class Unseen(_Table):
+class Unseen(_SpecTable):
     """The split that shows what no other split shows, such as walls of another generator."""
 
     stacks: _Count = Field(description="Number of stacks.")
     changes: _Changes = Field(min_length=1, description="Values or distributions.")
 
 
-class SetSpec(_Table):
+class SetSpec(_SpecTable):
     """The spec of a labelled set."""
 
     schema_version: Literal[1] = Field(1, alias="schema", description="Version of the format.")

@@ -77,7 +77,7 @@ from benchmarks.studies.error_causes import (
     CAUSES,
     WRONG_C_MM,
     WRONG_R_MM,
-    Eye,
+    CauseEye,
     Shift,
     spread_length,
 )
@@ -137,7 +137,7 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         tilt = np.radians(found[["incidence_deg", "azimuth_deg"]].to_numpy()).T
         beam = half_angle, found.apex_offset_mm, *tilt
         columns = np.full(size, scale), 1.0 / (found.z_f_mm + r), r, *beam, found.c_mm
-        eye = Eye(*(jnp.asarray(np.array(values)) for values in columns))
+        eye = CauseEye(*(jnp.asarray(np.array(values)) for values in columns))
         estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
         yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
 
@@ -160,8 +160,8 @@ def sensitivities(space: pd.DataFrame, *, bins: int = 32) -> pd.DataFrame:
 
 
 @jax.jit
-def _estimates(eye: Eye, d: jax.Array) -> dict[str, jax.Array]:
-    def of(spot: tuple[Eye, jax.Array]) -> dict[str, jax.Array]:
+def _estimates(eye: CauseEye, d: jax.Array) -> dict[str, jax.Array]:
+    def of(spot: tuple[CauseEye, jax.Array]) -> dict[str, jax.Array]:
         eye, d = spot
         seen = error_causes.semi_minor(eye, d)
         # With every link real there is a closed form, which saves half of the time.

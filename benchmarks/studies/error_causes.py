@@ -74,7 +74,7 @@ REAL = Links(True, True, True, True, True)
 """Everything as it is."""
 
 
-class Eye(NamedTuple):
+class CauseEye(NamedTuple):
     """One geometry, or what a model takes it for: `Geometry` with a c (mm).
 
     Instead of z_F it has kappa = 1/(z_F + r), 1/mm.
@@ -90,7 +90,7 @@ class Eye(NamedTuple):
     eccentricity: Float[Array, ""]
 
 
-def semi_minor(eye: Eye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
     """e1' of the spot's contour at a distance (mm) along the beam, px."""
     contour = _contour(eye, distance, links) / eye.scale
     ellipse = optics.ellipse_of_contour(contour)
@@ -99,7 +99,7 @@ def semi_minor(eye: Eye, distance: Float[Array, ""], links: Links = REAL) -> Flo
 
 
 def distances(
-    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+    believed: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
 ) -> dict[str, Float[Array, ""]]:
     """Distance by every model, mm, from e1' (px) seen through these links.
 
@@ -119,7 +119,7 @@ def distances(
 
 
 def closed_forms(
-    believed: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL
+    believed: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
 ) -> dict[str, Float[Array, ""]]:
     """`distances` by planar, small_plane and corrected."""
     k, b = optics.slope(believed.half_angle), believed.apex_offset
@@ -146,7 +146,9 @@ def closed_forms(
     }
 
 
-def inverse(eye: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
+def inverse(
+    eye: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
+) -> Float[Array, ""]:
     """Distance at which the chain gives a semi-minor axis, mm.
 
     e1' all but scales with the distance from the apex, so rescaling that distance is a
@@ -170,7 +172,7 @@ def inverse(eye: Eye, semi_minor_px: Float[Array, ""], links: Links = REAL) -> F
     return reach + apex
 
 
-def _contour(eye: Eye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
+def _contour(eye: CauseEye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
     """Image of the spot's edge in mm at the pole's height; the meridian of O is the x axis."""
     wall = _wall_contour(eye, distance, links)
     along, across, inward = wall
@@ -188,7 +190,7 @@ def _contour(eye: Eye, distance: Float[Array, ""], links: Links) -> Float[Array,
 
 
 def _wall_contour(
-    eye: Eye, distance: Float[Array, ""], links: Links
+    eye: CauseEye, distance: Float[Array, ""], links: Links
 ) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
     r"""Edge of the spot in the wall's frame at O, mm: along the meridian, across it, inward.
 
@@ -333,14 +335,14 @@ def shares(
     )
 
 
-def eyes(geometry: Geometry, *, c: np.ndarray) -> Eye:
+def eyes(geometry: Geometry, *, c: np.ndarray) -> CauseEye:
     """The geometry at each eccentricity (mm) as the chain takes it: arrays of n."""
     kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
     columns = (geometry.scale, kappa, *geometry[2:], c)
-    return Eye(*(jnp.broadcast_to(jnp.asarray(v, float), c.shape) for v in columns))
+    return CauseEye(*(jnp.broadcast_to(jnp.asarray(v, float), c.shape) for v in columns))
 
 
-def worths(eye: Eye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
+def worths(eye: CauseEye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
     """Error of every model with every set of causes, mm: n x models x 1,024."""
     columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
     # In parts of one size, so that one compilation serves every trial.
@@ -356,13 +358,15 @@ def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]
     def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
         *eye, d, edge, pixels, spread = spot
         shift = jnp.stack([edge, pixels, spread])
-        return jax.vmap(lambda causes: _model_errors(Eye(*eye), d, shift, causes), out_axes=1)(sets)
+        return jax.vmap(lambda causes: _model_errors(CauseEye(*eye), d, shift, causes), out_axes=1)(
+            sets
+        )
 
     return jax.vmap(of, in_axes=1)(columns)
 
 
 def _model_errors(
-    eye: Eye,
+    eye: CauseEye,
     d: Float[Array, ""],
     shift: Float[Array, "3"],
     causes: Float[Array, "10"],

@@ -82,7 +82,7 @@ analysis of spotlight-based instrument localization for retinal surgery", Roboti
 in Blender, with another light and eye."""
 
 
-class Prior(StrEnum):
+class AxisPrior(StrEnum):
     """Prior knowledge of the axis."""
 
     ROUGH = "5 deg"
@@ -92,7 +92,11 @@ class Prior(StrEnum):
     @property
     def sigma_rad(self) -> float:
         """The solver's standard deviation of the prior across the axis, rad."""
-        return {Prior.ROUGH: math.radians(PRIOR_DEG), Prior.NONE: 1e6, Prior.KNOWN: 1e-6}[self]
+        return {
+            AxisPrior.ROUGH: math.radians(PRIOR_DEG),
+            AxisPrior.NONE: 1e6,
+            AxisPrior.KNOWN: 1e-6,
+        }[self]
 
 
 _MIRRORED_DEG = 2.0
@@ -283,9 +287,9 @@ def errors(
             covariance=covariance,
         )
         for prior, axes, covariances in (
-            (Prior.ROUGH, drawn, bounds),
-            (Prior.NONE, drawn, bounds),
-            (Prior.KNOWN, truth, known),
+            (AxisPrior.ROUGH, drawn, bounds),
+            (AxisPrior.NONE, drawn, bounds),
+            (AxisPrior.KNOWN, truth, known),
         )
         for place, found, covariance in zip(
             every, _solved(tool, noisy, axes, prior.sigma_rad, wall, view), covariances, strict=True
@@ -483,8 +487,8 @@ def _errors(
     sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
     true = np.asarray(place.pose.axis)
     rows = []
-    for kind in Prior:
-        known = kind == Prior.KNOWN
+    for kind in AxisPrior:
+        known = kind == AxisPrior.KNOWN
         axis = true if known else prior
         covariance = np.asarray(
             tool_pose_bound(tool, place.pose, surface, view, sigma_px=sigma, axis_known=known)
@@ -629,11 +633,11 @@ def _by_incidence(errors: pd.DataFrame) -> Figure:
         error, bound = (_QUANTITIES[quantity].format(name) for name in ("error", "bound"))
         for spots, colour in _COLOURS.items():
             for source, marks in _MARKS.items():
-                rows = where(errors, source=source, spots=spots, prior=Prior.ROUGH)
+                rows = where(errors, source=source, spots=spots, prior=AxisPrior.ROUGH)
                 shown = rows[~rows.mirrored & (rows.z_f_mm == height)]
                 points = shown.incidence_deg, shown[error]
                 axes.plot(*points, ls="", color=colour, label=f"{NAMES[spots]}, {source}", **marks)
-            rows = where(errors, source="analytic", spots=spots, prior=Prior.ROUGH)
+            rows = where(errors, source="analytic", spots=spots, prior=AxisPrior.ROUGH)
             bins = pd.cut(rows.incidence_deg, edges.tolist(), right=False)
             bounds = rows[bound].groupby(bins, observed=False).agg(rms)
             axes.plot(0.5 * (edges[:-1] + edges[1:]), bounds, color=colour, lw=1.6)
@@ -661,7 +665,7 @@ def _report(errors: pd.DataFrame) -> Report:
     keys = ["prior", "source", "spots", "z_f_mm"]
     # A summary by prior, source, number of spots and pinhole.
     scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
-    rough = where(scatters, prior=Prior.ROUGH)
+    rough = where(scatters, prior=AxisPrior.ROUGH)
     return Report(
         title="How accurately do one spot and three spots give the tool's pose?",
         answer=_answer(errors),
@@ -706,7 +710,7 @@ def _report(errors: pd.DataFrame) -> Report:
 
 
 def _answer(errors: pd.DataFrame) -> str:
-    one, three = (_summary(errors, "rendered", spots, Prior.ROUGH) for spots in REPORTED)
+    one, three = (_summary(errors, "rendered", spots, AxisPrior.ROUGH) for spots in REPORTED)
     return (
         f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis to "
         f"{number(one.axis_deg, 3)}°, three spots give them to {number(1e3 * three.tip_mm, 1)} µm "
@@ -715,14 +719,14 @@ def _answer(errors: pd.DataFrame) -> str:
     )
 
 
-def _summary(errors: pd.DataFrame, source: str, spots: int, prior: Prior) -> Any:
+def _summary(errors: pd.DataFrame, source: str, spots: int, prior: AxisPrior) -> Any:
     rows = where(errors, source=source, spots=spots, prior=prior)
     return rows_of(pd.DataFrame([scatter(rows)]))[0]
 
 
 def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
     for source, (spots, (tip, axis)) in product(SOURCES, REPORTED.items()):
-        found = _summary(errors, source, spots, Prior.ROUGH)
+        found = _summary(errors, source, spots, AxisPrior.ROUGH)
         yield Claim(
             name=f"{source}, {NAMES[spots]}, tip",
             sentence=f"The mean error of the tip is {found.tip_mean_mm:.4f} mm (reported by "
@@ -740,8 +744,8 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
             value=found.axis_mean_deg,
             high=axis,
         )
-    found = _summary(errors, "rendered", 1, Prior.ROUGH)
-    single = where(errors, source="rendered", spots=1, prior=Prior.ROUGH)
+    found = _summary(errors, "rendered", 1, AxisPrior.ROUGH)
+    single = where(errors, source="rendered", spots=1, prior=AxisPrior.ROUGH)
     each = pd.DataFrame({deg: scatter(rows) for deg, rows in single.groupby("incidence_deg")}).T
     at = listed(each.index, "g")
     yield Claim(
@@ -762,7 +766,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
         value=found.axis_deg,
         high=REQUIRED_AXIS_DEG,
     )
-    known = where(errors, source="rendered", spots=1, prior=Prior.KNOWN)
+    known = where(errors, source="rendered", spots=1, prior=AxisPrior.KNOWN)
     worst = float(known.groupby("c_mm").distance_error_mm.agg(rms).max())
     yield Claim(
         name="requirement, distance",
@@ -775,7 +779,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
     )
     free, led, three = (
         _summary(errors, "analytic", spots, prior)
-        for spots, prior in ((1, Prior.NONE), (1, Prior.ROUGH), (3, Prior.NONE))
+        for spots, prior in ((1, AxisPrior.NONE), (1, AxisPrior.ROUGH), (3, AxisPrior.NONE))
     )
     yield Claim(
         name="mirror",

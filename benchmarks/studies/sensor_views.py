@@ -68,7 +68,7 @@ Numbers = Any
 """NumPy's outside of compiled functions, JAX's inside; several places have a leading axis."""
 
 
-class Place(NamedTuple):
+class InstrumentPlace(NamedTuple):
     """An instrument at the wall, and the light guide that makes its shadow; mm, eye frame.
 
     Attributes:
@@ -104,7 +104,7 @@ class Views(NamedTuple):
     right: optics.Camera
 
 
-def place(*, eccentricity: float, distance: float) -> Place:
+def place(*, eccentricity: float, distance: float) -> InstrumentPlace:
     """The instrument through its trocar, the light guide through the other one.
 
     Args:
@@ -117,7 +117,7 @@ def place(*, eccentricity: float, distance: float) -> Place:
     axis = _unit(spot - _trocar(TOOL_AZIMUTH_DEG))
     pole = np.array([0.0, 0.0, -RADIUS_MM])
     lamp_axis = _unit(pole - _trocar(LAMP_AZIMUTH_DEG))
-    return Place(
+    return InstrumentPlace(
         np.asarray(eccentricity),
         np.asarray(distance),
         spot - distance * axis,
@@ -128,7 +128,7 @@ def place(*, eccentricity: float, distance: float) -> Place:
     )
 
 
-def beam_of(one: Place) -> optics.Beam:
+def beam_of(one: InstrumentPlace) -> optics.Beam:
     """The cone of light that leaves the instrument's tip."""
     return optics.Beam(tip=jnp.asarray(one.tip), axis=jnp.asarray(one.axis), **CONE)
 
@@ -219,25 +219,25 @@ _LEAST_CORRELATION = 0.3
 _FEWEST = 100  # points of the wall that both images must show
 
 
-class Outline(NamedTuple):
+class OutlinePart(NamedTuple):
     """Part of an outline, px: points and outward unit normals, n x 2."""
 
     points: np.ndarray
     normals: np.ndarray
 
 
-def tool_outline(one: Place, camera: optics.Camera) -> Outline:
+def tool_outline(one: InstrumentPlace, camera: optics.Camera) -> OutlinePart:
     """Outline of the instrument's end in the image."""
     return _outline(camera, *(_rim(one, behind) for behind in (0.0, _BACK_MM)))
 
 
-def shadow_outline(one: Place, camera: optics.Camera) -> Outline:
+def shadow_outline(one: InstrumentPlace, camera: optics.Camera) -> OutlinePart:
     """Outline of the shadow of the instrument's end in the image."""
     rims = (_rim(one, behind) for behind in (0.0, _BACK_MM))
     return _outline(camera, *(np.asarray(shadow_of(r, one.lamp)) for r in rims))
 
 
-def found_shift(image: np.ndarray, outline: Outline, *, dark: bool) -> np.ndarray:
+def found_shift(image: np.ndarray, outline: OutlinePart, *, dark: bool) -> np.ndarray:
     """Shift of an outline at which the image is steepest across it, px.
 
     Args:
@@ -260,7 +260,9 @@ def found_shift(image: np.ndarray, outline: Outline, *, dark: bool) -> np.ndarra
     return _highest(steepness)
 
 
-def wall_height(left: np.ndarray, right: np.ndarray, one: Place, seen: Views) -> float | None:
+def wall_height(
+    left: np.ndarray, right: np.ndarray, one: InstrumentPlace, seen: Views
+) -> float | None:
     """Height of the wall near O above the place where it is thought to be, mm; None if no texture.
 
     Every height is tried: the wall's points are looked up in both images, and the height at which
@@ -301,7 +303,7 @@ def wall_height(left: np.ndarray, right: np.ndarray, one: Place, seen: Views) ->
     return float(_HEIGHTS_MM[best] + step * _vertex(*correlations[best - 1 : best + 2]))
 
 
-def _rim(one: Place, behind: float, *, margin: float = 0.0) -> np.ndarray:
+def _rim(one: InstrumentPlace, behind: float, *, margin: float = 0.0) -> np.ndarray:
     """Points of the instrument's circumference at a distance behind its tip, 32 x 3, mm."""
     angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)[:, None]
     first, second = map(np.asarray, optics.perpendicular_frame(one.axis))
@@ -309,7 +311,7 @@ def _rim(one: Place, behind: float, *, margin: float = 0.0) -> np.ndarray:
     return one.tip - behind * one.axis + (TOOL_RADIUS_MM + margin) * circle
 
 
-def _outline(camera: optics.Camera, front: np.ndarray, back: np.ndarray) -> Outline:
+def _outline(camera: optics.Camera, front: np.ndarray, back: np.ndarray) -> OutlinePart:
     ends = [np.asarray(project(camera, rim)) for rim in (front, back)]
     corners = _hull(np.concatenate(ends))
     edges = np.roll(corners, -1, axis=0) - corners
@@ -324,10 +326,10 @@ def _outline(camera: optics.Camera, front: np.ndarray, back: np.ndarray) -> Outl
     along = ends[0].mean(axis=0) - ends[1].mean(axis=0)
     every = np.concatenate(points)
     kept = (every - ends[1].mean(axis=0)) @ along > _KEPT * (along @ along)
-    return Outline(every[kept], np.concatenate(normals)[kept])
+    return OutlinePart(every[kept], np.concatenate(normals)[kept])
 
 
-def _shaft(one: Place, camera: optics.Camera) -> np.ndarray:
+def _shaft(one: InstrumentPlace, camera: optics.Camera) -> np.ndarray:
     """Corners of the instrument's whole outline, with a margin, px."""
     margin = _MARGIN_PX * SCALE_MM_PX
     rims = [_rim(one, behind, margin=margin) for behind in (-margin, _SHAFT_MM)]
@@ -419,7 +421,7 @@ def base_scene(scene: Scene, path: str, wall: str, *, eccentricity: float) -> Sc
     )
 
 
-def pictures(scene: Scene, one: Place, seen: Views) -> Pictures:
+def pictures(scene: Scene, one: InstrumentPlace, seen: Views) -> Pictures:
     """Photographs under the light guide, by the microscope and by a stereo pair."""
     lit = scenes.changed(
         scene,
@@ -456,7 +458,7 @@ def grey(photograph: np.ndarray) -> np.ndarray:
     return photograph @ _GREY
 
 
-def _lamp_points(one: Place) -> list[np.ndarray]:
+def _lamp_points(one: InstrumentPlace) -> list[np.ndarray]:
     """Points evenly spread over the light guide's end (Vogel's spiral)."""
     first, second = map(np.asarray, optics.perpendicular_frame(one.lamp_axis))
     numbers = np.arange(_LAMP_POINTS)
@@ -529,7 +531,7 @@ class Wrong(StrEnum):
     RADIUS = "the eye's radius is 0.5 mm larger"
 
 
-class Outcome(StrEnum):
+class ReadingOutcome(StrEnum):
     """What became of a reading."""
 
     READ = "read"
@@ -576,7 +578,7 @@ class Marks(NamedTuple):
     wall_pair: Numbers
 
 
-def marks_of(place: Place, views: Views, *, points: int) -> Marks:
+def marks_of(place: InstrumentPlace, views: Views, *, points: int) -> Marks:
     """The true marks."""
     contour = optics.cone_contour(beam_of(place), WALL, points=points).point
     shadow = shadow_of(place.tip, place.lamp)
@@ -672,23 +674,25 @@ def nearest_point(
 # Which sensors see their marks: the window, the iris, and the instrument in front.
 
 
-def outcomes_at(places: Place, seen: Views) -> dict[Sensor, list[Outcome]]:
+def outcomes_at(places: InstrumentPlace, seen: Views) -> dict[Sensor, list[ReadingOutcome]]:
     """Whether each sensor can see its marks, for places with a leading axis."""
     inside, hidden = _visible(places, seen)
     found = {
-        sensor: [Outcome.READ if one else Outcome.OUT_OF_VIEW for one in np.asarray(there)]
+        sensor: [
+            ReadingOutcome.READ if one else ReadingOutcome.OUT_OF_VIEW for one in np.asarray(there)
+        ]
         for sensor, there in inside.items()
     }
     found[Sensor.SHADOW] = [
-        Outcome.HIDDEN if outcome == Outcome.READ and behind else outcome
+        ReadingOutcome.HIDDEN if outcome == ReadingOutcome.READ and behind else outcome
         for outcome, behind in zip(found[Sensor.SHADOW], np.asarray(hidden), strict=True)
     ]
     return found
 
 
 @eqx.filter_jit
-def _visible(places: Place, seen: Views) -> tuple[dict[Sensor, Any], Any]:
-    def at(one: Place) -> tuple[dict[Sensor, Any], Any]:
+def _visible(places: InstrumentPlace, seen: Views) -> tuple[dict[Sensor, Any], Any]:
+    def at(one: InstrumentPlace) -> tuple[dict[Sensor, Any], Any]:
         shadow = shadow_of(one.tip, one.lamp)
         edge = optics.cone_contour(beam_of(one), WALL, points=_EDGE).point
         marks = jnp.stack([one.spot, one.tip, shadow])
@@ -713,7 +717,7 @@ def _in_view(camera: Any, points: Any) -> Any:
     return jnp.all(inside, axis=-1) & passes
 
 
-def _hides(one: Place, camera: optics.Camera, point: Any) -> Any:
+def _hides(one: InstrumentPlace, camera: optics.Camera, point: Any) -> Any:
     """Whether the instrument lies between the camera and a point of the wall."""
     _, down = camera.ray(camera.project(point))
     back = jnp.linspace(0.0, RADIUS_MM, _SHAFT)[:, None]

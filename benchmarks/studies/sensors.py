@@ -56,12 +56,12 @@ from benchmarks.studies.sensor_views import (
     REACH_PX,
     SCALE_MM_PX,
     WALL_PX,
+    InstrumentPlace,
     Known,
     Marks,
     Numbers,
-    Outcome,
     Pictures,
-    Place,
+    ReadingOutcome,
     Sensor,
     Views,
     Wrong,
@@ -122,7 +122,7 @@ def expected(
         for c in eccentricities.tolist()
         for d in distances.tolist()
     ]
-    places = Place(*map(np.stack, zip(*every, strict=True)))
+    places = InstrumentPlace(*map(np.stack, zip(*every, strict=True)))
     true, outcomes = _marks(places, seen), outcomes_at(places, seen)
     rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
     noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
@@ -142,7 +142,7 @@ def expected(
     read = {} if path == "pinhole" else {Wrong.PATH: [_read(true, right, pinholes)]}
     read |= {wrong: [_read(true, one, seen) for one in ones] for wrong, ones in assumed.items()}
     where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
-    done = {sensor: np.array(outcomes[sensor]) == Outcome.READ for sensor in Sensor}
+    done = {sensor: np.array(outcomes[sensor]) == ReadingOutcome.READ for sensor in Sensor}
     sigmas = [
         pd.DataFrame({"sensor": sensor, **where, "outcome": outcomes[sensor]}).assign(
             sigma_mm=np.where(done[sensor], np.std([one[sensor] for one in noisy], axis=0), np.nan)
@@ -163,7 +163,7 @@ def expected(
 
 
 @eqx.filter_jit
-def _marks(places: Place, seen: Views) -> Marks:
+def _marks(places: InstrumentPlace, seen: Views) -> Marks:
     return jax.vmap(lambda one: marks_of(one, seen, points=_POINTS))(places)
 
 
@@ -223,7 +223,7 @@ class Trial(NamedTuple):
     wall: str
     c: float
     scene: Scene
-    places: list[Place]
+    places: list[InstrumentPlace]
     seen: Views
 
     @property
@@ -234,8 +234,8 @@ class Trial(NamedTuple):
     def row(
         self,
         sensor: Sensor,
-        one: Place,
-        outcome: Outcome,
+        one: InstrumentPlace,
+        outcome: ReadingOutcome,
         d: float = math.nan,
         off: float = math.nan,
     ) -> tuple[Any, ...]:
@@ -288,13 +288,13 @@ def by_pictures(
     readings, kept = [], {}
     with progress("Photographing", total=sum(len(trial.places) for trial in every)) as advance:
         for trial in every:
-            places = Place(*map(np.stack, zip(*trial.places, strict=True)))
+            places = InstrumentPlace(*map(np.stack, zip(*trial.places, strict=True)))
             in_view = outcomes_at(places, trial.seen)
             for k, one in enumerate(trial.places):
                 taken = sensor_views.pictures(trial.scene, one, trial.seen)
                 for sensor, measure in ((Sensor.SHADOW, _shadow), (Sensor.STEREO, _stereo)):
                     outcome = in_view[sensor][k]
-                    done = measure(one, taken) if outcome == Outcome.READ else (outcome,)
+                    done = measure(one, taken) if outcome == ReadingOutcome.READ else (outcome,)
                     readings.append(trial.row(sensor, one, *done))
                 if trial.wall == every[0].wall and trial.c == every[0].c:
                     kept[trial.path, float(one.distance)] = taken
@@ -328,18 +328,18 @@ def _withdrawal(trial: Trial) -> Scene:
     )
 
 
-def _known(one: Place, seen: Views) -> Known:
+def _known(one: InstrumentPlace, seen: Views) -> Known:
     return Known(seen, jnp.asarray(RADIUS_MM), jnp.asarray(one.lamp), jnp.asarray(one.axis))
 
 
-Read = tuple[Outcome] | tuple[Outcome, float, float]
+Read = tuple[ReadingOutcome] | tuple[ReadingOutcome, float, float]
 """What became of a reading; the distance, mm, and the error of its marks, px."""
 
 
-def _spot(one: Place, seen: Views, row: Any) -> Read:
+def _spot(one: InstrumentPlace, seen: Views, row: Any) -> Read:
     """The reading of a row of `spots_of`."""
     if not row.used:
-        return (Outcome.HIDDEN if row.result else Outcome.NO_SPOT,)
+        return (ReadingOutcome.HIDDEN if row.result else ReadingOutcome.NO_SPOT,)
     centre = centred(seen.centre, one.spot)
     ellipse = optics.Ellipse(
         centre=jnp.array([row.x_px, row.y_px]),
@@ -348,10 +348,10 @@ def _spot(one: Place, seen: Views, row: Any) -> Read:
         angle=jnp.asarray(row.angle_rad),
     )
     distance = float(by_spot(ellipse, _known(one, seen._replace(centre=centre))))
-    return Outcome.READ, distance, abs(row.semi_minor_px - row.half_max_semi_minor_px)
+    return ReadingOutcome.READ, distance, abs(row.semi_minor_px - row.half_max_semi_minor_px)
 
 
-def _shadow(one: Place, taken: Pictures) -> Read:
+def _shadow(one: InstrumentPlace, taken: Pictures) -> Read:
     camera, image = taken.seen.centre, sensor_views.grey(taken.centre)
     tip = sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
     shadow = sensor_views.found_shift(image, sensor_views.shadow_outline(one, camera), dark=True)
@@ -361,14 +361,14 @@ def _shadow(one: Place, taken: Pictures) -> Read:
         _known(one, taken.seen),
     )
     off = max(np.linalg.norm(shift) for shift in (tip, shadow))
-    return Outcome.READ, float(distance), float(off)
+    return ReadingOutcome.READ, float(distance), float(off)
 
 
-def _stereo(one: Place, taken: Pictures) -> Read:
+def _stereo(one: InstrumentPlace, taken: Pictures) -> Read:
     images = [sensor_views.grey(photograph) for photograph in (taken.left, taken.right)]
     height = sensor_views.wall_height(images[0], images[1], one, taken.seen)
     if height is None:
-        return (Outcome.NO_TEXTURE,)
+        return (ReadingOutcome.NO_TEXTURE,)
     pair = [taken.seen.left, taken.seen.right]
     shifts = [
         sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
@@ -378,7 +378,7 @@ def _stereo(one: Place, taken: Pictures) -> Read:
     (tip,) = sensor_views.in_space(jnp.stack(places)[:, None], taken.seen)
     wall = optics.Sphere(RADIUS_MM - height)
     distance = float(sensor_views.distance_along(wall, tip, _known(one, taken.seen)))
-    return Outcome.READ, distance, max(float(np.linalg.norm(shift)) for shift in shifts)
+    return ReadingOutcome.READ, distance, max(float(np.linalg.norm(shift)) for shift in shifts)
 
 
 def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
@@ -418,7 +418,7 @@ class SensorFindings:
 
     def sigma(self, sensor: Sensor, path: str) -> pd.Series:
         """Standard deviations of the places that the sensor can read, mm."""
-        return where(self.expected, sensor=sensor, path=path, outcome=Outcome.READ).sigma_mm
+        return where(self.expected, sensor=sensor, path=path, outcome=ReadingOutcome.READ).sigma_mm
 
     def bias(self, sensor: Sensor, path: str, wrong: Wrong) -> pd.Series:
         """Errors under one wrong assumption at the places that the sensor can read, mm."""
@@ -426,7 +426,7 @@ class SensorFindings:
 
     def summaries(self) -> pd.DataFrame:
         """The readings by sensor, path and wall."""
-        read = self.readings.error_mm.abs().where(self.readings.outcome == Outcome.READ)
+        read = self.readings.error_mm.abs().where(self.readings.outcome == ReadingOutcome.READ)
         by = read.groupby([self.readings[key] for key in ("sensor", "path", "wall")], sort=False)
         found = by.agg(asked="size", read="count", median_mm="median", largest_mm="max")
         return found.reset_index()
@@ -472,7 +472,7 @@ def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> F
 
 def reading_figure(findings: SensorFindings) -> Figure:
     """|Error| of the rendered readings against distance: rows of paths, columns of walls."""
-    read = where(findings.readings, outcome=Outcome.READ)
+    read = where(findings.readings, outcome=ReadingOutcome.READ)
 
     def draw(axes: Axes, path: str, wall: str) -> None:
         for sensor, colour in _COLOURS.items():
@@ -602,7 +602,7 @@ _METHODS = (
 
 
 def _answer(findings: SensorFindings) -> str:
-    rows = where(findings.readings, outcome=Outcome.READ)
+    rows = where(findings.readings, outcome=ReadingOutcome.READ)
     sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
     listed = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
     return f"In rendered pictures the median error of a distance is {listed}."
@@ -638,7 +638,7 @@ def _claims(findings: SensorFindings) -> Iterator[Claim]:
     )
     for sensor in Sensor:
         rows = where(findings.readings, sensor=sensor)
-        done = where(rows, outcome=Outcome.READ).error_mm.abs()
+        done = where(rows, outcome=ReadingOutcome.READ).error_mm.abs()
         yield Claim(
             name=f"rendered, {sensor}",
             sentence=f"From rendered pictures the {sensor} was read at {len(done)} of {len(rows)} "

@@ -18,7 +18,7 @@ from benchmarks.rivals.learned.network import (
     WEIGHTS,
     Guess,
     LearnedEstimator,
-    Window,
+    PixelSquare,
     blob_in,
     covariance_of,
     cut,
@@ -47,7 +47,7 @@ def test_the_numbers_of_a_window_mean_the_ellipse_that_they_were_made_of() -> No
         }
         labels = labels_of(0, **{f"half_max_{name}": value for name, value in known.items()})
         guess = Guess(known["x_px"] + rng.normal(0, 5), known["y_px"] - 3, b * 1.2)
-        window = Window.around(guess)
+        window = PixelSquare.around(guess)
         found = ellipse_of(targets_of(labels, window), window)
         assert np.allclose(found, list(known.values()), rtol=1e-9)  # rounding
 
@@ -55,7 +55,7 @@ def test_the_numbers_of_a_window_mean_the_ellipse_that_they_were_made_of() -> No
 def test_the_covariance_is_that_of_the_ellipses_slopes() -> None:
     numbers = np.array([0.1, -0.2, 0.05, 0.2, 0.15, 0.0])
     sigmas = np.array([0.01, 0.02, 0.005, 0.004, 0.006, 0.1])
-    window, step = Window(100, 50, 240), 1e-5
+    window, step = PixelSquare(100, 50, 240), 1e-5
     slopes = np.empty((5, 5))
     for k in range(5):
         up, down = numbers.copy(), numbers.copy()
@@ -73,7 +73,7 @@ def test_a_window_shows_its_cells_where_it_says_that_they_are(x: float, y: float
     v, u = np.mgrid[0:480, 0:640].astype(float)
     bell = np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 6.0**2))
     image = np.repeat((255 * bell).astype(np.uint8)[..., None], 3, axis=2)
-    window = Window.around(Guess(x + 7, y - 4, 60.0))
+    window = PixelSquare.around(Guess(x + 7, y - 4, 60.0))
     light = cut(image, window)[0] ** 2
     # A border that is repeated has light of its own where it cuts the bell.
     inside = np.arange(CELLS) * window.side / CELLS

@@ -22,7 +22,7 @@ from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score import spots as spots_of_set
 from benchmarks.sets.score.judging import Score, images_of, score, with_derived
 from benchmarks.sets.score.pages import leaderboard, tables
-from benchmarks.sets.score.spots import Entry, read_set_spots
+from benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
 from estimator import Source, track_whole_source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call
@@ -257,7 +257,7 @@ def test_names_with_markup_are_shown_as_they_are() -> None:
     result = score(images, {name: records}, against="half_max")
     printed = "".join(table.to_string() for table in tables(result).values())
     assert all(text in printed for text in (name, medium, exposure))
-    picture, *_ = leaderboard(result, {name: Entry(name=name)}, name="set").first
+    picture, *_ = leaderboard(result, {name: ScoredEstimator(name=name)}, name="set").first
     assert isinstance(picture, Picture)
     figure = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines

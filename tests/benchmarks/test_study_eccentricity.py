@@ -24,7 +24,7 @@ from benchmarks.paper import coalitions, shapley_values
 from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
 from benchmarks.studies import eccentricity, error_causes
 from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
-from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, Eye, Links, Shift
+from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye, Links, Shift
 from benchmarks.study import Study
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -49,7 +49,7 @@ def geometry(*, z_f: float, incidence_deg: float = 0.0) -> Geometry:
     )
 
 
-def eyes(**columns: object) -> Eye:
+def eyes(**columns: object) -> CauseEye:
     """Eyes that differ in the given fields, one array each."""
     shared = error_causes.eyes(geometry(z_f=200.0, incidence_deg=30.0), c=np.full(5, 4.0))
     return shared._replace(**{name: jnp.asarray(values) for name, values in columns.items()})
@@ -88,10 +88,12 @@ def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inve
         "eccentricity": rng.uniform(0.0, 8.0, n),
     }
     columns["apex_offset"] = -0.256 / np.tan(columns["half_angle"])
-    eye = Eye(**{k: jnp.asarray(v) for k, v in {"scale": np.full(n, SCALE), **columns}.items()})
+    eye = CauseEye(
+        **{k: jnp.asarray(v) for k, v in {"scale": np.full(n, SCALE), **columns}.items()}
+    )
     d = jnp.asarray(rng.uniform(0.5, 6.0, n))
 
-    def exact(eye: Eye, d: jax.Array) -> jax.Array:
+    def exact(eye: CauseEye, d: jax.Array) -> jax.Array:
         camera = optics.microscope(
             scale=eye.scale,
             pinhole_height=1 / eye.inverse_working_distance - eye.radius,
@@ -110,7 +112,7 @@ def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inve
 
     @jax.jit
     @jax.vmap
-    def both(eye: Eye, d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+    def both(eye: CauseEye, d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         seen = exact(eye, d)
         return seen, error_causes.semi_minor(eye, d), error_causes.inverse(eye, seen)
 

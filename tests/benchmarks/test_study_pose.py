@@ -14,7 +14,7 @@ import scenes
 from benchmarks.paper import rms
 from benchmarks.reporting import where
 from benchmarks.studies import pose
-from benchmarks.studies.pose import Prior, one_spot, scatter, three_spots
+from benchmarks.studies.pose import AxisPrior, one_spot, scatter, three_spots
 from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -113,7 +113,7 @@ def rows() -> pd.DataFrame:
 
 
 def test_one_spots_errors_are_those_of_the_bound(rows):
-    for prior in (Prior.ROUGH, Prior.KNOWN):
+    for prior in (AxisPrior.ROUGH, AxisPrior.KNOWN):
         right = rows[(rows.prior == prior) & ~rows.mirrored]
         ratios = (right.tip_error_mm / right.tip_bound_mm) ** 2
         # A square of one to three normal numbers: the mean of 30 has a standard deviation of 0.26
@@ -122,7 +122,7 @@ def test_one_spots_errors_are_those_of_the_bound(rows):
 
 
 def test_a_mirrored_solution_has_another_tip_but_the_same_distance(rows):
-    mirrored = rows[(rows.prior == Prior.NONE) & rows.mirrored]
+    mirrored = rows[(rows.prior == AxisPrior.NONE) & rows.mirrored]
     assert len(mirrored)
     for row in mirrored.itertuples():
         # Leaning the other way moves the tip by 2 d sin(incidence), give or take the sphere.
@@ -195,10 +195,10 @@ def test_a_scene_whose_spots_have_no_such_pose_is_refused(tmp_path, changes, mes
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
     errors = pose.pose(out=tmp_path / "run", quick=True)
     assert set(errors.spots[errors.source == "rendered"]) == {1, 3}
-    found = scatter(where(errors, source="rendered", spots=1, prior=Prior.ROUGH))
+    found = scatter(where(errors, source="rendered", spots=1, prior=AxisPrior.ROUGH))
     assert found.tip_mm < 0.010
     assert found.axis_deg < 0.1
-    known = errors[(errors.source == "rendered") & (errors.prior == Prior.KNOWN)]
+    known = errors[(errors.source == "rendered") & (errors.prior == AxisPrior.KNOWN)]
     assert rms(known.distance_error_mm) < 0.005
     for name in ("report.html", "pose_error.csv", "figures/incidence.png"):
         assert (tmp_path / "run" / name).stat().st_size > 0

@@ -14,8 +14,8 @@ from benchmarks.studies.sensor_views import (
     PINHOLE_HEIGHT_MM,
     RADIUS_MM,
     SCALE_MM_PX,
-    Outcome,
-    Place,
+    InstrumentPlace,
+    ReadingOutcome,
     Sensor,
     Wrong,
     outcomes_at,
@@ -53,7 +53,9 @@ def test_each_sensor_reads_the_distance_of_exact_marks(pinholes):
 
 def above_the_pole(height, lamp):
     """A vertical instrument above the pole."""
-    return Place(np.zeros(()), np.asarray(height), POLE - height * DOWN, DOWN, POLE, lamp, DOWN)
+    return InstrumentPlace(
+        np.zeros(()), np.asarray(height), POLE - height * DOWN, DOWN, POLE, lamp, DOWN
+    )
 
 
 def test_a_stereo_error_is_the_disparitys_times_distance_over_base(pinholes):
@@ -81,7 +83,7 @@ def test_a_shadows_error_is_that_of_a_lamp_over_a_plane(pinholes):
     lamp = POLE + np.array([x, 0.0, up])
     height = 3.0
     tip = POLE + height / up * (lamp - POLE)
-    one = Place(np.zeros(()), np.asarray(height), tip, DOWN, POLE, lamp, DOWN)
+    one = InstrumentPlace(np.zeros(()), np.asarray(height), tip, DOWN, POLE, lamp, DOWN)
     true = sensor_views.marks_of(one, pinholes, points=32)
     np.testing.assert_allclose(true.shadow, pinholes.centre.project(POLE), atol=1e-9)
     given = known(pinholes, one)
@@ -97,10 +99,10 @@ def test_a_shadows_error_is_that_of_a_lamp_over_a_plane(pinholes):
 
 def test_the_instrument_hides_the_shadow_of_a_tip_near_the_wall(pinholes):
     near, far = (place(eccentricity=0.0, distance=d) for d in (0.3, 3.0))
-    found = outcomes_at(Place(*map(np.stack, zip(near, far, strict=True))), pinholes)
+    found = outcomes_at(InstrumentPlace(*map(np.stack, zip(near, far, strict=True))), pinholes)
     # The instrument is 0.255 mm thick, and the shadow 0.15 mm beside the tip at d = 0.3 mm.
-    assert found[Sensor.SHADOW] == [Outcome.HIDDEN, Outcome.READ]
-    assert found[Sensor.STEREO] == [Outcome.READ, Outcome.READ]
+    assert found[Sensor.SHADOW] == [ReadingOutcome.HIDDEN, ReadingOutcome.READ]
+    assert found[Sensor.STEREO] == [ReadingOutcome.READ, ReadingOutcome.READ]
 
 
 def bar(shift, *, inside, shape=(200, 240)):
@@ -146,5 +148,5 @@ def test_a_quick_study_finds_the_spot_best_and_stereo_last(tmp_path):
     wrong = {s: findings.bias(s, path, Wrong.PATH).abs().max() for s in Sensor}
     assert wrong[Sensor.SHADOW] < wrong[Sensor.SPOT] < wrong[Sensor.STEREO]
     read = findings.readings[findings.readings.sensor == Sensor.SPOT]
-    assert (read.outcome == Outcome.READ).all()
+    assert (read.outcome == ReadingOutcome.READ).all()
     assert read.error_mm.abs().max() < 0.02

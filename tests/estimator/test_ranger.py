@@ -440,7 +440,10 @@ def test_closed_forms_load_no_jax():
     code = """
 import sys
 import numpy as np
-from estimator import Calibration, MicroscopeFile, Ranger, Spot
+from estimator import Ranger
+from formats.calibration import Calibration
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
 calibration = Calibration(model="planar", values={"k": 20.0, "b": -5.0}, covariance=np.eye(2),
     medium="air", medium_index=1.0, fitted_on="", data_sha256="0" * 64, software="")
 microscope = MicroscopeFile(width_px=640, height_px=480, camera_matrix=None,

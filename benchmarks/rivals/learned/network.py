@@ -47,7 +47,7 @@ class Guess(NamedTuple):
     radius: float
 
 
-class Window(NamedTuple):
+class PixelSquare(NamedTuple):
     """A square of whole pixels: its left and upper edges and its side, px."""
 
     left: int
@@ -55,7 +55,7 @@ class Window(NamedTuple):
     side: int
 
     @classmethod
-    def around(cls, guess: Guess) -> Window:
+    def around(cls, guess: Guess) -> PixelSquare:
         """The window for a spot of this place and mean radius."""
         half = max(REACH * guess.radius, _LEAST_HALF_PX)
         left, top = (round(at + 0.5 - half) for at in (guess.x, guess.y))
@@ -90,7 +90,7 @@ def blob_in(image: np.ndarray) -> Guess | None:
     return Guess((x + 0.5) * per_x - 0.5, (y + 0.5) * per_y - 0.5, float(np.sqrt(area / np.pi)))
 
 
-def cut(image: np.ndarray, window: Window) -> Float[np.ndarray, "3 64 64"]:
+def cut(image: np.ndarray, window: PixelSquare) -> Float[np.ndarray, "3 64 64"]:
     """Pixels of a window: square roots of the grey values, where noise is even, from 0 to 1.
 
     What lies outside of the frame repeats its border. A grey frame counts as three equal channels.
@@ -121,7 +121,7 @@ PLACES = 4
 _FIELD_MM, _HEIGHT_MM = 3.0, 200.0  # bring the place to the order of 1
 
 
-def targets_of(labels: FrameLabels, window: Window) -> Float[np.ndarray, "6"]:
+def targets_of(labels: FrameLabels, window: PixelSquare) -> Float[np.ndarray, "6"]:
     """The true numbers of a window."""
     a, b = labels.half_max_semi_major_px, labels.half_max_semi_minor_px
     x, y = window.centre
@@ -138,7 +138,7 @@ def targets_of(labels: FrameLabels, window: Window) -> Float[np.ndarray, "6"]:
     )
 
 
-def place_of(window: Window, microscope: MicroscopeFile) -> Float[np.ndarray, "4"]:
+def place_of(window: PixelSquare, microscope: MicroscopeFile) -> Float[np.ndarray, "4"]:
     """Where and how large a window is on the retina, and how high the pinhole is."""
     scale = microscope.scale_mm_px
     u, v = microscope.principal_point_px
@@ -153,7 +153,7 @@ def place_of(window: Window, microscope: MicroscopeFile) -> Float[np.ndarray, "4
     )
 
 
-def ellipse_of(numbers: np.ndarray, window: Window) -> np.ndarray:
+def ellipse_of(numbers: np.ndarray, window: PixelSquare) -> np.ndarray:
     """(x, y, semi-major, semi-minor, angle) in px and rad, of the first five numbers."""
     x, y = window.centre
     radius = window.half / REACH * math.exp(numbers[2])
@@ -171,7 +171,7 @@ def ellipse_of(numbers: np.ndarray, window: Window) -> np.ndarray:
 
 
 def covariance_of(
-    numbers: np.ndarray, sigmas: np.ndarray, window: Window
+    numbers: np.ndarray, sigmas: np.ndarray, window: PixelSquare
 ) -> Float[np.ndarray, "5 5"]:
     """Covariance of `ellipse_of`, px and rad, from independent errors of the numbers."""
     _, _, a, b, _ = ellipse_of(numbers, window)
@@ -376,7 +376,7 @@ class LearnedEstimator:
         return None if unseen else said
 
     def _said(self, image: np.ndarray, guess: Guess, microscope: MicroscopeFile) -> Learned:
-        window = Window.around(guess)
+        window = PixelSquare.around(guess)
         seen = evened(cut(image, window)).astype(np.float32)
         place = place_of(window, microscope).astype(np.float32)
         mean, log_sigma, presence = map(np.asarray, _forward(self._network, seen, place))

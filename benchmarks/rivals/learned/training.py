@@ -32,9 +32,9 @@ from benchmarks.rivals.learned.network import (
     SCALED,
     Guess,
     LearnedEstimator,
+    PixelSquare,
     SpotNetwork,
     Trust,
-    Window,
     blob_in,
     cut,
     evened,
@@ -78,7 +78,7 @@ class Epoch(NamedTuple):
     presence: float
 
 
-class _State(NamedTuple):
+class _TrainingState(NamedTuple):
     network: SpotNetwork
     optimiser: Any
     epoch: jax.Array
@@ -121,7 +121,7 @@ def train(
             for batch in _batches(samples, epoch, seed):
                 network, optimiser, lost = step(network, optimiser, batch)
                 losses.append(lost)
-            state = _State(network, optimiser, jnp.asarray(epoch + 1))
+            state = _TrainingState(network, optimiser, jnp.asarray(epoch + 1))
             curve.append(Epoch(epoch + 1, float(np.mean(losses)), *_judged(network, validation)))
             with written_whole(out / CURVE, replace=True) as partial:
                 pd.DataFrame(curve).to_csv(partial, index=False, lineterminator="\n")
@@ -144,10 +144,10 @@ def _rule(steps: int) -> Any:
     return optax.chain(optax.clip_by_global_norm(_STEEPEST), optax.adamw(rate, weight_decay=_DECAY))
 
 
-def _state(out: Path, rule: Any, seed: int) -> _State:
+def _state(out: Path, rule: Any, seed: int) -> _TrainingState:
     """The state after the last epoch, or that before the first one."""
     network = SpotNetwork(key=jax.random.key(seed))
-    state = _State(network, rule.init(eqx.filter(network, eqx.is_array)), jnp.asarray(0))
+    state = _TrainingState(network, rule.init(eqx.filter(network, eqx.is_array)), jnp.asarray(0))
     kept = out / _KEPT
     return eqx.tree_deserialise_leaves(kept, state) if kept.is_file() else state
 
@@ -256,7 +256,7 @@ def samples_of(
     return made
 
 
-def _windows(image: np.ndarray, labels: FrameLabels, rng: np.random.Generator) -> list[Window]:
+def _windows(image: np.ndarray, labels: FrameLabels, rng: np.random.Generator) -> list[PixelSquare]:
     radius = float(np.sqrt(labels.half_max_semi_major_px * labels.half_max_semi_minor_px))
     truth = Guess(labels.half_max_x_px, labels.half_max_y_px, radius)
     blob = blob_in(image)
@@ -265,7 +265,7 @@ def _windows(image: np.ndarray, labels: FrameLabels, rng: np.random.Generator) -
     first = blob if blob is not None and near else truth
     around = [first] * _FIRST + [truth] * (WINDOWS - _FIRST)
     moved = [_moved(guess, by, rng) for guess, by in zip(around, _MOVED, strict=True)]
-    return [Window.around(guess) for guess in (*moved, _elsewhere(image, truth, rng))]
+    return [PixelSquare.around(guess) for guess in (*moved, _elsewhere(image, truth, rng))]
 
 
 def _moved(guess: Guess, by: float, rng: np.random.Generator) -> Guess:
@@ -280,7 +280,7 @@ def _elsewhere(image: np.ndarray, truth: Guess, rng: np.random.Generator) -> Gue
     for _ in range(_TRIES):
         radius = float(np.exp(rng.uniform(*np.log(_ELSEWHERE))))
         guess = Guess(rng.uniform(0, width), rng.uniform(0, height), radius)
-        half = Window.around(guess).half
+        half = PixelSquare.around(guess).half
         if max(abs(guess.x - truth.x), abs(guess.y - truth.y)) > half + truth.radius / 2:
             return guess
     return far

@@ -45,7 +45,7 @@ from benchmarks.sets.score.judging import (
     standings,
 )
 from benchmarks.sets.score.spots import (
-    Entry,
+    ScoredEstimator,
     entries_in,
     entry_of,
     read_set_spots,
@@ -162,7 +162,7 @@ _SHOWN = {
 }
 
 
-def leaderboard(result: Score, entries: Mapping[str, Entry], *, name: str) -> Report:
+def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: str) -> Report:
     """The report of a leaderboard.
 
     Raises:
@@ -393,13 +393,13 @@ def run(
 
 def _scored(
     folder: Path,
-    given: Sequence[Entry],
+    given: Sequence[ScoredEstimator],
     modes: Sequence[Mode],
     beam: Calibration | None,
     unrelated: bool,
     against: Against,
     split: str | None,
-) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, Entry]]:
+) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, ScoredEstimator]]:
     """Measure and score; returns also the measured spots by mode, and all entries."""
     stacks = stacks_of(folder)
     chosen = [entry for entry in stacks if split in (None, entry.split)]
@@ -423,7 +423,7 @@ def _scored(
             )
             passed = time.perf_counter() - begin
             spots[mode] = {record.file_name: record for record in measured[mode]}
-            found[mode] = Entry(
+            found[mode] = ScoredEstimator(
                 name=mode,
                 command=f"eyespot score {_named(folder)} --mode {mode}",
                 versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),

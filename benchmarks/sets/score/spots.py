@@ -307,7 +307,7 @@ _Text = Annotated[str, Field(max_length=1000)]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Entry:
+class ScoredEstimator:
     """An estimator whose spots are scored.
 
     Attributes:
@@ -338,7 +338,7 @@ class _About(Strict):
     ms_per_frame: Annotated[float, Field(ge=0.0)] | None = None
 
 
-def entry_of(spots: Path) -> Entry:
+def entry_of(spots: Path) -> ScoredEstimator:
     """The entry of a spots file or folder; a folder's entry.json may describe it.
 
     Raises:
@@ -347,13 +347,13 @@ def entry_of(spots: Path) -> Entry:
     name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
     file = spots / _ABOUT
     if not file.is_file():
-        return Entry(name=name, spots=spots)
+        return ScoredEstimator(name=name, spots=spots)
     with in_file(file):
         about = validated(_About, object_in(read_text(file)), remedy="See docs/leaderboard.md.")
     versions = about.versions
     if not isinstance(versions, str):
         versions = ", ".join(f"{package} {version}" for package, version in versions.items())
-    return Entry(
+    return ScoredEstimator(
         name=about.name or name,
         spots=spots,
         command=about.command,
@@ -363,7 +363,7 @@ def entry_of(spots: Path) -> Entry:
     )
 
 
-def entries_in(folder: Path) -> list[Entry]:
+def entries_in(folder: Path) -> list[ScoredEstimator]:
     """The entries in a folder, by name: each a folder, or a spots file.
 
     Raises:
