@@ -1,8 +1,8 @@
 """`eyespot study loop`: what distance can a robot keep with this sensor?
 
 DIR/loop.csv     distance and reading of every run, at the robot's ticks
-    runs.csv     error of each run: RMS, 95 %, largest, nearest to the wall
-    film.mp4     what the microscope saw in one run
+    runs.csv     error of each run: RMS, 95 %, largest; nearest and farthest distance
+    film.mp4     what the microscope saw in one run, by the mode pixels
     start/       one frame of the scene, with the files that a reader needs
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -22,11 +22,11 @@ from scipy.linalg import expm
 
 import scenes
 from benchmarks.paper import largest, rms
-from benchmarks.reporting import GREY, Claim, Column, Picture, Report, Table, small_multiples
+from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, small_multiples
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from estimator import Frame
 from estimator.run.offline import record_of
-from estimator.run.overlay import overlay_writer
+from estimator.run.overlay import annotated, overlay_writer
 from formats.camera import Response
 from formats.poses import Pose, PoseTrack
 from formats.spots import SpotRecord
@@ -34,18 +34,15 @@ from scenes import LiveCamera, Scene, World
 
 # The question: an arm through a trocar, a path along the wall, a camera with a delay.
 
-TICK_S = 0.005
-"""Of the arm's joints: 200 Hz, as SHER's."""
+TICK_S = 0.005  # of the arm's joints: 200 Hz, as SHER's
 LAG_S, TOP_SPEED_MM_S = 0.03, 5.0  # of a joint's velocity: assumptions
 SET_MM, SETTLED_S = 2.0, 0.5  # the distance to keep, and from when on it counts
 TROCAR_MM = 20.0  # from the spot to the remote centre, along the beam
 WAY_MM = 2.4  # longest path that the window shows
-SAFE_MM = 1.0
-"""Nearer, the arm withdraws whatever the controller says."""
+SAFE_MM = 1.0  # nearer, the arm withdraws whatever the controller says
 HALF_EXPOSURE_S = 0.005  # at most
 NOWHERE = np.array([0.0, 0.0, -1e3])  # a tip there lights nothing
-PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0
-"""How long the arm holds the distance without a reading, and how fast it then withdraws."""
+PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0  # for how long it holds without a reading; then its speed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,98 +208,96 @@ def perfect(course: Course, run: Run, seed: int) -> Read:
 
 # The tables.
 
+SENSORS = {"perfect sensor": "perfect", "sub-pixel": "subpixel", "pixels": "pixels"}
+VARIED = {  # name, unit, and values beside the usual one
+    "speed_mm_s": ("speed along the wall", "mm/s", (0.25, 0.5, 2.0)),
+    "rate_hz": ("frame rate", "Hz", (10.0, 60.0)),
+    "latency_s": ("latency", "s", (0.02, 0.2)),
+}
+
 
 def runs(*, quick: bool) -> dict[str, Run]:
     """The runs by name: one thing at a time, from a usual one."""
     usual = Run(sensor="subpixel")
-    table = {
-        "perfect sensor": replace(usual, sensor="perfect"),
-        "sub-pixel": usual,
-        "pixels": replace(usual, sensor="pixels"),
+    table = {name: replace(usual, sensor=sensor) for name, sensor in SENSORS.items()} | {
         "literal": replace(usual, sensor="literal"),
         "sub-pixel, camera only": replace(usual, poses=False),
-        "sub-pixel, dark 0.2 s": replace(usual, dark_s=(1.0, 1.2)),
-        "sub-pixel, dark 0.6 s": replace(usual, dark_s=(0.6, 1.2)),
+        "dark for 0.2 s": replace(usual, dark_s=(1.0, 1.2)),
+        "dark for 0.6 s": replace(usual, dark_s=(0.6, 1.2)),
     }
-    if not quick:
-        others = {"speed_mm_s": (0.25, 0.5, 2.0), "rate_hz": (10.0, 60.0), "latency_s": (0.02, 0.2)}
-        every = [(key, value) for key, values in others.items() for value in values]
-        for sensor, (key, value) in itertools.product(("perfect", "subpixel", "pixels"), every):
-            changes: dict[str, Any] = {"sensor": sensor, key: value}
-            table[f"{sensor}, {key} {value:g}"] = replace(usual, **changes)
+    for name, (key, (label, unit, values)) in itertools.product(SENSORS, VARIED.items()):
+        for value in () if quick else values:
+            changes: dict[str, Any] = {key: value}
+            table[f"{name}, {label} {value:g} {unit}"] = replace(table[name], **changes)
     return table
 
 
-SUMMARY = {
+COLUMNS = {
     "run": Column("run"),
     "rms_mm": Column("error, RMS, mm"),
     "p95_mm": Column("95 %, mm"),
     "largest_mm": Column("largest, mm"),
     "nearest_mm": Column("nearest to the wall, mm", 2),
+    "farthest_mm": Column("farthest, mm", 2),
 }
-
-
-def summary(name: str, run: Run, rows: pd.DataFrame) -> dict[str, Any]:
-    """A row of runs.csv: errors after the start, while the controller keeps the distance."""
-    kept = rows[(rows.time_s > SETTLED_S) & ~rows.lost & ~rows.near]
-    error = (kept.d_mm - SET_MM).abs()
-    return {"run": name, **asdict(run)} | {
-        "rms_mm": rms(error),
-        "p95_mm": error.quantile(0.95),
-        "largest_mm": largest(error),
-        "nearest_mm": rows.d_mm.min(),
-    }
-
 
 # The page.
 
 
-def _report(errors: pd.DataFrame, rows: pd.DataFrame) -> Report:
+def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Report:
     by_run = errors.set_index("run")
+    inks = {name: f"C{k}" for k, name in enumerate(by_run.index)}
+
+    def draw_film(axes: Axes, *_: str) -> None:
+        axes.imshow(film)
+        axes.axis("off")
 
     def draw(axes: Axes, _: str, shown: str) -> None:
-        for name, mine in rows.groupby("run", sort=False):
-            if "_" not in str(name) and ("dark" in str(name)) == ("dark" in shown):
-                axes.plot(mine.time_s, mine.d_mm, label=name)
-        axes.axhline(SET_MM, color=GREY, lw=0.8)
+        for name, mine in itertools.islice(rows.groupby("run", sort=False), 7):
+            if ("dark" in name) == ("dark" in shown):
+                axes.plot(mine.time_s, mine.d_mm, color=inks[name], label=name)
 
+    def draw_errors(axes: Axes, _: str, key: str) -> None:
+        for name in SENSORS:
+            varied = by_run.index.str.startswith(f"{name}, {VARIED[key][0]}")
+            mine = by_run[varied | (by_run.index == name)].sort_values(key)
+            axes.loglog(mine[key], mine.rms_mm, "o-", color=inks[name], label=f"{name}, RMS")
+            axes.loglog(mine[key], mine.largest_mm, "o:", color=inks[name], label="largest")
+
+    common = {"rows": [""], "sharey": True}
+    strip = small_multiples(draw_film, columns=[""], x="", y="", legend_columns=0, **common)
     panels, x, y = ["sensors", "dark fibre"], "time (s)", "distance (mm)"
-    figure = small_multiples(draw, rows=[""], columns=panels, x=x, y=y, sharey=True)
+    kept = small_multiples(draw, columns=panels, x=x, y=y, **common)
+    labels = {key: f"{name} ({unit})" for key, (name, unit, _) in VARIED.items()}
+    panels, x, y = list(labels), labels.__getitem__, "error of the distance (mm)"
+    depends = small_multiples(draw_errors, columns=panels, x=x, y=y, **common)
+    alone = Picture("errors", depends, "One thing is changed at a time.", "runs.csv")
+    speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]
+    error = (
+        "The distance is kept to {value:.3f} mm (RMS). On a phantom 0.1 mm was published in 2021."
+    )
+    touch = int((by_run.nearest_mm <= 0).sum())
     return Report(
         title="What distance can a robot keep with this sensor?",
-        answer=f"At {by_run.speed_mm_s['sub-pixel']:g} mm/s along the wall, {SET_MM:g} mm are "
-        f"kept to {by_run.rms_mm['sub-pixel']:.3f} mm (RMS) by the outline, to "
-        f"{by_run.rms_mm['pixels']:.3f} mm by all pixels, and to "
-        f"{by_run.rms_mm['perfect sensor']:.3f} mm by a perfect sensor.",
+        answer=f"At {speed:g} mm/s along the wall, {SET_MM:g} mm are kept to {outline:.3f} mm "
+        f"(RMS) by the outline, to {pixels:.3f} mm by all pixels, to {paper:.3f} mm by the paper's "
+        f"estimator, and to {ideal:.3f} mm by a perfect sensor.",
         lead="An arm through a trocar follows a vessel on the wall. Every frame is rendered where "
         "the arm is, and read by the rig's reader.",
         first=[
-            Picture("distance", figure, "The distance in time, from 2.3 mm on.", data="loop.csv"),
-            Table.of(errors, SUMMARY, "Errors of the distance that is kept.", data="runs.csv"),
+            Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
+            Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
+            Table.of(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
         ],
-        claims=list(_claims(by_run)),
-        sections=[],
+        claims=[
+            Claim(name="contacts", sentence="{value} runs touch the wall.", value=touch, high=0),
+            Claim(name="sub-pixel", sentence=error, value=outline, high=0.1),
+            Claim(name="pixels", sentence=error, value=pixels, high=0.1),
+            Claim(name="literal", sentence=error, value=paper),
+        ],
+        sections=[Section("What the error depends on", alone)] if len(errors) > 7 else [],
         data={"runs.csv": errors, "loop.csv": rows},
     )
-
-
-def _claims(by_run: pd.DataFrame) -> Iterator[Claim]:
-    yield Claim(
-        name="contacts",
-        sentence="{value} of {runs} runs touch the wall; the nearest distance is {nearest:.2f} mm.",
-        value=int((by_run.nearest_mm <= 0).sum()),
-        high=0,
-        numbers={"runs": len(by_run), "nearest": by_run.nearest_mm.min()},
-    )
-    for sensor, most in (("sub-pixel", 0.1), ("pixels", 0.1), ("literal", math.inf)):
-        yield Claim(
-            name=sensor,
-            sentence="The distance is kept to {value:.3f} mm (RMS), by a perfect sensor to "
-            "{perfect:.3f} mm. On a phantom 0.1 mm was published in 2021.",
-            value=by_run.rms_mm[sensor],
-            high=most,
-            numbers={"perfect": by_run.rms_mm["perfect sensor"]},
-        )
 
 
 # The command.
@@ -321,29 +316,32 @@ def loop(
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    study = Study(
-        "loop",
-        out=out,
-        scene=scene,
-        changes=changes,
-        quick=quick,
-        seed=seed,
-        defaults=("source.kind=cone", "source.power_mw=5"),
-    )
+    defaults = "source.kind=cone", "source.power_mw=5"
+    study = Study("loop", out, scene, changes, quick, seed, defaults)
     errors, every, eye, film = [], [], Eye(study), study.folder / "film.mp4"
     with study.timed("runs"):
         for name, run in runs(quick=quick).items():
             seconds = min(1.5 if quick else 4.0, WAY_MM / run.speed_mm_s)
             course = Course.of(study.scene, run, seconds)
-            ideal = perfect(course, run, study.seed)
-            read = ideal if run.sensor == "perfect" else eye.reads(run)
-            rows = simulated(run, course, read, seed=study.seed, begin_mm=SET_MM + 0.3)
-            errors.append(summary(name, run, rows))
+            seed = study.seed
+            read = perfect(course, run, seed) if run.sensor == "perfect" else eye.reads(run)
+            rows = simulated(run, course, read, seed=seed, begin_mm=SET_MM + 0.3)
             every.append(rows.assign(run=name))
+            settled = rows[rows.time_s > SETTLED_S]
+            error = (settled.d_mm - SET_MM).abs()[~settled.lost & ~settled.near]
+            found = (
+                rms(error),
+                error.quantile(0.95),
+                largest(error),
+                *settled.d_mm.agg(["min", "max"]),
+            )
+            errors.append(dict(zip(COLUMNS, (name, *found), strict=True)) | asdict(run))
             if name == "pixels":
                 film.unlink(missing_ok=True)
                 with overlay_writer(film, rate_hz=run.rate_hz, response=Response()) as draw:
                     for pair in eye.seen:
                         draw(*pair)
-    study.publish(_report, pd.DataFrame(errors), pd.concat(every, ignore_index=True))
+                shown = (eye.seen[k] for k in (0, len(eye.seen) // 2, -1))
+                strip = np.hstack([annotated(*pair, response=Response()) for pair in shown])
+    study.publish(_report, pd.DataFrame(errors), pd.concat(every, ignore_index=True), strip)
     return pd.DataFrame(errors)

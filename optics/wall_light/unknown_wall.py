@@ -2,10 +2,11 @@ r"""What one frame says of a distance, if nobody knows the wall: its Cramér-Rao
 
 The log light of cell i is $\log g + \log\rho_i + \log(E_i + A)$ plus noise. The log reflectance
 $\log\rho$ of the wall is a Gaussian process with the covariance K (`texture`), and it is eliminated
-exactly. The pose, the gain g and the ambient light A are free. With the derivatives J by these
-seven and the variances N of the camera's noise and of a model error,
+exactly. The pose, the gain g and the ambient light A are free, and so is the blur: nobody knows
+how far the microscope is out of focus. With the derivatives J by these eight, the variances N of
+the camera's noise and of a model error, and the precision P of what is known of the blur,
 
-$$ F = J^T (K + N)^{-1} J, \qquad \sigma_d^2 = (F^{-1})_{dd}. $$
+$$ F = J^T (K + N)^{-1} J + P, \qquad \sigma_d^2 = (F^{-1})_{dd}. $$
 """
 
 from __future__ import annotations
@@ -30,6 +31,9 @@ LENGTHS_MM, CONTRASTS = (0.08, 0.25, 1.0), (0.02, 0.05, 0.07)
 """Grain, vessels and shading of a wall: correlation lengths, and relative standard deviations."""
 MODEL_ERROR = 0.003
 """Relative error of a cell's light by the image model."""
+BLUR_PX2 = 2.0
+"""Standard deviation of the blur's variance: most images are nearly in focus."""
+_EDGE = 0.05  # width of the step by which cells count as lit, over the peak
 _WITHIN = 0.52  # mean distance of two points of a square, over its side
 _UNSEEN = 1e6  # variance of a cell that says nothing
 
@@ -129,8 +133,10 @@ def distance_sigmas(
     """
     by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
     everywhere = by_change @ jnp.asarray(ambient)
-    squares = jnp.square(jnp.arange(COUNT)[:, None] - jnp.arange(COUNT))
-    apart = jnp.add.outer(squares, squares).transpose(0, 2, 1, 3).reshape(COUNT**2, COUNT**2)
+    squares = jnp.square(jnp.arange(COUNT))
+    # Means over cells vary less than points do: even those of one cell are some way apart.
+    apart = jnp.sqrt(jnp.add.outer(squares, squares) + _WITHIN**2)
+    steps = jnp.abs(jnp.arange(COUNT)[:, None] - jnp.arange(COUNT))
 
     def sigma(spot: SpotCells) -> Float[Array, ""]:
         direct, *slopes = jnp.tensordot(by_change, spot.light, 1)
@@ -140,13 +146,33 @@ def distance_sigmas(
         share = direct / jnp.max(direct)
         used = spot.seen & (share > 0.25) & (share < 0.75) if outline else spot.seen
         noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2, _UNSEEN)
-        # Means over cells vary less than points do: even those of one cell are some way apart.
-        covariance = texture(spot.side_mm * jnp.sqrt(apart + _WITHIN**2)) + jnp.diag(noise)
-        states = jnp.stack([*(s / total for s in slopes), jnp.ones_like(total), everywhere / total])
+        alike = texture(spot.side_mm * apart)[steps[:, None, :, None], steps[:, None, :]]
+        covariance = alike.reshape(COUNT**2, COUNT**2) + jnp.diag(noise)
+        # A blur's variance acts as time does on heat: half of the second derivatives.
+        padded = jnp.pad(direct.reshape(COUNT, COUNT), 1, mode="edge")
+        bend = jnp.diff(padded[:, 1:-1], 2, axis=0) + jnp.diff(padded[1:-1], 2, axis=1)
+        by_blur = 0.5 * bend.ravel() / jnp.square(spot.side_px)
+        states = jnp.stack([*slopes, total, everywhere * jnp.ones_like(total), by_blur]) / total
         size = jnp.linalg.norm(states, axis=1)  # mm and rad would make F ill-conditioned
         root = jnp.linalg.cholesky(covariance)
         white = jax.scipy.linalg.solve_triangular(root, (states / size[:, None]).T, lower=True)
-        variance = jnp.linalg.inv(white.T @ white)[2, 2] / size[2] ** 2
+        prior = jnp.zeros(len(size)).at[-1].set(1 / (BLUR_PX2 * size[-1]) ** 2)
+        variance = jnp.linalg.inv(white.T @ white + jnp.diag(prior))[2, 2] / size[2] ** 2
         return jnp.where(variance > 0, jnp.sqrt(jnp.abs(variance)), jnp.inf)
 
     return jax.vmap(sigma)(spots)
+
+
+@jax.jit
+def lit_radii(spots: SpotCells, change: Float[ArrayLike, "parts-1"]) -> Float[Array, "n"]:
+    """Radii of circles as large as the spots above half of their peak, px; smooth in the beam.
+
+    Args:
+        spots: of n frames.
+        change: of the beam's own parameters.
+    """
+    by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
+    direct = jnp.einsum("p,npc->nc", by_change, spots.light[:, :, 0])
+    share = direct / jnp.max(direct, axis=1, keepdims=True)
+    lit = jnp.sum(jax.nn.sigmoid((share - 0.5) / _EDGE), axis=1)
+    return jnp.asarray(spots.side_px) * jnp.sqrt(lit / jnp.pi)

@@ -95,6 +95,6 @@ def test_the_course_keeps_its_speed_along_the_wall():
 @pytest.mark.slow
 def test_a_quick_run_keeps_the_distance_without_contact(tmp_path):
     errors = loop.loop(out=tmp_path / "run", quick=True).set_index("run")
-    assert not errors.contact.any()
+    assert errors.nearest_mm.min() > 0
     # The phantom of the paper's successor was kept to 0.1 mm.
     assert errors.rms_mm[["perfect sensor", "sub-pixel", "pixels"]].max() < 0.1
