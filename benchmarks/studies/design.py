@@ -121,7 +121,7 @@ class Search:
 
         def scored(place: np.ndarray) -> tuple[float, np.ndarray]:
             drop = dict(zip(LIMITS, (limits[0] + span * place).tolist(), strict=True))
-            light = self.light(drop, free=tuple(LIMITS), coarse=True)
+            light = self.light(drop, free=tuple(LIMITS))
             value, slope = self.score(light, **drop, way="gradient")
             return value, span * slope
 
@@ -193,7 +193,7 @@ LIGHTS_CAPTION = (
     "Irradiance: of the brightest place at the nearest distance. Photons: of 550 nm, from the "
     "core, for a frame at the farthest. This says nothing about safety."
 )
-DOSES = np.logspace(-6, 0, 13)  # over the one at which drops are sought
+DOSES = np.logspace(-5, 0, 11)  # over the one at which drops are sought
 PHOTONS_PER_MJ = 550e-9 / (6.62607015e-34 * 299792458.0) / 1e3  # at 550 nm
 OFF_BY = (-0.2, -0.05, 0.05, 0.2)
 
@@ -246,16 +246,17 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
     def draw(axes: Axes, _: str, column: str) -> None:
         table, x, _, y = shown[column]
         for light, mine in tables[table].groupby("light", sort=False):
-            axes.loglog(mine[x], 1e3 * mine[y], label=light)
+            axes.plot(mine[x], 1e3 * mine[y], label=light)
+        axes.set(yscale="log", xscale="log" if table == "dose" else "linear")
 
     x, y = (lambda column: shown[column][2]), "standard deviation of d (µm)"
-    figure = small_multiples(draw, rows=[""], columns=list(shown), x=x, y=y, sharey=True)
+    figure = small_multiples(draw, rows=[""], columns=list(shown), x=x, y=y)
     scores = tables["drops"].groupby("way").score
     optimum = Claim(
         name="optimum",
         sentence="The optimum's σ is {value:.2f} of that of the best of "
         f"{scores.size()['random']} random drops.",
-        value=math.exp(scores.min()["gradient"] - scores.min()["random"]),
+        value=math.exp(scores.min()["gradient"] - scores.min()["best random"]),
         high=1.0,
     )
     claims, blind = [optimum], tables.get("measured", pd.DataFrame({"lens": [], "mode": []}))
@@ -318,7 +319,7 @@ def design(
     defaults = "source.medium=vitreous", "microscope.height_px=600"
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
-    count, random, tried, starts, most = (4, 12, 8, 1, 12) if quick else (6, 500, 40, 3, 25)
+    count, random, tried, starts, most = (4, 12, 8, 1, 10) if quick else (6, 500, 40, 2, 20)
     search = Search(study.scene, count=count, goal=goal, dose=dose)
     # A quick run compiles the derivatives only; without them a drop takes half of the time.
     free = tuple(LIMITS) if quick else ()
@@ -327,9 +328,12 @@ def design(
         for numbers in rng.uniform(*asked, size=(random, len(LIMITS))).tolist():
             drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free, coarse=True), **drop, way="random")
-        begun = pd.DataFrame(search.rows[:tried]).nsmallest(starts, "score")
-        for start in begun[list(LIMITS)].to_numpy():
+        drawn = pd.DataFrame(search.rows)[[*LIMITS, "score"]]
+        for start in drawn[:tried].nsmallest(starts, "score")[list(LIMITS)].to_numpy():
             search.descend(start, asked, most=most)
+        # Coarse light is good for choosing; what is compared with the optimum is exact.
+        for drop in drawn.nsmallest(3, "score")[list(LIMITS)].to_dict("records"):
+            search.score(search.light(drop, free=free), **drop, way="best random")
     drops = pd.DataFrame(search.rows)
     best = drops[drops.way == "gradient"].nsmallest(1, "score")[list(LIMITS)].iloc[0].to_dict()
     others = () if quick else ("sag", "numerical_aperture")

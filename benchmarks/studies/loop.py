@@ -261,8 +261,10 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
         for name in SENSORS:
             varied = by_run.index.str.startswith(f"{name}, {VARIED[key][0]}")
             mine = by_run[varied | (by_run.index == name)].sort_values(key)
-            axes.loglog(mine[key], mine.rms_mm, "o-", color=inks[name], label=f"{name}, RMS")
-            axes.loglog(mine[key], mine.largest_mm, "o:", color=inks[name], label="largest")
+            axes.loglog(mine[key], mine.rms_mm, "o-", color=inks[name], label=name)
+            axes.loglog(mine[key], mine.largest_mm, "o:", color=inks[name])
+        axes.set_xticks([*mine[key]], [f"{x:g}" for x in mine[key]], minor=False)
+        axes.minorticks_off()
 
     common = {"rows": [""], "sharey": True}
     strip = small_multiples(draw_film, columns=[""], x="", y="", legend_columns=0, **common)
@@ -270,8 +272,8 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
     kept = small_multiples(draw, columns=panels, x=x, y=y, **common)
     labels = {key: f"{name} ({unit})" for key, (name, unit, _) in VARIED.items()}
     panels, x, y = list(labels), labels.__getitem__, "error of the distance (mm)"
-    depends = small_multiples(draw_errors, columns=panels, x=x, y=y, **common)
-    alone = Picture("errors", depends, "One thing is changed at a time.", "runs.csv")
+    depends = small_multiples(draw_errors, columns=panels, title=lambda *_: "", x=x, y=y, **common)
+    alone = Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
     speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]
     error = (
         "The distance is kept to {value:.3f} mm (RMS). On a phantom 0.1 mm was published in 2021."

@@ -4,7 +4,8 @@ The log light of cell i is $\log g + \log\rho_i + \log(E_i + A)$ plus noise. The
 $\log\rho$ of the wall is a Gaussian process with the covariance K (`texture`), and it is eliminated
 exactly. The pose, the gain g and the ambient light A are free, and so is the blur: nobody knows
 how far the microscope is out of focus. With the derivatives J by these eight, the variances N of
-the camera's noise and of a model error, and the precision P of what is known of the blur,
+the camera's noise, of a model error and of the texture within steep cells, and the precision P of
+what is known of the blur,
 
 $$ F = J^T (K + N)^{-1} J + P, \qquad \sigma_d^2 = (F^{-1})_{dd}. $$
 """
@@ -25,8 +26,12 @@ from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes, square_lattice
 
-COUNT, REACH = 26, 2.0
-"""Cells along a side of the window, and half of its side over the half-maximum ellipse's."""
+COUNT, REACH, BESIDE_PX = 26, 2.0, 6.0
+"""Cells along a side of the window; half of its side over the half-maximum ellipse's, and beside
+it. They are those of the mode pixels."""
+ROUNDED_PX = (0.125, 0.375, 0.625, 0.875)
+"""By which cells of whole pixels are larger. An edge that is sharper than a cell says more or less
+of the distance as cells cut it; nobody chooses how, so variances are means over these lattices."""
 LENGTHS_MM, CONTRASTS = (0.08, 0.25, 1.0), (0.02, 0.05, 0.07)
 """Grain, vessels and shading of a wall: correlation lengths, and relative standard deviations."""
 MODEL_ERROR = 0.003
@@ -53,7 +58,7 @@ def texture(apart_mm: Float[ArrayLike, "*n"]) -> Float[Array, "*n"]:
 
 
 class SpotCells(NamedTuple):
-    """The light of a spot on COUNT x COUNT cells around it, and how it changes.
+    """The light of a spot on lattices of COUNT x COUNT cells around it, and how it changes.
 
     Attributes:
         light: irradiance per unit power, 1/mm², and its derivatives by the five numbers of a pose
@@ -62,10 +67,10 @@ class SpotCells(NamedTuple):
         side_mm: of a cell on the wall.
     """
 
-    light: Float[np.ndarray, "parts 6 n"]
-    seen: Bool[np.ndarray, "n"]
-    side_px: ScalarLike
-    side_mm: ScalarLike
+    light: Float[np.ndarray, "lattices parts 6 n"]
+    seen: Bool[np.ndarray, "lattices n"]
+    side_px: Float[np.ndarray, "lattices"]
+    side_mm: Float[np.ndarray, "lattices"]
 
 
 def spot_cells(
@@ -91,19 +96,21 @@ def spot_cells(
     along, across = (optics.perpendicular_frame(v) for v in (meeting.normal, axis))
     pose = BeamFrame(*map(np.asarray, (tip, axis, meeting.distance, *along, *across)))
     middle, right = np.asarray(camera.project(jnp.stack([meeting.point, meeting.point + along[0]])))
-    reach_mm = REACH * half_maximum_mm
-    reach_px = reach_mm * float(np.linalg.norm(right - middle))
-    corner, side = middle - reach_px, 2 * reach_px / COUNT
-    lattice = square_lattice(camera, wall, corner=corner, right=np.array([side, 0.0]), count=COUNT)
-    light = []
-    for part in parts:
-        own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
-        both = irradiance_and_slopes(lattice, part, pose, own=jnp.zeros(0), spread=own)
-        light.append(np.vstack([both[0], both[1]]))
-    first = corner + side * np.arange(COUNT)[:, None]
-    inside = np.all([first > -0.5, first + side < np.array(size_px) - 0.5], axis=0)
-    seen = np.logical_and.outer(inside[:, 1], inside[:, 0]).ravel()
-    return SpotCells(np.array(light), seen, side, 2 * reach_mm / COUNT)
+    px_mm = float(np.linalg.norm(right - middle))
+    sides = 2 * (REACH * half_maximum_mm * px_mm + BESIDE_PX) / COUNT + np.array(ROUNDED_PX)
+    light, seen = [], []
+    for side in sides:
+        corner, step = middle - 0.5 * side * COUNT, np.array([side, 0.0])
+        lattice = square_lattice(camera, wall, corner=corner, right=step, count=COUNT)
+        for part in parts:
+            own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
+            both = irradiance_and_slopes(lattice, part, pose, own=jnp.zeros(0), spread=own)
+            light.append(np.vstack([both[0], both[1]]))
+        first = corner + side * np.arange(COUNT)[:, None]
+        inside = np.all([first > -0.5, first + side < np.array(size_px) - 0.5], axis=0)
+        seen.append(np.logical_and.outer(inside[:, 1], inside[:, 0]).ravel())
+    cells = np.array(light).reshape(len(sides), len(parts), -1, COUNT**2)
+    return SpotCells(cells, np.array(seen), sides, sides / px_mm)
 
 
 @partial(jax.jit, static_argnames="outline")
@@ -145,7 +152,11 @@ def distance_sigmas(
         information = jnp.square(spot.side_px) * jnp.sum(mean**2 / (mean + dark_e2), axis=0)
         share = direct / jnp.max(direct)
         used = spot.seen & (share > 0.25) & (share < 0.75) if outline else spot.seen
-        noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2, _UNSEEN)
+        # Light enters at the bright side of a cell, where the reflectance differs from its mean.
+        down, along = jnp.gradient(jnp.log(total).reshape(COUNT, COUNT))
+        steep = jnp.sqrt(down**2 + along**2 + 1e-12).ravel()
+        aside = texture(jnp.zeros(())) - texture(spot.side_mm * jnp.minimum(steep / 12, 0.5))
+        noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2 + aside, _UNSEEN)
         alike = texture(spot.side_mm * apart)[steps[:, None, :, None], steps[:, None, :]]
         covariance = alike.reshape(COUNT**2, COUNT**2) + jnp.diag(noise)
         # A blur's variance acts as time does on heat: half of the second derivatives.
@@ -160,7 +171,7 @@ def distance_sigmas(
         variance = jnp.linalg.inv(white.T @ white + jnp.diag(prior))[2, 2] / size[2] ** 2
         return jnp.where(variance > 0, jnp.sqrt(jnp.abs(variance)), jnp.inf)
 
-    return jax.vmap(sigma)(spots)
+    return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(jax.vmap(sigma))(spots)), axis=1))
 
 
 @jax.jit
@@ -172,7 +183,7 @@ def lit_radii(spots: SpotCells, change: Float[ArrayLike, "parts-1"]) -> Float[Ar
         change: of the beam's own parameters.
     """
     by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
-    direct = jnp.einsum("p,npc->nc", by_change, spots.light[:, :, 0])
-    share = direct / jnp.max(direct, axis=1, keepdims=True)
-    lit = jnp.sum(jax.nn.sigmoid((share - 0.5) / _EDGE), axis=1)
-    return jnp.asarray(spots.side_px) * jnp.sqrt(lit / jnp.pi)
+    direct = jnp.einsum("p,nlpc->nlc", by_change, spots.light[..., 0, :])
+    share = direct / jnp.max(direct, axis=-1, keepdims=True)
+    lit = jnp.sum(jax.nn.sigmoid((share - 0.5) / _EDGE), axis=-1)
+    return jnp.mean(spots.side_px * jnp.sqrt(lit / jnp.pi), axis=1)

@@ -109,7 +109,7 @@ class UnknownWall:
 
     def brightest(self, light: SpotLight) -> np.ndarray:
         """Irradiance of the brightest cell at each distance, mW/mm²."""
-        peak = np.max(light.spots.light[:, 0, 0], axis=-1) + light.ambient[0]
+        peak = np.max(light.spots.light[:, 0, 0, 0], axis=-1) + light.ambient[0]
         return np.asarray(self.scene.source.power_mw * peak)
 
     def _light(

@@ -21,7 +21,7 @@ SCENE = scenes.load_scene(None, ("source.medium=vitreous",))
 
 def test_all_light_of_a_cone_lies_on_its_cells():
     light = UnknownWall(SCENE).of_cone(DISTANCES)
-    power = light.spots.light[:, 0, 0].sum(axis=-1) * light.spots.side_mm**2
+    power = light.spots.light[:, :, 0, 0].sum(axis=-1) * light.spots.side_mm**2
     # Cells are as large as at the spot's middle; over 1 mm of a wall of 11.5 mm the pinhole on the
     # sphere sees them up to 1 % larger or smaller.
     assert power == pytest.approx(1.0, abs=0.01)
