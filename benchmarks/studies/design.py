@@ -117,11 +117,13 @@ class Search:
 
     def descend(self, start: np.ndarray, limits: np.ndarray, *, most: int) -> None:
         """Go from a drop, numbers of `LIMITS`, down the gradient within limits, 2 x 4 (L-BFGS)."""
-        span = np.ptp(limits, axis=0) + 1e-9
+        span, cells = np.ptp(limits, axis=0) + 1e-9, []
 
         def scored(place: np.ndarray) -> tuple[float, np.ndarray]:
             drop = dict(zip(LIMITS, (limits[0] + span * place).tolist(), strict=True))
-            light = self.light(drop, free=tuple(LIMITS))
+            # On the cells of the start: the gradient is that of the light alone.
+            light = self.light(drop, free=tuple(LIMITS), radii=cells[0] if cells else None)
+            cells.append(light.radii)
             value, slope = self.score(light, **drop, way="gradient")
             return value, span * slope
 
@@ -321,8 +323,7 @@ def design(
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
     count, random, tried, starts, most = (4, 12, 8, 1, 10) if quick else (6, 500, 40, 2, 20)
     search = Search(study.scene, count=count, goal=goal, dose=dose)
-    # A quick run compiles the derivatives only; without them a drop takes half of the time.
-    free = tuple(LIMITS) if quick else ()
+    free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
         rng = np.random.default_rng(study.seed)
         for numbers in rng.uniform(*asked, size=(random, len(LIMITS))).tolist():
@@ -331,8 +332,7 @@ def design(
         drawn = pd.DataFrame(search.rows)[[*LIMITS, "score"]]
         for start in drawn[:tried].nsmallest(starts, "score")[list(LIMITS)].to_numpy():
             search.descend(start, asked, most=most)
-        # Coarse light is good for choosing; what is compared with the optimum is exact.
-        for drop in drawn.nsmallest(3, "score")[list(LIMITS)].to_dict("records"):
+        for drop in drawn.nsmallest(3, "score")[list(LIMITS)].to_dict("records"):  # not coarse
             search.score(search.light(drop, free=free), **drop, way="best random")
     drops = pd.DataFrame(search.rows)
     best = drops[drops.way == "gradient"].nsmallest(1, "score")[list(LIMITS)].iloc[0].to_dict()
