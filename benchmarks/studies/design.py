@@ -117,7 +117,8 @@ class Search:
 
     def descend(self, start: np.ndarray, limits: np.ndarray, *, most: int) -> None:
         """Go from a drop, numbers of `LIMITS`, down the gradient within limits, 2 x 4 (L-BFGS)."""
-        span, cells = np.ptp(limits, axis=0) + 1e-9, []
+        span = np.ptp(limits, axis=0) + 1e-9
+        cells: list[np.ndarray] = []
 
         def scored(place: np.ndarray) -> tuple[float, np.ndarray]:
             drop = dict(zip(LIMITS, (limits[0] + span * place).tolist(), strict=True))
@@ -191,10 +192,7 @@ LIGHTS = {
     "irradiance_mw_mm2": Column("irradiance, mW/mm²", 1),
     "photons": Column("10¹² photons a frame", 1, 1e-12),
 }
-LIGHTS_CAPTION = (
-    "Irradiance: of the brightest place at the nearest distance. Photons: of 550 nm, from the "
-    "core, for a frame at the farthest. This says nothing about safety."
-)
+CAPTION = "Irradiance: at the nearest distance. Photons: 550 nm, farthest. Nothing about safety."
 DOSES = np.logspace(-5, 0, 11)  # over the one at which drops are sought
 PHOTONS_PER_MJ = 550e-9 / (6.62607015e-34 * 299792458.0) / 1e3  # at 550 nm
 OFF_BY = (-0.2, -0.05, 0.05, 0.2)
@@ -216,15 +214,15 @@ def tables_of(search: Search, best: Mapping[str, float]) -> dict[str, pd.DataFra
         doses = search.dose * DOSES
         scores = np.array([reached(wall.sigmas(light, x)) for x in doses.tolist()])
         dose.append(pd.DataFrame({"light": name, "dose_mj_mm2": doses, "sigma_mm": scores}))
-        rising = np.log([scores[::-1], doses[::-1]])
-        least = np.exp(np.interp(np.log([0.05, 0.02]), *rising, left=np.nan))
+        wanted, reach = np.log([0.05, 0.02]), np.log(scores[::-1])
+        least = np.exp(np.interp(wanted, reach, np.log(doses[::-1]), left=np.nan))
         brightest = wall.brightest(light)
         photons = search.dose / brightest[-1] * wall.scene.source.power_mw * PHOTONS_PER_MJ
         summary.append((name, mine.max(), outline.max(), *least, brightest[0], photons))
     for name in ("sag", "numerical_aperture"):
         made = [search.light({**best, name: best[name] * (1 + x)}, **free) for x in OFF_BY]
-        scores = [reached(wall.sigmas(light, search.dose)) for light in made]
-        tolerance.append((name.replace("_", " "), *scores))
+        off = [reached(wall.sigmas(light, search.dose)) for light in made]
+        tolerance.append((name.replace("_", " "), *off))
     return {
         "sigma": pd.concat(sigma),
         "dose": pd.concat(dose),
@@ -284,7 +282,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         lead=f"It has {numbers} (mm). The bound of one frame was made small along its gradient.",
         first=[
             Picture("sigma", figure, "The best drop against others.", data="sigma.csv"),
-            Table.of(tables["lights"], LIGHTS, LIGHTS_CAPTION, data="lights.csv"),
+            Table.of(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
         ],
         claims=claims,
         sections=[Section("How exactly must the drop be made?", tolerance)],
@@ -326,16 +324,18 @@ def design(
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
         rng = np.random.default_rng(study.seed)
-        for numbers in rng.uniform(*asked, size=(random, len(LIMITS))).tolist():
+        for numbers in rng.uniform(asked[0], asked[1], (random, len(LIMITS))).tolist():
             drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free, coarse=True), **drop, way="random")
         drawn = pd.DataFrame(search.rows)[[*LIMITS, "score"]]
         for start in drawn[:tried].nsmallest(starts, "score")[list(LIMITS)].to_numpy():
             search.descend(start, asked, most=most)
-        for drop in drawn.nsmallest(3, "score")[list(LIMITS)].to_dict("records"):  # not coarse
+        for numbers in drawn.nsmallest(3, "score")[list(LIMITS)].to_numpy().tolist():  # not coarse
+            drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free), **drop, way="best random")
     drops = pd.DataFrame(search.rows)
-    best = drops[drops.way == "gradient"].nsmallest(1, "score")[list(LIMITS)].iloc[0].to_dict()
+    found = drops[drops.way == "gradient"].nsmallest(1, "score")[list(LIMITS)].to_numpy(float)
+    best = dict(zip(LIMITS, found[0].tolist(), strict=True))
     others = () if quick else ("sag", "numerical_aperture")
     made = {"best": best} | {f"more {name}": {**best, name: 1.2 * best[name]} for name in others}
     lenses = {name: (study.folder / f"{name}.toml").absolute() for name in made}

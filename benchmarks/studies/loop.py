@@ -246,15 +246,16 @@ COLUMNS = {
 
 def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Report:
     by_run = errors.set_index("run")
-    inks = {name: f"C{k}" for k, name in enumerate(by_run.index)}
+    inks = {str(name): f"C{k}" for k, name in enumerate(by_run.index)}
 
     def draw_film(axes: Axes, *_: str) -> None:
         axes.imshow(film)
         axes.axis("off")
 
     def draw(axes: Axes, _: str, shown: str) -> None:
-        for name, mine in itertools.islice(rows.groupby("run", sort=False), 7):
+        for name in [*inks][:7]:
             if ("dark" in name) == ("dark" in shown):
+                mine = rows[rows.run == name]
                 axes.plot(mine.time_s, mine.d_mm, color=inks[name], label=name)
 
     def draw_errors(axes: Axes, _: str, key: str) -> None:
@@ -266,13 +267,13 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
         axes.set_xticks([*mine[key]], [f"{x:g}" for x in mine[key]], minor=False)
         axes.minorticks_off()
 
-    common = {"rows": [""], "sharey": True}
+    common: dict[str, Any] = {"rows": [""], "sharey": True}
     strip = small_multiples(draw_film, columns=[""], x="", y="", legend_columns=0, **common)
     panels, x, y = ["sensors", "dark fibre"], "time (s)", "distance (mm)"
     kept = small_multiples(draw, columns=panels, x=x, y=y, **common)
     labels = {key: f"{name} ({unit})" for key, (name, unit, _) in VARIED.items()}
-    panels, x, y = list(labels), labels.__getitem__, "error of the distance (mm)"
-    depends = small_multiples(draw_errors, columns=panels, title=lambda *_: "", x=x, y=y, **common)
+    how: dict[str, Any] = {"title": lambda *_: "", "x": labels.__getitem__, **common}
+    depends = small_multiples(draw_errors, columns=list(labels), y="error (mm)", **how)
     alone = Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
     speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]
     error = (
