@@ -20,11 +20,11 @@ from typing import Any, Literal
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pandas as pd
 from jax.scipy.special import logsumexp
 from jaxtyping import Array, Float
 from matplotlib.axes import Axes
-from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 import optics
@@ -115,22 +115,21 @@ class Search:
         self.rows.append(drop | found)
         return found["score"], np.nan_to_num(slope)
 
-    def descend(self, start: np.ndarray, limits: np.ndarray, *, most: int) -> None:
-        """Go from a drop, numbers of `LIMITS`, down the gradient within limits, 2 x 4 (L-BFGS)."""
-        span = np.ptp(limits, axis=0) + 1e-9
-        cells: list[np.ndarray] = []
-
-        def scored(place: np.ndarray) -> tuple[float, np.ndarray]:
+    def descend(self, start: np.ndarray, limits: np.ndarray, *, steps: int) -> None:
+        """Go from a drop, numbers of `LIMITS`, down the gradient within limits, 2 x 4."""
+        span, adam = (
+            np.ptp(limits, axis=0) + 1e-9,
+            optax.adam(0.06),
+        )  # noise of a table stops others
+        place, cells = (start - limits[0]) / span, None
+        state = adam.init(place)
+        for _ in range(steps):
             drop = dict(zip(LIMITS, (limits[0] + span * place).tolist(), strict=True))
             # On the cells of the start: the gradient is that of the light alone.
-            light = self.light(drop, free=tuple(LIMITS), radii=cells[0] if cells else None)
-            cells.append(light.radii)
-            value, slope = self.score(light, **drop, way="gradient")
-            return value, span * slope
-
-        inside = [(1e-3, 1 - 1e-3)] * len(LIMITS)
-        options = {"maxfun": most, "ftol": 1e-3}
-        minimize(scored, (start - limits[0]) / span, jac=True, bounds=inside, options=options)
+            light = self.light(drop, free=tuple(LIMITS), radii=cells)
+            cells = light.radii
+            change, state = adam.update(span * self.score(light, **drop, way="gradient")[1], state)
+            place = np.clip(place + np.asarray(change), 1e-3, 1 - 1e-3)
 
 
 def measured(study: Study, lenses: Mapping[str, Path], peak: float) -> pd.DataFrame:
@@ -319,7 +318,7 @@ def design(
     defaults = "source.medium=vitreous", "microscope.height_px=600"
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
-    count, random, tried, starts, most = (4, 12, 8, 1, 10) if quick else (6, 500, 40, 2, 20)
+    count, random, starts, steps = (4, 12, 1, 14) if quick else (6, 500, 3, 25)
     search = Search(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
@@ -328,8 +327,8 @@ def design(
             drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free, coarse=True), **drop, way="random")
         drawn = pd.DataFrame(search.rows)[[*LIMITS, "score"]]
-        for start in drawn[:tried].nsmallest(starts, "score")[list(LIMITS)].to_numpy():
-            search.descend(start, asked, most=most)
+        for start in drawn.nsmallest(starts, "score")[list(LIMITS)].to_numpy():
+            search.descend(start, asked, steps=steps)
         for numbers in drawn.nsmallest(3, "score")[list(LIMITS)].to_numpy().tolist():  # not coarse
             drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free), **drop, way="best random")
