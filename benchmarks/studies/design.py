@@ -121,13 +121,11 @@ class Search:
             np.ptp(limits, axis=0) + 1e-9,
             optax.adam(0.06),
         )  # noise of a table stops others
-        place, cells = (start - limits[0]) / span, None
+        place = (start - limits[0]) / span
         state = adam.init(place)
         for _ in range(steps):
             drop = dict(zip(LIMITS, (limits[0] + span * place).tolist(), strict=True))
-            # On the cells of the start: the gradient is that of the light alone.
-            light = self.light(drop, free=tuple(LIMITS), radii=cells)
-            cells = light.radii
+            light = self.light(drop, free=tuple(LIMITS))
             change, state = adam.update(span * self.score(light, **drop, way="gradient")[1], state)
             place = np.clip(place + np.asarray(change), 1e-3, 1 - 1e-3)
 
