@@ -29,7 +29,7 @@ LONG = {"Branches", "Coverage", "AdverseSet", "Memory", "PhotonFit", "Books"}
 
 
 def benchmarks() -> dict[str, type]:
-    """All benchmarks by name, "fits.ConeFit"."""
+    """All benchmarks by name, "fits.ConeWithdrawals"."""
     found = {}
     for file in FILES:
         module = import_module(f"benchmarks.bench.{file}")

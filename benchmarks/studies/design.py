@@ -39,7 +39,7 @@ from optics.wall_light.lens import lens_parameters, lens_toml
 from optics.wall_light.unknown_wall import distance_sigmas, lit_radii
 from scenes import Scene
 from scenes.walls.picture import write_random_wall
-from scenes.world.unknown_wall import SpotLight, UnknownWall
+from scenes.world.unknown_wall import SpotLight, UnknownWallScene
 
 # The question: which drop, within which limits, at which distances.
 
@@ -91,18 +91,18 @@ def score(
     return mean + price, jnp.stack([sigmas, radii])
 
 
-class Search:
+class DropSearch:
     """Computes drops at one dose, mJ/mm² a frame, and keeps them in `rows`."""
 
     def __init__(self, scene: Scene, *, count: int, goal: Goal, dose: float | None) -> None:
-        self.wall, self.goal = UnknownWall(scene), goal
+        self.wall, self.goal = UnknownWallScene(scene), goal
         self.dose = dose or scene.exposures.metered_peak * self.wall.full_dose
         self.fixed = lens_parameters(optics.load_lens(scene.source.lens))  # what no drop changes
         self.distances = np.geomspace(*RANGE_MM, count).tolist()
         self.rows: list[dict[str, Any]] = []
 
     def light(self, drop: Mapping[str, float], **how: Any) -> SpotLight:
-        """Of a drop, as of `UnknownWall.of_lens`."""
+        """Of a drop, as of `UnknownWallScene.of_lens`."""
         return self.wall.of_lens(self.fixed | dict(drop), self.distances, **how)
 
     def score(self, light: SpotLight, **drop: Any) -> tuple[float, np.ndarray]:
@@ -160,7 +160,7 @@ def measured(study: Study, lenses: Mapping[str, Path], peak: float) -> pd.DataFr
 
     def read(name: str, stack: Stack) -> pd.DataFrame:
         lens, wall = name.rsplit("-", 1)
-        rig, distances = UnknownWall(trials[name]), [label.d_mm for label in stack.labels]
+        rig, distances = UnknownWallScene(trials[name]), [label.d_mm for label in stack.labels]
         light = rig.of_lens(lens_parameters(optics.load_lens(lenses[lens])), distances)
         rows = []
         for mode in ("pixels", "subpixel"):
@@ -195,7 +195,7 @@ PHOTONS_PER_MJ = 550e-9 / (6.62607015e-34 * 299792458.0) / 1e3  # at 550 nm
 OFF_BY = (-0.2, -0.05, 0.05, 0.2)
 
 
-def tables_of(search: Search, best: Mapping[str, float]) -> dict[str, pd.DataFrame]:
+def tables_of(search: DropSearch, best: Mapping[str, float]) -> dict[str, pd.DataFrame]:
     """What the best drop and others reach: by distance, by dose, and if not made exactly."""
     wall, free = search.wall, {"free": tuple(LIMITS)}  # compiled for the search
     reached = np.max if search.goal == "worst" else np.mean
@@ -317,7 +317,7 @@ def design(
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
     count, random, starts, steps = (4, 12, 1, 14) if quick else (6, 500, 3, 25)
-    search = Search(study.scene, count=count, goal=goal, dose=dose)
+    search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
         rng = np.random.default_rng(study.seed)

@@ -46,7 +46,7 @@ PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0  # for how long it holds without a readin
 
 
 @dataclass(frozen=True, kw_only=True)
-class Run:
+class LoopRun:
     """One run of the loop.
 
     Attributes:
@@ -87,7 +87,7 @@ class Course(NamedTuple):
     trocar: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, run: Run, seconds: float) -> Course:
+    def of(cls, scene: Scene, run: LoopRun, seconds: float) -> Course:
         """A straight vessel through the place of [spot], along which the wall rises most."""
         path = {
             "motion.kind": "scan",
@@ -113,7 +113,7 @@ Read = Callable[[float, PoseAt, bool], float]
 
 
 def simulated(
-    run: Run, course: Course, read: Read, *, seed: int, begin_mm: float, set_mm: float = SET_MM
+    run: LoopRun, course: Course, read: Read, *, seed: int, begin_mm: float, set_mm: float = SET_MM
 ) -> pd.DataFrame:
     """One run: distance, what the controller expects, and what it does, at each tick."""
     # Of place, velocity, and the velocity that is asked for, which is held between ticks.
@@ -159,7 +159,7 @@ def simulated(
     return pd.DataFrame(rows, columns="time_s d_mm expected_mm asked_mm_s lost near".split())
 
 
-class Eye:
+class LoopCamera:
     """Renders frames where the arm is, and reads them; `seen` has those of the last run."""
 
     def __init__(self, study: Study) -> None:
@@ -171,7 +171,7 @@ class Eye:
         self._reader = functools.cache(reader)
         self.seen: list[tuple[Frame, SpotRecord]] = []
 
-    def reads(self, run: Run) -> Read:
+    def reads(self, run: LoopRun) -> Read:
         """The sensor of one run; NaN also for a distance in doubt."""
         reader, self.seen = self._reader(run.sensor), []
         reader.forget()
@@ -193,7 +193,7 @@ class Eye:
         return read
 
 
-def perfect(course: Course, run: Run, seed: int) -> Read:
+def perfect(course: Course, run: LoopRun, seed: int) -> Read:
     """A sensor that knows the distance, but for white noise."""
     rng = np.random.default_rng(seed)
 
@@ -216,9 +216,9 @@ VARIED = {  # name, unit, and values beside the usual one
 }
 
 
-def runs(*, quick: bool) -> dict[str, Run]:
+def runs(*, quick: bool) -> dict[str, LoopRun]:
     """The runs by name: one thing at a time, from a usual one."""
-    usual = Run(sensor="subpixel")
+    usual = LoopRun(sensor="subpixel")
     table = {name: replace(usual, sensor=sensor) for name, sensor in SENSORS.items()} | {
         "literal": replace(usual, sensor="literal"),
         "sub-pixel, camera only": replace(usual, poses=False),
@@ -321,7 +321,7 @@ def loop(
     """
     defaults = "source.kind=cone", "source.power_mw=5"
     study = Study("loop", out, scene, changes, quick, seed, defaults)
-    errors, every, eye, film = [], [], Eye(study), study.folder / "film.mp4"
+    errors, every, eye, film = [], [], LoopCamera(study), study.folder / "film.mp4"
     with study.timed("runs"):
         for name, run in runs(quick=quick).items():
             seconds = min(1.5 if quick else 4.0, WAY_MM / run.speed_mm_s)

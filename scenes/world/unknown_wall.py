@@ -38,7 +38,7 @@ class SpotLight(NamedTuple):
     radii: np.ndarray
 
 
-class UnknownWall:
+class UnknownWallScene:
     """A scene's eye, camera and microscope, for any source and any distance along the beam.
 
     The instrument is not in the image, and the wall's mean colour is the scene's.

@@ -63,7 +63,7 @@ def test_an_unknown_bench_is_refused():
     done = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
     assert done.returncode != 0
     assert "ConeFti" in done.stderr
-    assert "fits.ConeFit" in done.stderr
+    assert "fits.ConeWithdrawals" in done.stderr
 
 
 def test_a_radius_that_falls_and_grows_belongs_to_two_distances():

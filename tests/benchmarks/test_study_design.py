@@ -8,19 +8,19 @@ import pytest
 import optics
 import scenes
 from benchmarks.studies import design
-from benchmarks.studies.design import LIMITS, Search, limits_in
+from benchmarks.studies.design import LIMITS, DropSearch, limits_in
 from formats.inputs import InputError
 from optics.wall_light.lens import lens_parameters, lens_toml
 from optics.wall_light.unknown_wall import lit_radii, texture
 from scenes.walls.picture import wall_picture, write_random_wall
-from scenes.world.unknown_wall import UnknownWall
+from scenes.world.unknown_wall import UnknownWallScene
 
 DISTANCES = [1.0, 3.0]
 SCENE = scenes.load_scene(None, ("source.medium=vitreous",))
 
 
 def test_all_light_of_a_cone_lies_on_its_cells():
-    light = UnknownWall(SCENE).of_cone(DISTANCES)
+    light = UnknownWallScene(SCENE).of_cone(DISTANCES)
     power = light.spots.light[:, :, 0, 0].sum(axis=-1) * light.spots.side_mm**2
     # Cells are as large as at the spot's middle; over 1 mm of a wall of 11.5 mm the pinhole on the
     # sphere sees them up to 1 % larger or smaller.
@@ -28,7 +28,7 @@ def test_all_light_of_a_cone_lies_on_its_cells():
 
 
 def test_more_light_helps_until_the_wall_is_what_limits():
-    wall = UnknownWall(SCENE)
+    wall = UnknownWallScene(SCENE)
     light = wall.of_cone(DISTANCES)
     doses = wall.full_dose * np.array([1e-6, 1e-5, 1e-4, 1.0, 1e4, 1e6])
     sigmas = np.stack([wall.sigmas(light, dose) for dose in doses])
@@ -39,7 +39,7 @@ def test_more_light_helps_until_the_wall_is_what_limits():
 
 
 def test_an_outline_says_less_than_all_light():
-    wall = UnknownWall(SCENE)
+    wall = UnknownWallScene(SCENE)
     light = wall.of_cone(DISTANCES)
     dose = 0.8 * wall.full_dose
     assert (wall.sigmas(light, dose, outline=True) > wall.sigmas(light, dose)).all()
@@ -76,7 +76,9 @@ def test_limits_narrow_or_fix_a_number_and_a_wrong_one_is_named():
 
 
 def test_a_cones_spot_is_lit_within_its_radius():
-    wall = UnknownWall(scenes.load_scene(None, ("spot.incidence_deg=0", "spot.eccentricity_mm=0")))
+    wall = UnknownWallScene(
+        scenes.load_scene(None, ("spot.incidence_deg=0", "spot.eccentricity_mm=0"))
+    )
     light = wall.of_cone(DISTANCES)
     found = lit_radii(light.spots, np.zeros(0)) * 0.0067
     # The edge cuts cells of a thirteenth of the radius; a pinhole on the sphere is nearer by 0.3 %.
@@ -86,7 +88,7 @@ def test_a_cones_spot_is_lit_within_its_radius():
 @pytest.mark.slow
 @pytest.mark.parametrize("goal", ["worst", "mean"])
 def test_the_gradient_equals_differences(goal):
-    search, free = Search(SCENE, count=2, goal=goal, dose=None), tuple(LIMITS)
+    search, free = DropSearch(SCENE, count=2, goal=goal, dose=None), tuple(LIMITS)
     drop = {"sag": 0.06, "rim_height": 0.3, "core_radius": 0.15, "numerical_aperture": 0.15}
     light = search.light(drop, free=free)
     _, slope = search.score(light)

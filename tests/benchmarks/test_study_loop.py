@@ -6,10 +6,10 @@ from scipy.linalg import expm, solve_discrete_lyapunov
 
 import scenes
 from benchmarks.studies import loop
-from benchmarks.studies.loop import LAG_S, TICK_S, Course, Run, perfect, simulated
+from benchmarks.studies.loop import LAG_S, TICK_S, Course, LoopRun, perfect, simulated
 
 DEPTH_MM, SET_MM = 20.0, 2.0
-STILL = Run(tremor_mm=0.0, foreknown=0.0, rate_hz=20.0, latency_s=0.05)
+STILL = LoopRun(tremor_mm=0.0, foreknown=0.0, rate_hz=20.0, latency_s=0.05)
 
 
 def flat(seconds: float) -> Course:
@@ -43,7 +43,7 @@ def test_a_perfect_sensor_makes_a_sampled_first_order_lag():
 
 
 def test_noise_alone_gives_the_variance_of_the_lyapunov_equation():
-    run = Run(tremor_mm=0.0, foreknown=0.0, rate_hz=20.0, latency_s=0.05, noise_mm=0.01)
+    run = LoopRun(tremor_mm=0.0, foreknown=0.0, rate_hz=20.0, latency_s=0.05, noise_mm=0.01)
     course = flat(300.0)
     rows = simulated(run, course, perfect(course, run, 1), begin_mm=SET_MM, set_mm=SET_MM, seed=1)
     matrix, by_target = closed_loop(run.gain)
@@ -58,14 +58,16 @@ def test_noise_alone_gives_the_variance_of_the_lyapunov_equation():
 
 
 def test_without_the_poses_a_delay_costs_gain_and_with_them_it_does_not():
-    slow = Run(latency_s=0.2)
-    assert slow.gain == Run(latency_s=0.02).gain
-    assert Run(latency_s=0.2, poses=False).gain < 0.5 * Run(latency_s=0.02, poses=False).gain
+    slow = LoopRun(latency_s=0.2)
+    assert slow.gain == LoopRun(latency_s=0.02).gain
+    assert (
+        LoopRun(latency_s=0.2, poses=False).gain < 0.5 * LoopRun(latency_s=0.02, poses=False).gain
+    )
 
 
 @pytest.mark.parametrize(("dark_s", "withdraws"), [(0.1, False), (0.6, True)])
 def test_an_arm_holds_for_a_while_without_readings_and_then_withdraws(dark_s, withdraws):
-    run = Run(tremor_mm=0.0, foreknown=0.0, dark_s=(0.5, 0.5 + dark_s))
+    run = LoopRun(tremor_mm=0.0, foreknown=0.0, dark_s=(0.5, 0.5 + dark_s))
     course = flat(0.5 + dark_s)
     rows = simulated(run, course, perfect(course, run, 0), begin_mm=2.0, set_mm=SET_MM, seed=0)
     assert rows.lost.any() == withdraws
@@ -73,7 +75,7 @@ def test_an_arm_holds_for_a_while_without_readings_and_then_withdraws(dark_s, wi
 
 
 def test_the_guard_keeps_an_arm_from_the_wall():
-    run = Run(tremor_mm=0.0, foreknown=0.0)
+    run = LoopRun(tremor_mm=0.0, foreknown=0.0)
     course = flat(2.0)
     # The wall comes by 3 mm/s. That is the arm's way in the delay, and in 1/gain, of 0.5 mm.
     coming = course._replace(depth_mm=DEPTH_MM - 3.0 * np.clip(course.time_s - 1.0, 0.0, 0.5))
@@ -84,7 +86,7 @@ def test_the_guard_keeps_an_arm_from_the_wall():
 
 def test_the_course_keeps_its_speed_along_the_wall():
     scene = scenes.load_scene(None, ("source.kind=cone",))
-    course = Course.of(scene, Run(speed_mm_s=1.0), 0.5)
+    course = Course.of(scene, LoopRun(speed_mm_s=1.0), 0.5)
     spots = course.trocar + course.depth_mm[:, None] * course.axis
     assert np.linalg.norm(spots, axis=1) == pytest.approx(11.5, abs=1e-9)
     ways = np.linalg.norm(np.diff(spots, axis=0), axis=1) / TICK_S

@@ -114,3 +114,13 @@ def test_every_import_is_declared_and_every_dependency_is_used():
         [sys.executable, "-m", "deptry", "."], cwd=HOME, capture_output=True, text=True, check=False
     )
     assert found.returncode == 0, found.stderr
+
+
+def test_a_class_name_has_one_meaning():
+    """In all packages; a leading underscore makes no other name."""
+    homes = defaultdict(list)
+    for module, path in MODULES.items():
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                homes[node.name.lstrip("_")].append(module)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
