@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib.metadata
 import math
-from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -180,51 +179,45 @@ def _render_frames(
 
     A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
     """
-    scene = renderer.scene
-    bounds = Bounds(renderer) if scene.exposures.bound else None
-    metering: deque[Future[_Metered]] = deque()
-    writing: deque[Future[None]] = deque()
+    frames, orders = range(renderer.world.times.size), range(len(renderer.scene.exposures.kinds))
+    names = {f: [file_name(renderer.world, f, order) for order in orders] for f in frames}
+    missing = [frame for frame in frames if not all(map(writer.has, names[frame]))]
+    for _ in range(len(frames) - len(missing)):
+        progress()
+    bounds = Bounds(renderer) if renderer.scene.exposures.bound else None
+    metering: Future[_Metered] | None = None
+    writing: list[Future[None]] = []
     with ThreadPoolExecutor(max_workers=2) as pool:
-
-        def finish_one() -> None:
-            metered = metering.popleft().result()
-            lights = [
-                renderer.exposed(metered.frame, metered.sharp, exposure_s=duration)
-                for duration in metered.durations
-            ]
-            bound = [
-                bounds.labels(
-                    metered.frame,
-                    light.radiance,
-                    exposure_s=duration,
-                    sub_frames=light.sub_frames,
-                )
-                if bounds
-                else {}
-                for light, duration in zip(lights, metered.durations, strict=True)
-            ]
-            exposed = [
-                _ExposedFrame(light.radiance, duration, own)
-                for light, duration, own in zip(lights, metered.durations, bound, strict=True)
-            ]
-            writing.append(
-                pool.submit(_photograph, renderer, photography, writer, metered, exposed)
-            )
-            if len(writing) > _QUEUE:
-                writing.popleft().result()
-
-        for frame in range(renderer.world.times.size):
-            orders = range(len(scene.exposures.kinds))
-            if not all(writer.has(file_name(renderer.world, frame, order)) for order in orders):
+        for frame in (*missing, None):  # after the last frame, what is being metered
+            previous = metering
+            if frame is not None:
                 sharp = renderer.render(frame)
-                metering.append(pool.submit(_meter, renderer, photography, frame, sharp))
-                if len(metering) > 1:
-                    finish_one()
-            progress()
-        while metering:
-            finish_one()
+                metering = pool.submit(_meter, renderer, photography, frame, sharp)
+            if previous is not None:
+                metered = previous.result()
+                exposed = _exposed(renderer, bounds, metered)
+                writing.append(
+                    pool.submit(_photograph, renderer, photography, writer, metered, exposed)
+                )
+                if len(writing) > _QUEUE:
+                    writing[-_QUEUE - 1].result()
+                progress()
         for future in writing:
             future.result()
+
+
+def _exposed(renderer: Renderer, bounds: Bounds | None, metered: _Metered) -> list[_ExposedFrame]:
+    """The light of each exposure of a frame."""
+    exposed = []
+    for duration in metered.durations:
+        light = renderer.exposed(metered.frame, metered.sharp, exposure_s=duration)
+        bound = {}
+        if bounds is not None:
+            bound = bounds.labels(
+                metered.frame, light.radiance, exposure_s=duration, sub_frames=light.sub_frames
+            )
+        exposed.append(_ExposedFrame(light.radiance, duration, bound))
+    return exposed
 
 
 def _meter(

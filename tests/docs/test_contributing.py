@@ -77,12 +77,14 @@ def test_the_change_of_an_example_works_and_keeps_the_rules(name: str, tmp_path:
 
 
 def test_the_calls_on_a_frame_s_way_stand_in_the_files_beside_them():
-    page = (HOME / "docs" / "contributing" / "index.md").read_text(encoding="utf-8")
+    page = (HOME / "docs" / "contributing" / "one_frame.md").read_text(encoding="utf-8")
     rows = [row.split("|") for row in page.splitlines() if row.count("|") == 5 and "`" in row]
-    assert len(rows) > 15
+    assert len(rows) > 30
     for _, _, calls, files, *_ in rows:
-        paths = [HOME / path for path in re.findall(r"`([\w/]+\.py)`", files)]
-        paths = [p if p.parent != HOME else HOME / "estimator" / "pixels" / p.name for p in paths]
-        text = "".join(path.read_text(encoding="utf-8") for path in paths)
+        text, folder = "", HOME / "estimator" / "pixels"
+        for path in map(Path, re.findall(r"`([\w/]+\.py)`", files)):
+            # A name without a folder lies beside the one before it.
+            folder = HOME / path.parent if path.parent.name else folder
+            text += (folder / path.name).read_text(encoding="utf-8")
         for call in re.findall(r"`([\w.]+)`", calls):
             assert re.search(rf"(def|class) {call.rpartition('.')[2]}\b", text), call
