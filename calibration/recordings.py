@@ -1,4 +1,10 @@
-"""Recordings as trials: withdrawals of stacks, spots files and bags with the robot's readings."""
+"""Recordings as trials: withdrawals of stacks, spots files and bags with the robot's readings.
+
+Spots come from the estimator, readings and axis from the robot. From a stack's labels only each
+frame's time is read, so a fit uses only what a real rig has. The rest would be in a rig's log book:
+the wall's kind and tilt, the medium, the fibre's diameter, and whether the withdrawal began at the
+touch.
+"""
 
 from __future__ import annotations
 

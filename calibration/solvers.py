@@ -1,4 +1,18 @@
-"""Least squares: Levenberg-Marquardt, robust weights, normal equations, blocks, covariance."""
+r"""Least squares: Levenberg-Marquardt, robust weights, normal equations, blocks, covariance.
+
+`NormalEquations` need J^T J and J^T r, but no Jacobian in memory. Optimistix and SciPy need the
+residuals or their Jacobian, which takes 24 GB for the pixels of 40 frames. The sums over pixels
+used here can be computed in chunks.
+
+Gauss-Newton for a few shared parameters and blocks of data with parameters of their own. The
+residuals of a block depend on the shared parameters x and on its own y only. So a block needs
+derivatives by x and y, not by the parameters of the other blocks. Its normal equations eliminate y
+exactly (Schur's complement), which leaves a system of the size of x:
+
+$$ \Bigl(A - \sum_b B_b C_b^{-1} B_b^T\Bigr)\,\delta x
+   = -\sum_b \bigl(g_b - B_b C_b^{-1} h_b\bigr), \qquad
+   \delta y_b = -C_b^{-1}\bigl(h_b + B_b^T \delta x\bigr). $$
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Recordings for the Rerun viewer: frames, spots, beam and eyeball."""
+"""Recordings for the Rerun viewer: frames, spots, beam and eyeball.
+
+Everything is in the eye frame, mm: the origin is the eyeball's centre, +z points to the microscope.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,17 @@
-"""Calibration file: JSON with a model's fitted parameters, their covariance and their origin."""
+"""Calibration file: JSON with a model's fitted parameters, their covariance and their origin.
+
+    {"schema": 2,
+     "model": "planar",
+     "medium": {"name": "air", "index": 1.0},
+     "parameters": {"k": {"value": 20.0, "unit": "1", "sigma": 0.1}, "b": {...}},
+     "covariance": {"order": ["k", "b"], "matrix": [[...], [...]]},
+     "fitted_on": {"description": "...", "sha256": "..."},
+     "sigma_inflation": 1.0,
+     "software": "eyespot 0.1.0"}
+
+The standard errors are given twice, beside the values for people and in the covariance for
+software. A file in which the two disagree was edited by hand and is refused.
+"""
 
 from __future__ import annotations
 

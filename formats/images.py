@@ -1,4 +1,8 @@
-"""Image files that anyone may have written, TIFF's dialects included, read within a limit."""
+"""Image files that anyone may have written, TIFF's dialects included, read within a limit.
+
+The tags are those of TIFF 6.0 (Adobe 1992), the pattern of a raw mosaic that of TIFF/EP (ISO
+12234-2).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Text, TOML, JSON and CSV that anyone may have written, and the error that says what is wrong."""
+"""Text, TOML, JSON and CSV that anyone may have written, and the error that says what is wrong.
+
+Every fault is an InputError. The errors say what is wrong with the content; `in_file` adds the
+file's name.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""A measured spot, why there is none, and the spots file: CSV or Parquet, one line per frame."""
+"""A measured spot, why there is none, and the spots file: CSV or Parquet, one line per frame.
+
+Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is a column, the last one,
+so that any reader of tables can read the file.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,16 @@
 """Stack folder: frames, masks, one line of labels per frame, the scene as run, checksums.
 
-The writer adds frame by frame, so that a stopped run can continue.
+    STACK/frames/000000.png …   images
+          masks/000000.png …    255 where the wall inside the half-maximum contour is seen
+          linear/000000.tiff …  on request: float32 RGB, the radiance behind an image
+          metadata.jsonl        one `FrameLabels` a line
+          kinematics.csv        what the robot reported, as `read_poses` reads it
+          stack.toml            schema, the scene as run, versions
+          microscope.json       camera matrix, pinhole height, eye radius, response
+          manifest.json         size and SHA-256 of every file above
+
+`StackWriter` writes into a folder with another name, which is renamed when the stack is complete. The
+next run that describes the same stack uses what a stopped run has left in the other folder.
 """
 
 from __future__ import annotations

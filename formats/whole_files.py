@@ -1,4 +1,9 @@
-"""Files that are written whole or not at all, arrays kept in the cache, and damage as one error."""
+"""Files that are written whole or not at all, arrays kept in the cache, and damage as one error.
+
+Until it is whole, a file or folder NAME lies in the folder `.NAME.unfinished` beside it, which its
+writer has locked. A lock ends with its process, so what a killed writer has left is recognised: it
+can be locked, and the next writer of NAME starts with an empty folder.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,17 @@
-"""Camera model: from linear frames to digital numbers."""
+"""Camera model: from linear frames to digital numbers.
+
+The linear model of EMVA 1288, release 4.0, counts electrons n_e. Their number is Poisson
+distributed; its mean is the light collected plus the dark signal. The read noise is normal. The
+overall system gain K converts electrons to digital numbers (DN):
+
+    dn = round(black level + K (n_e + offset + read noise)),
+    K = (full scale - black level) / full well.
+
+Light is given as a fraction of the full well, so one factor, `exposure`, stands for quantum
+efficiency, pixel area and exposure time. With a Bayer filter each pixel measures one colour; the
+other two are interpolated from its neighbours. A response curve, if the camera has one, acts last,
+on dn / full scale.
+"""
 
 from __future__ import annotations
 

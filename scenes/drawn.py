@@ -1,4 +1,8 @@
-"""Frames computed by formula, without rendering; their ellipses are known exactly."""
+"""Frames computed by formula, without rendering; their ellipses are known exactly.
+
+A frame is a camera image of wall * (light + ambient), partly hidden by instruments. The true
+ellipse is the contour on which the light, without the wall's texture, is half of its peak.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""What a fit to pixels has: frames, spots, and the parameters that are free."""
+"""What a fit to pixels has: frames, spots, and the parameters that are free.
+
+Frames are light with a known noise, with the conditions of the recording. Reads images, times,
+exposures, the robot's poses and the microscope's file. From the scene it reads only the camera's
+data sheet, the wall's kind, the medium and the instrument's sizes. It does not read the labels.
+"""
 
 from __future__ import annotations
 

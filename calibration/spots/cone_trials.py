@@ -1,4 +1,13 @@
-"""Trials of a cone: withdrawals with unknown touch, priors, and straight lines through them."""
+"""Trials of a cone: withdrawals with unknown touch, priors, and straight lines through them.
+
+A trial is a straight withdrawal. The robot reports the distance travelled and, to about a degree,
+the direction of the motion and of the tool, but not the position of the wall. The fibre's beam is
+not exactly parallel to the tool. So each trial has seven nuisances: the distance at reading 0
+(`touch`; the rim meets the wall before the centre does), the spot's position in the image at
+reading 0 (two), the rotation of the robot against the eye (`lean`, two), and the angle of the beam
+from the tool's axis (`boresight`, two). An eighth is the part by which the camera's model misses
+the spot's size at the trial's place (`size`).
+"""
 
 from __future__ import annotations
 

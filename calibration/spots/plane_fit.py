@@ -1,4 +1,22 @@
-"""The paper's model fitted to one withdrawal over a plane, or to several."""
+r"""The paper's model fitted to one withdrawal over a plane, or to several.
+
+Table I of Zhou et al. 2020 has delta k and b of one withdrawal from a plane. `fit_plane` checks the
+data of one trial and returns its row of the table. `plane_solution` solves the problem as a pure
+function of arrays, for `jax.vmap` over many trials.
+
+`PlaneTrial`s share one line, with touches and the plane's tilt as nuisances. The robot's readings
+start at the touch, which the operator may miss, and the rim of a tilted tip meets the wall before
+its centre does. So the distance is the reading plus a touch t_i. A tilted plane is farther from the
+microscope at one spot than at another, and is seen more obliquely. To first order in its tilt
+$\mathbf{s}$
+
+$$ d_r + t_i = \delta k\,[1 + \kappa\,(\mathbf{X}_i + (\mathbf{X}_i\cdot\mathbf{n})\,\mathbf{n})
+\cdot\mathbf{s}]\,e_1' + b $$
+
+with $\kappa = 1/(z_F + r)$, $\mathbf{X}_i$ the spot's position and $\mathbf{n}$ its minor axis. The
+model is linear except for the products $\delta k\,\mathbf{s}$, so the fit uses these instead of the
+tilt.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""The panel of a guided calibration on the page."""
+"""A calibration guided by the console: what to do next, and advice on exposure.
+
+Withdraw from contact, see how much is covered, fit, save. The frames and poses of the withdrawal
+are recorded in a bag. `eyespot fit` fits it in a program of its own, because a fit takes half a
+minute and JAX.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Derivatives of a cone's distance by all that it is computed from, in NumPy."""
+"""The spot of a tilted cone and its distance, with derivatives, for budgets in every frame.
+
+In NumPy. The same contour and the same definition of its ellipse as `optics.spot_ellipse`, which
+needs JAX. A test compares the two.
+"""
 
 from __future__ import annotations
 

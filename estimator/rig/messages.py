@@ -1,4 +1,9 @@
-"""The node's messages: spot, range, pose, and what is said when a topic is silent."""
+"""The node's messages: spot, range, pose, and what is said when a topic is silent.
+
+ROS 1 and ROS 2 name these types alike. The types are those of the ROS that runs:
+`sensor_msgs/Range` has a variance since Jazzy, and a subscriber with another version of the type
+would receive nothing.
+"""
 
 from __future__ import annotations
 

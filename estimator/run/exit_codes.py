@@ -5,6 +5,17 @@ Exit codes:
     1    `eyespot doctor` found something missing; any other command: a bug, with its traceback
     2    bad input, or a part of this machine that is missing; one message on stderr says which
     130  stopped with Ctrl-C
+
+Ctrl-C ends a command within two seconds, unless it is writing what it has. Python alone does not:
+it raises KeyboardInterrupt in whatever Python code runs next. Native code that compiles or renders
+may run for many seconds before that. And an exception is dropped if it is raised in a callback of
+the garbage collector (JAX registers one), a finalizer, or a C library.
+
+A command that has results to write takes the time for it, see `finish_first`.
+
+Bugs that are met in single frames: logged and counted, so that a long run reaches its end. A frame
+that raises what is not an `InputError` has the reason `Reason.INTERNAL_ERROR`. The command line
+calls `taken` at its end, and fails if there are such frames.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Summary of a run of `eyespot track`: counts by reason, as a table or as JSON."""
+"""A whole source, read, measured and recorded; and the summary of the run by reason."""
 
 from __future__ import annotations
 

@@ -1,4 +1,9 @@
-"""ROS images: messages decoded, bags read and written."""
+"""ROS images: messages decoded, bags read and written.
+
+Bags and a live node share the decoding. The encodings are those of sensor_msgs/image_encodings.hpp,
+OpenCV's types in the order of channels of cv_bridge (BGR), and samples of 10, 12 and 14 bits in
+words or packed: `p` is GenICam's packing, `packed` that of GigE Vision.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""The Mitsuba dictionary of a scene, and how the tip is moved in it."""
+"""The Mitsuba dictionary of a scene, and how the tip is moved in it.
+
+Import after `load_mitsuba`. A stretched eyeball is a mesh, because Mitsuba's sphere cannot be
+stretched.
+"""
 
 from __future__ import annotations
 

@@ -6,6 +6,13 @@ The derivatives are correct because the position of each photon on the film and 
 functions of all parameters; no parameter is compared with a random number. `smooth_lens` ensures
 this for the lens. On the film, a quadratic spline spreads each photon over nine pixels. An
 instrument in the beam would hide photons by a comparison, so scenes with one are refused.
+
+Photons behind the glue lens, as a smooth function of its parameters. Import after `load_mitsuba`.
+`scenes.rendering.photons` traces the same lens as Mitsuba's glass, where random numbers decide
+which photons the rim absorbs and the cap reflects. Here every photon is drawn so that it passes the
+aperture and leaves the cap. Fresnel's equations give its power, which falls to zero where total
+reflection begins. If photons were drawn on both sides of that edge, some would cross it when the
+lens changes; the derivative of their power is unbounded there, and its variance does not converge.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Mitsuba plugin: the microscope behind a viewing path.
+"""Mitsuba plugins: the microscope as a pinhole, and behind a viewing path.
 
 Import after `load_mitsuba`: the base class exists only once a variant is set.
 """

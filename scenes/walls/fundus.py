@@ -1,4 +1,22 @@
-"""Drawn retina: a fundus with optic disc, macula and vessels."""
+"""Drawn retina: a fundus with optic disc, macula and vessels.
+
+The map is flat and metric: the point (x, y) lies at the arc length hypot(x, y) mm from the retinal
+pole, in the direction atan2(y, x) (azimuthal-equidistant coordinates). On the sphere they are
+undistorted at the pole; on a plane they are plain coordinates. +x is the eye frame's +X, +y its +Y.
+The first row of an image has the largest y. So the image is a right eye's fundus photograph: the
+disc lies right of the pole (nasal), the fovea left of it (temporal) and slightly lower.
+
+| size | value | source |
+|---|---|---|
+| temporal artery, artery over vein | 0.105 mm, 0.68 | Guan et al. 2003; Lee et al. 2007 |
+| temporal over nasal calibre | 3^(1/4.1) | flow ratio 3, flow ~ calibre^4.1 (Feke et al. 1989) |
+| exponent and angle of branching | 2.59, 1.95; 78 degrees | arteries, veins; Luo et al. 2017 |
+| course of the temporal arcades | a parabola from the disc | Oloumi et al. 2012 |
+| macula, fovea, vessel-free zone | 5.5, 1.5, 0.5 mm | Hogan, Alvarado & Weddell 1971 |
+| reflectance outside disc and vessels | `RETINA_REFLECTANCE` | Delori & Pflibsen 1989 |
+
+Every other number is an assumption, chosen so that a surgeon finds the picture realistic.
+"""
 
 from __future__ import annotations
 
