@@ -9,8 +9,8 @@
           microscope.json       camera matrix, pinhole height, eye radius, response
           manifest.json         size and SHA-256 of every file above
 
-`StackWriter` writes into a folder with another name, which is renamed when the stack is complete. The
-next run that describes the same stack uses what a stopped run has left in the other folder.
+`StackWriter` writes into a folder with another name, which is renamed when the stack is complete.
+The next run that describes the same stack uses what a stopped run has left in the other folder.
 """
 
 from __future__ import annotations
