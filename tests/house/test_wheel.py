@@ -14,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.wheel
 
 HOME = Path(__file__).resolve().parents[2]
-PACKAGES = ("eyespot", "optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("eyespot", "formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 
 @pytest.fixture(scope="module")
