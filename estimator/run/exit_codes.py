@@ -171,7 +171,7 @@ _REMEDIES = {
 }
 """What to do about an error of the operating system."""
 
-_OURS = ("optics", "scenes", "estimator", "calibration", "benchmarks")
+_OURS = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 
 def run_command(app: Callable[[], object]) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 HOME = Path(__file__).resolve().parents[2]
-PACKAGES = ("eyespot", "optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("eyespot", "formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 MODULES = sorted(
     path.relative_to(HOME).with_suffix("").as_posix().replace("/", ".")
     for package in PACKAGES
