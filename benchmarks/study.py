@@ -130,8 +130,8 @@ class Study:
         claimed = claim(self.folder, settings, command=start)
         weakref.finalize(self, os.close, claimed)
         say(
-            f"Running {start} into {out}: some minutes with --quick, else an hour or more. If it "
-            "is stopped, the same command continues it."
+            f"Running {start} into {out}: minutes with --quick, else a quarter of an hour to hours."
+            " If it is stopped, the same command continues it."
         )
 
     def stack(self, name: str, scene: Scene) -> Stack:
