@@ -7,14 +7,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
 from benchmarks.reporting import Claim, listed
-from estimator import LiteralSettings, SubpixelSettings, track
+from estimator import LiteralMode, LiteralSettings, Ranger, SubpixelMode, SubpixelSettings, track
 from formats.spots import NoSpot, Spot, SpotRecord, write_spots
 from formats.stack import FrameLabels, Stack
 from scenes import Scene, SceneError
@@ -340,6 +340,12 @@ class Way:
         """The name for use in file names."""
         return self.name.replace(",", "").replace(" ", "-")
 
+    def mode(self, ranger: Ranger | None = None, **more: Any) -> LiteralMode | SubpixelMode:
+        """The mode with these settings, for a reader."""
+        if isinstance(self.settings, LiteralSettings):
+            return LiteralMode(self.settings, ranger, **more)
+        return SubpixelMode(self.settings, ranger, **more)
+
 
 LITERAL = Way("literal, paper exposure", "paper", LiteralSettings(), True)
 """The paper's own way: a threshold in frames of one exposure."""
@@ -383,7 +389,7 @@ def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> pd.DataFrame:
     labels = stack.exposed(way.exposure)
     start = (labels[0].half_max_x_px, labels[0].half_max_y_px) if way.clicked else None
     results = tuple(track(stack.images(way.exposure), way.settings, start=start))
-    mode = "literal" if isinstance(way.settings, LiteralSettings) else "subpixel"
+    mode = way.mode().name
     write_results(spots_file, labels, results, mode=mode)
     return spots_of(labels, results)
 

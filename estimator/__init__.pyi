@@ -13,8 +13,11 @@ from .run.offline import Ended as Ended
 from .run.offline import Tracking as Tracking
 from .run.offline import track_source as track_source
 from .run.offline import track_whole_source as track_whole_source
+from .run.reader import LiteralMode as LiteralMode
+from .run.reader import PixelsMode as PixelsMode
 from .run.reader import Reader as Reader
 from .run.reader import Reading as Reading
+from .run.reader import SubpixelMode as SubpixelMode
 from .sources.opening import open_source as open_source
 from .sources.source import Frame as Frame
 from .sources.source import Source as Source

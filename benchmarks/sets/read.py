@@ -13,7 +13,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from estimator import LiteralSettings, Reader, SubpixelSettings
+from estimator import (
+    LiteralMode,
+    LiteralSettings,
+    PixelsMode,
+    Reader,
+    SubpixelMode,
+    SubpixelSettings,
+)
 from formats.calibration import Calibration
 from formats.inputs import (
     FOLDER_NAME,
@@ -294,14 +301,14 @@ def own_reader(
     """
     given = {"response": microscope.response} | dict(constants or {})
     if mode == "literal":
-        return Reader(LiteralSettings(**given), start=click)
-    pixels = None
-    if mode == "pixels":
-        from estimator.pixels.tracker import PixelRanger
+        return Reader(LiteralMode(LiteralSettings(**given), None), start=click)
+    settings = SubpixelSettings(**given)
+    if mode == "subpixel":
+        return Reader(SubpixelMode(settings, None))
+    from estimator.pixels.tracker import PixelRanger
 
-        assert beam is not None, "the mode pixels needs the beam"
-        pixels = PixelRanger(beam, microscope)
-    return Reader(SubpixelSettings(**given), pixel_ranger=pixels)
+    assert beam is not None, "the mode pixels needs the beam"
+    return Reader(PixelsMode(settings, PixelRanger(beam, microscope)))
 
 
 @dataclass(frozen=True, kw_only=True)

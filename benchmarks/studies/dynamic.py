@@ -347,10 +347,8 @@ def _readings(stack: Stack, way: Way, ranger: Ranger, poses: PoseTrack) -> Itera
     labels = stack.exposed(way.exposure)
     first = labels[0]
     reader = Reader(
-        way.settings,
+        way.mode(ranger, eye_from_robot=_SAME_FRAME),
         start=(first.half_max_x_px, first.half_max_y_px) if way.clicked else None,
-        ranger=ranger,
-        eye_from_robot=_SAME_FRAME,
     )
     for row, image in zip(labels, stack.images(way.exposure), strict=True):
         yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)

@@ -40,12 +40,11 @@ _MOST_WAITING = 100  # frames; 90 MB of 640x480 RGB, ten seconds of the rig's ca
 
 
 @contextmanager
-def recorder(path: Path, mode: str) -> Iterator[Write]:
+def recorder(path: Path) -> Iterator[Write]:
     """Record until the block ends; the file gets its name then, whole or not at all.
 
     Args:
         path: `NAME.csv` for spots, `NAME.bag` for a ROS 1 bag with the frames.
-        mode: of the reader, for spots.
 
     Yields:
         A function that takes a frame, its reading, the time of its arrival, s since 1970, and the
@@ -58,7 +57,7 @@ def recorder(path: Path, mode: str) -> Iterator[Write]:
     """
     if path.suffix == ".csv":
         with spots_stream(path) as write:
-            yield lambda frame, reading, *_: write(record_of(frame, reading, mode))
+            yield lambda frame, reading, *_: write(record_of(frame, reading))
     elif path.suffix == ".bag":
         with _bag_stream(path) as write_item:
             yield _with_poses(write_item)
@@ -219,8 +218,8 @@ class Session:
 
     @property
     def mode(self) -> str:
-        """The reader's mode."""
-        return self._reader.mode
+        """Name of the reader's mode."""
+        return self._reader.mode.name
 
     @property
     def course(self) -> list[CoursePoint]:
@@ -261,7 +260,7 @@ class Session:
         """
         self.stop_recording()
         with self._record:
-            self._write = self._file.enter_context(recorder(path, self.mode))
+            self._write = self._file.enter_context(recorder(path))
             self.recording, self.recorded, self.recording_fault = path, 0, ""
 
     def stop_recording(self) -> None:
@@ -346,7 +345,7 @@ class Session:
         return self._ended or not self.paused or self._steps > 0 or asked
 
     def _measure(self, frame: Frame, number: int) -> None:
-        arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()
+        arrived_s, expected, poses = time.time(), self._reader.mode.expected_px, self._poses()
         reading = self._reader.read(
             frame.image,
             time_s=frame.time_s,

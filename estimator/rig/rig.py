@@ -162,7 +162,8 @@ class Rig:
         """
         self._count(number)
         name = f"image {number}"
-        reading, fault = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan), ""
+        failed = NoSpot(Reason.INTERNAL_ERROR)
+        reading, fault = Reading(self._reader.mode.name, failed), ""
         try:
             image, full_scale = frame_of_message(message)
             poses = self._poses.track()

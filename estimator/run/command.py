@@ -76,7 +76,7 @@ def track(
             tracking, drawn = tracked(
                 frames, reader, poses, overlay=overlay, show=show, write=write
             )
-    summary = summary_of(tracking, frames, reader.mode, time.perf_counter() - began) | {
+    summary = summary_of(tracking, frames, reader.mode.name, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
     }
@@ -190,7 +190,7 @@ def _overlay(
 
     if path is None:
         return nullcontext()
-    settings = reader.settings
+    settings = reader.mode.settings
     return overlay_writer(
         path,
         rate_hz=frames.rate_hz or RIG_RATE_HZ,

@@ -142,7 +142,7 @@ def track_source(
     write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
-            record = record_of(frame, reading, reader.mode)
+            record = record_of(frame, reading)
             if draw is not None:
                 draw(frame, record)
             if show is not None:
@@ -198,7 +198,7 @@ def _readings(
                 " a bag or a video."
             )
         if frame.fault:
-            yield frame, Reading(NoSpot(Reason.UNREADABLE), None, math.nan)
+            yield frame, Reading(reader.mode.name, NoSpot(Reason.UNREADABLE))
             continue
         try:
             reading = reader.read(
@@ -214,7 +214,7 @@ def _readings(
         yield frame, reading
 
 
-def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
+def record_of(frame: Frame, reading: Reading) -> SpotRecord:
     """The line of a spots file for a frame."""
     budget = reading.budget
     low, high = budget.interval_mm if budget else (math.nan, math.nan)
@@ -222,7 +222,7 @@ def record_of(frame: Frame, reading: Reading, mode: str) -> SpotRecord:
         frame=frame.index,
         file_name=frame.file_name,
         time_s=frame.time_s,
-        mode=mode,
+        mode=reading.mode,
         result=reading.result,
         distance_mm=reading.distance_mm,
         sigma_distance_mm=reading.sigma_distance_mm,

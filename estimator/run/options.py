@@ -27,7 +27,8 @@ from formats.poses import Quaternion, unit_quaternion
 if TYPE_CHECKING:
     from estimator.detector.literal import LiteralSettings
     from estimator.detector.settings import SubpixelSettings
-    from estimator.run.reader import Reader
+    from estimator.pixels.tracker import PixelRanger
+    from estimator.run.reader import Mode, Reader
     from estimator.sources.source import Source
     from formats.calibration import Calibration
     from formats.microscope import MicroscopeFile
@@ -168,7 +169,6 @@ class Options(Given):
             InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
-        from estimator.distance.ranger import Ranger
         from estimator.run.reader import Reader
         from formats.calibration import read_calibration
 
@@ -177,47 +177,50 @@ class Options(Given):
                 raise InputError(
                     f"{option(name)} needs {option(other)} for this source. Give both, or neither."
                 )
-        microscope, ranger = self.microscope_file(), None
-        if self.mode == "auto":
-            return self.model_copy(update={"mode": self._best_mode(microscope)}).reader()
-        settings = self._settings(microscope)
-        if self.reference is not None and self.mode != "pixels":
+        microscope = self.microscope_file()
+        beam = None if self.calibration is None else read_calibration(self.calibration)
+        return Reader(
+            self._mode(microscope, beam),
+            start=self.start,
+            size_px=(microscope.width_px, microscope.height_px) if microscope else None,
+            exposure_s=self.exposure_s,
+        )
+
+    def _mode(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> Mode[Any, Any]:
+        from estimator.detector.literal import LiteralSettings
+        from estimator.distance.ranger import Ranger
+        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode
+
+        mode = self._best_mode(microscope, beam) if self.mode == "auto" else self.mode
+        settings = self._settings(mode, microscope)
+        if self.reference is not None and mode != "pixels":
             raise InputError(
-                f"--reference has no effect in the mode {self.mode}. Leave it out, or take the "
-                "mode pixels."
+                f"--reference has no effect in the mode {mode}. Leave it out, or take the mode "
+                "pixels."
             )
-        if self.mode == "pixels":
-            return self._pixels_reader(settings, microscope)
-        if self.calibration is not None and microscope is not None:
+        turn, ranger = self.eye_from_robot, None
+        if not isinstance(settings, LiteralSettings) and mode == "pixels":
+            stated = self._stated(None)
+            pixels = self._pixel_ranger(microscope, beam, shake_px=stated.shake_px)
+            return PixelsMode(settings, pixels, eye_from_robot=turn, stated=stated)
+        if beam is not None and microscope is not None:
             ranger = Ranger(
-                read_calibration(self.calibration),
-                microscope,
-                model=self.model,
-                eccentricity_mm=self.eccentricity_mm,
+                beam, microscope, model=self.model, eccentricity_mm=self.eccentricity_mm
             )
-        if ranger is not None and ranger.model == "area" and self.eye_from_robot is None:
+        if ranger is not None and ranger.model == "area" and turn is None:
             raise InputError(
                 "the model area needs the robot's axis, so it needs eye_from_robot: the rotation "
                 "from the poses' frame to the eye's (0,0,0,1 for none). Give it with the poses, or "
                 "take the model exact."
             )
-        return Reader(
-            settings,
-            start=self.start,
-            size_px=(microscope.width_px, microscope.height_px) if microscope else None,
-            ranger=ranger,
-            exposure_s=self.exposure_s,
-            eye_from_robot=self.eye_from_robot,
-            stated=self._stated(ranger.calibration if ranger else None),
-        )
+        stated = self._stated(beam)
+        if isinstance(settings, LiteralSettings):
+            return LiteralMode(settings, ranger, eye_from_robot=turn, stated=stated)
+        return SubpixelMode(settings, ranger, eye_from_robot=turn, stated=stated)
 
-    def _best_mode(self, microscope: MicroscopeFile | None) -> str:
+    def _best_mode(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> str:
         """Pixels where an outline is not enough: behind a lens several distances may share one."""
-        from formats.calibration import read_calibration
-
-        if self.calibration is None or microscope is None:
-            return "subpixel"
-        if read_calibration(self.calibration).model != "lens":
+        if beam is None or microscope is None or beam.model != "lens":
             return "subpixel"
         asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]
         hindrance = (
@@ -238,14 +241,12 @@ class Options(Given):
         say("Mode pixels, because behind a lens one outline may belong to several distances.")
         return "pixels"
 
-    def _pixels_reader(
-        self, settings: LiteralSettings | SubpixelSettings, microscope: MicroscopeFile | None
-    ) -> Reader:
+    def _pixel_ranger(
+        self, microscope: MicroscopeFile | None, beam: Calibration | None, *, shake_px: float
+    ) -> PixelRanger:
         from estimator.pixels.tracker import PixelRanger
-        from estimator.run.reader import Reader
-        from formats.calibration import read_calibration
 
-        if self.calibration is None or microscope is None:
+        if beam is None or microscope is None:
             raise InputError("the mode pixels needs a calibration. Give --calibration.")
         for name in ("model", "eccentricity_mm"):
             if getattr(self, name) is not None:
@@ -253,21 +254,7 @@ class Options(Given):
                     f"{option(name)} has no effect in the mode pixels, whose geometry is exact. "
                     "Leave it out, or take the sub-pixel mode."
                 )
-        stated = self._stated(None)
-        return Reader(
-            settings,
-            start=self.start,
-            size_px=(microscope.width_px, microscope.height_px),
-            exposure_s=self.exposure_s,
-            eye_from_robot=self.eye_from_robot,
-            stated=stated,
-            pixel_ranger=PixelRanger(
-                read_calibration(self.calibration),
-                microscope,
-                self._reference_image(microscope),
-                shake_px=stated.shake_px,
-            ),
-        )
+        return PixelRanger(beam, microscope, self._reference_image(microscope), shake_px=shake_px)
 
     def _stated(self, calibration: Calibration | None) -> Stated:
         from formats.stated import Stated, read_stated
@@ -318,7 +305,9 @@ class Options(Given):
             plane_normal=(0.0, 0.0, 1.0) if self.wall else None,
         )
 
-    def _settings(self, microscope: MicroscopeFile | None) -> LiteralSettings | SubpixelSettings:
+    def _settings(
+        self, mode: str, microscope: MicroscopeFile | None
+    ) -> LiteralSettings | SubpixelSettings:
         from estimator.detector.literal import LiteralSettings
         from estimator.detector.settings import SubpixelSettings
         from formats.camera import Response
@@ -333,13 +322,13 @@ class Options(Given):
         if self.full_scale is not None:
             response = replace(response, full_scale=self.full_scale)
         given["response"] = response
-        if self.mode == "literal" and camera is not None:
+        if mode == "literal" and camera is not None:
             raise InputError(
                 "the literal mode does not take the lens's distortion out, which the microscope"
                 " file describes. Use the sub-pixel mode, or a microscope file without distortion."
             )
         try:
-            if self.mode == "literal":
+            if mode == "literal":
                 return LiteralSettings(**given)
             return SubpixelSettings(camera=camera, **given)
         except TypeError as error:

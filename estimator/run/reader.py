@@ -1,13 +1,16 @@
 """From a frame to a reading: the spot, its distance, the age of the robot's pose.
 
-Recordings (`offline`) and the rig's node (`estimator.rig`) use the same reader.
+Each mode is a class with one `read(frame, context)`. Recordings (`offline`), the rig's node
+(`estimator.rig`) and the console give their frames to a `Reader`, which has one of them.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -18,7 +21,6 @@ from estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
 from estimator.distance.range import Range, RangeFlag
 from estimator.distance.ranger import Ranger
 from estimator.run import exit_codes
-from formats.calibration import Calibration
 from formats.inputs import InputError
 from formats.poses import Pose, PoseTrack, Quaternion, turned
 from formats.spots import NoSpot, Reason, Spot
@@ -37,6 +39,7 @@ class Reading(NamedTuple):
     """What was measured in a frame.
 
     Attributes:
+        mode: that measured it.
         result: the spot, or why there is none.
         range: its distance; None without a calibration, or where there is none. The mode pixels may
             find one where no spot could be measured.
@@ -44,9 +47,10 @@ class Reading(NamedTuple):
         budget: what the distance is worth; None without one.
     """
 
+    mode: str
     result: Spot | NoSpot
-    range: Range | None
-    pose_age_s: float
+    range: Range | None = None
+    pose_age_s: float = math.nan
     budget: Budget | None = None
 
     @property
@@ -68,71 +72,238 @@ class Reading(NamedTuple):
         return "" if flag is RangeFlag.NONE else flag.value
 
 
-class Reader:
+class Context(NamedTuple):
+    """What is known of a frame besides its pixels.
+
+    Attributes:
+        time_s: on the poses' clock; NaN if unknown.
+        exposure_s: NaN if unknown.
+        full_scale: at which the source says that its values end; the settings' counts before.
+        poses: the robot's, of some time round the frame's.
+    """
+
+    time_s: float = math.nan
+    exposure_s: float = math.nan
+    full_scale: float | None = None
+    poses: PoseTrack = _NO_POSES
+
+    @property
+    def pose(self) -> tuple[Pose | None, float]:
+        """The robot's newest pose, and its age, s; None and NaN where there is none."""
+        return self.poses.at(self.time_s) or (None, math.nan)
+
+
+Found = tuple[Range | None, Budget | None]
+S = TypeVar("S", bound=LiteralSettings | SubpixelSettings)
+R = TypeVar("R", bound="Ranger | PixelRanger | None")
+
+
+class Mode(ABC, Generic[S, R]):
     """Reads the frames of one sequence in order, and follows the spot from frame to frame.
 
     Args:
-        settings: whose type selects the mode.
-        start: (x, y) of the spot in the first frame, px; None finds it.
-        size_px: (width, height) for which the microscope file is valid; None accepts any size.
-        ranger: computes the distances of spots; None for none.
-        exposure_s: of all frames; None takes each frame's own.
+        ranger: computes the distances; None for none.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
-            models `exact` and `area` take the beam's axis from the tool's +z, or from the beam's
-            direction in the tool's frame if the calibration contains it.
+            beam's axis is known from the tool's +z, or from the beam's direction in the tool's
+            frame if the calibration contains it.
         stated: uncertainties that neither spot nor calibration contains.
-        pixel_ranger: finds poses by all pixels, in the ranger's place; makes the mode pixels.
     """
+
+    name: ClassVar[str]
+    """The spots file's `mode`."""
 
     def __init__(
         self,
-        settings: LiteralSettings | SubpixelSettings,
+        settings: S,
+        ranger: R,
         *,
-        start: tuple[float, float] | None = None,
-        size_px: tuple[int, int] | None = None,
-        ranger: Ranger | None = None,
-        exposure_s: float | None = None,
         eye_from_robot: Quaternion | None = None,
         stated: Stated | None = None,
-        pixel_ranger: PixelRanger | None = None,
     ) -> None:
-        self.settings = self._settings = settings
-        self._start = start
-        self._size_px = size_px
-        self._ranger = ranger
-        self._exposure_s = exposure_s
-        self._eye_from_robot = eye_from_robot
-        self._axis_sigma_rad = math.radians((stated or Stated()).axis_sigma_deg)
-        self._clock_sigma_s = (stated or Stated()).clock_sigma_s
-        self._budgets = Budgets(ranger, stated or Stated()) if ranger else None
-        self._pixel_ranger = pixel_ranger
-        self._state = TrackState(at_px=start)
-        self._shape: tuple[int, ...] | None = None
-
-    def forget(self) -> None:
-        """Measure the next frame by itself: it does not follow the frames that were read."""
-        if self._shape is not None:
-            self._state = TrackState()
-        if self._pixel_ranger is not None:
-            self._pixel_ranger.forget()
-
-    def look_at(self, x_px: float, y_px: float) -> None:
-        """Look for the spot at (x, y) px in the next frame, as for a start."""
-        self.forget()
-        self._start = (x_px, y_px)
-        self._state = TrackState(at_px=self._start)
+        self.settings = self._scaled = settings
+        self._ranger, self._turn, self._stated = ranger, eye_from_robot, stated or Stated()
+        self._beam_in_tool = (0.0, 0.0, 1.0)
+        if ranger is not None:
+            self._beam_in_tool = ranger.calibration.beam_in_tool
+        self._state = TrackState()
 
     @property
     def expected_px(self) -> tuple[float, float] | None:
         """Where the spot is looked for in the next frame, (x, y) px; None in the whole frame."""
         return self._state.at_px
 
-    @property
-    def mode(self) -> str:
-        """The spots file's `mode`."""
-        if self._pixel_ranger is not None:
-            return "pixels"
-        return "literal" if isinstance(self.settings, LiteralSettings) else "subpixel"
+    def look_at(self, at_px: tuple[float, float] | None) -> None:
+        """Look for any spot near (x, y) px in the next frame; None looks in the whole frame."""
+        self._state = TrackState(at_px=at_px)
+
+    def forget(self) -> None:
+        """Read the next frame by itself: it does not follow the frames that were read."""
+        self.look_at(None)
+
+    def read(self, frame: np.ndarray, context: Context) -> Reading:
+        """Measure the next frame.
+
+        Args:
+            frame: as `measure` takes it.
+
+        Raises:
+            InputError: it is not an image, or its full scale is not known.
+        """
+        self._scale(frame, context.full_scale)
+        result, self._state = measure(frame, self._state, self._scaled)
+        found, budget = self._distance(result, frame, context)
+        return Reading(self.name, result, found, context.pose[1], budget)
+
+    def _axis(self, pose: Pose | None) -> np.ndarray | None:
+        """The beam's direction at a pose of the robot, eye frame; None if unknown."""
+        if pose is None or self._turn is None:
+            return None
+        return np.array(turned(turned(self._beam_in_tool, pose.rotation), self._turn))
+
+    def _motion(self, context: Context) -> ToolMotion:
+        """The tool's motion at a frame's pose, from the pose some time before."""
+        pose, age_s = context.pose
+        if pose is None:
+            return AT_REST
+        before, _ = context.poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
+        span_s = pose.time_s - before.time_s
+        if span_s <= 0:
+            return AT_REST
+        moved = np.subtract(pose.position_mm, before.position_mm) / span_s
+        x, y, z = moved.tolist()
+        velocity = (x, y, z)
+        if self._turn is not None:
+            velocity = turned(velocity, self._turn)
+        turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
+        return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
+
+    @abstractmethod
+    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+        """The distance and what it is worth; None where there is none."""
+
+    def _scale(self, frame: np.ndarray, full_scale: float | None) -> None:
+        """Take over the full scale of a frame."""
+        known = self.settings.response.full_scale or full_scale
+        if known is None and frame.dtype.kind == "f" and frame.max() > 1:
+            raise InputError(
+                f"the image has floats up to {frame.max():g}, and its full scale is not known. "
+                "Give full_scale (--full-scale 255 if the values were of 8 bits), or write it into "
+                "the microscope file."
+            )
+        if known != self._scaled.response.full_scale:
+            response = replace(self.settings.response, full_scale=known)
+            self._scaled = replace(self.settings, response=response)
+
+
+class _OutlineMode(Mode[S, Ranger | None]):
+    """The distance from the spot's outline, by one of the models."""
+
+    @cached_property
+    def _budgets(self) -> Budgets:
+        assert self._ranger is not None
+        return Budgets(self._ranger, self._stated)
+
+    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+        if self._ranger is None or isinstance(result, NoSpot):
+            return None, None
+        axis = self._axis(context.pose[0])
+        found = self._ranger.distance(
+            result,
+            axis=axis,
+            axis_sigma_rad=math.radians(self._stated.axis_sigma_deg),
+            frame=frame,
+            exposure_s=None if math.isnan(context.exposure_s) else context.exposure_s,
+        )
+        budget = self._budgets.of(result, found, axis=axis, motion=self._motion(context))
+        return found, budget
+
+
+class LiteralMode(_OutlineMode[LiteralSettings]):
+    """The paper's Algorithms 1 and 2."""
+
+    name = "literal"
+
+
+class SubpixelMode(_OutlineMode[SubpixelSettings]):
+    """The half-maximum contour."""
+
+    name = "subpixel"
+
+
+class PixelsMode(Mode[SubpixelSettings, "PixelRanger"]):
+    """The pose from all pixels; the spot is looked for as in the sub-pixel mode."""
+
+    name = "pixels"
+
+    def forget(self) -> None:
+        """Read the next frame by itself, on a wall that is not known."""
+        super().forget()
+        self._ranger.forget()
+
+    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+        from estimator.pixels.beam import NODES, Sweep
+        from estimator.pixels.frame_model import RobotPose
+
+        sweep = robot = None
+        axis, turn, poses = self._axis(context.pose[0]), self._turn, context.poses
+        if axis is not None and turn is not None:
+            exposure_s = 0.0 if math.isnan(context.exposure_s) else context.exposure_s
+            places = [poses.interpolated(context.time_s + n * exposure_s) for n in (0.0, *NODES)]
+            known = [place for place in places if place is not None]
+            if len(known) == len(places):
+                tips = np.array([turned(place.position_mm, turn) for place in known])
+                axes = np.array([self._axis(place) for place in known])
+                sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
+                speed = math.hypot(*self._motion(context).velocity_mm_s)
+                sigma_mm = _ROBOT_MM + speed * self._stated.clock_sigma_s
+                robot = RobotPose(tips[0], axes[0], sigma_mm)
+        found = self._ranger.distance(
+            outlines_of(frame, result, self._scaled),
+            frame=frame,
+            axis=axis,
+            axis_sigma_rad=math.radians(self._stated.axis_sigma_deg),
+            sweep=sweep,
+            robot=robot,
+        )
+        # Bright things that are no spots have no distance, and no doubt about one.
+        return (found if result or found.poses else None), None
+
+
+class Reader:
+    """Reads the frames of one sequence in order; no frame ends the run.
+
+    Args:
+        mode: new; it has read no frame.
+        start: (x, y) of the spot in the first frame, px; None finds it.
+        size_px: (width, height) for which the microscope file is valid; None accepts any size.
+        exposure_s: of all frames; None takes each frame's own.
+    """
+
+    def __init__(
+        self,
+        mode: Mode[Any, Any],
+        *,
+        start: tuple[float, float] | None = None,
+        size_px: tuple[int, int] | None = None,
+        exposure_s: float | None = None,
+    ) -> None:
+        self.mode = mode
+        self._start = start
+        self._size_px = size_px
+        self._exposure_s = exposure_s
+        self._shape: tuple[int, ...] | None = None
+        mode.look_at(start)
+
+    def forget(self) -> None:
+        """Measure the next frame by itself: it does not follow the frames that were read."""
+        if self._shape is not None:
+            self.mode.forget()
+
+    def look_at(self, x_px: float, y_px: float) -> None:
+        """Look for the spot at (x, y) px in the next frame, as for a start."""
+        self.forget()
+        self._start = (x_px, y_px)
+        self.mode.look_at(self._start)
 
     def read(
         self,
@@ -151,9 +322,7 @@ class Reader:
 
         Args:
             image: as `measure` takes it.
-            time_s: of the frame, on the poses' clock.
-            exposure_s: of the frame; NaN if unknown.
-            full_scale: at which the source says that its values end; the settings' counts before.
+            time_s: see `Context`; so are the others.
             name: of the frame, for the log.
 
         Raises:
@@ -161,126 +330,20 @@ class Reader:
                 not known, or the start lies outside of the first image.
         """
         self._check(image)
-        self._settings = self._scaled(image, full_scale)
         if self._shape not in (None, image.shape):
             self.forget()
         self._shape = image.shape
+        context = Context(time_s, self._exposure_s or exposure_s, full_scale, poses)
         try:
-            reading = self._reading(image, time_s, exposure_s, poses)
+            reading = self.mode.read(image, context)
         except InputError:
             raise
         except Exception as error:
             exit_codes.note(error, name)
-            self._state = TrackState(at_px=self._state.at_px)
-            reading = Reading(NoSpot(Reason.INTERNAL_ERROR), None, math.nan)
+            self.mode.look_at(self.mode.expected_px)
+            reading = Reading(self.mode.name, NoSpot(Reason.INTERNAL_ERROR))
         self._start = None
         return reading
-
-    def _reading(
-        self,
-        image: np.ndarray,
-        time_s: float,
-        exposure_s: float,
-        poses: PoseTrack,
-    ) -> Reading:
-        result, self._state = measure(image, self._state, self._settings)
-        pose, age_s = poses.at(time_s) or (None, math.nan)
-        own = None if math.isnan(exposure_s) else exposure_s
-        if self._pixel_ranger is not None:
-            times = time_s, self._exposure_s or own or 0.0
-            found = self._by_pixels(self._pixel_ranger, result, image, pose, poses, times)
-            return Reading(result, found, age_s)
-        if self._ranger is None or self._budgets is None or isinstance(result, NoSpot):
-            return Reading(result, None, age_s)
-        axis = None
-        if pose is not None and self._eye_from_robot is not None:
-            axis = self._beam_axis(pose, self._ranger.calibration)
-        distance = self._ranger.distance(
-            result,
-            axis=axis,
-            axis_sigma_rad=self._axis_sigma_rad,
-            frame=image,
-            exposure_s=self._exposure_s or own,
-        )
-        motion = AT_REST if pose is None else self._motion(pose, poses, age_s)
-        budget = self._budgets.of(result, distance, axis=axis, motion=motion)
-        return Reading(result, distance, age_s, budget)
-
-    def _by_pixels(
-        self,
-        ranger: PixelRanger,
-        result: Spot | NoSpot,
-        image: np.ndarray,
-        pose: Pose | None,
-        poses: PoseTrack,
-        times: tuple[float, float],
-    ) -> Range | None:
-        """The pose by all pixels; `times` are the frame's and its exposure, s.
-
-        None if no spot was measured and no pose was found either.
-        """
-        from estimator.pixels.beam import NODES, Sweep
-        from estimator.pixels.frame_model import RobotPose
-
-        axis = sweep = robot = None
-        if self._eye_from_robot is not None and pose is not None:
-            axis = self._beam_axis(pose, ranger.calibration)
-            places = [poses.interpolated(times[0] + node * times[1]) for node in (0.0, *NODES)]
-            known = [place for place in places if place is not None]
-            if len(known) == len(places):
-                turn = self._eye_from_robot
-                tips = np.array([turned(place.position_mm, turn) for place in known])
-                axes = np.stack([self._beam_axis(place, ranger.calibration) for place in known])
-                sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
-                speed = math.hypot(*self._motion(pose, poses, 0.0).velocity_mm_s)
-                robot = RobotPose(tips[0], axes[0], _ROBOT_MM + speed * self._clock_sigma_s)
-        assert isinstance(self._settings, SubpixelSettings), "the mode pixels follows its spots"
-        outlines = outlines_of(image, result, self._settings)
-        found = ranger.distance(
-            outlines,
-            frame=image,
-            axis=axis,
-            axis_sigma_rad=self._axis_sigma_rad,
-            sweep=sweep,
-            robot=robot,
-        )
-        return found if result or found.poses else None
-
-    def _beam_axis(self, pose: Pose, calibration: Calibration) -> np.ndarray:
-        """The beam's direction at a pose of the robot, eye frame."""
-        assert self._eye_from_robot is not None
-        return np.array(
-            turned(turned(calibration.beam_in_tool, pose.rotation), self._eye_from_robot)
-        )
-
-    def _motion(self, pose: Pose, poses: PoseTrack, age_s: float) -> ToolMotion:
-        """The tool's motion at a pose, from the pose some time before."""
-        before, _ = poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
-        span_s = pose.time_s - before.time_s
-        if span_s <= 0:
-            return AT_REST
-        moved = np.subtract(pose.position_mm, before.position_mm) / span_s
-        x, y, z = moved.tolist()
-        velocity = (x, y, z)
-        if self._eye_from_robot is not None:
-            velocity = turned(velocity, self._eye_from_robot)
-        turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
-        return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
-
-    def _scaled(
-        self, image: np.ndarray, full_scale: float | None
-    ) -> LiteralSettings | SubpixelSettings:
-        """The settings with the full scale of an image."""
-        known = self.settings.response.full_scale or full_scale
-        if known is None and image.dtype.kind == "f" and image.max() > 1:
-            raise InputError(
-                f"the image has floats up to {image.max():g}, and its full scale is not known. "
-                "Give full_scale (--full-scale 255 if the values were of 8 bits), or write it into "
-                "the microscope file."
-            )
-        if known == self._settings.response.full_scale:
-            return self._settings
-        return replace(self.settings, response=replace(self.settings.response, full_scale=known))
 
     def _check(self, image: np.ndarray) -> None:
         height, width = image.shape[:2]

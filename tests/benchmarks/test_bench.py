@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import math
 import subprocess
 import sys
 from pathlib import Path
@@ -76,7 +75,7 @@ def test_a_radius_that_falls_and_grows_belongs_to_two_distances():
 
 def test_a_pose_without_a_spot_is_not_doubtful():
     pose = Range(distance_mm=2.0, sigma_mm=0.01)
-    assert doubt_of_pose(Reading(NoSpot(Reason.OCCLUDED), pose, math.nan)) == ""
+    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED), pose)) == ""
     twofold = Range(distance_mm=2.0, sigma_mm=0.01, others_mm=(1.0,))
-    assert doubt_of_pose(Reading(NoSpot(Reason.OCCLUDED), twofold, math.nan)) == "ambiguous"
-    assert doubt_of_pose(Reading(NoSpot(Reason.OCCLUDED), None, math.nan)) == Reason.OCCLUDED.value
+    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED), twofold)) == "ambiguous"
+    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED))) == Reason.OCCLUDED.value

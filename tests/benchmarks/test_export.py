@@ -30,7 +30,7 @@ from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
 from benchmarks.sets.read import stacks_of
-from estimator import Reader, SubpixelSettings, open_source
+from estimator import Reader, SubpixelMode, SubpixelSettings, open_source
 from estimator.run.offline import track_source
 from formats.inputs import InputError
 from formats.manifest import write_manifest
@@ -275,7 +275,7 @@ def test_a_bag_gives_the_spots_of_its_stack(drawn: Path, tmp_path: Path, to: For
     out = exported(drawn / "train" / "a", tmp_path / "bag", to)
     bag = out / "a" / ("metered.bag" if to == "rosbag1" else "metered")
     of_bag, of_stack = (
-        track_source(open_source(source), Reader(SubpixelSettings())).records
+        track_source(open_source(source), Reader(SubpixelMode(SubpixelSettings(), None))).records
         for source in (bag, drawn / "train" / "a")
     )
     for one, other in zip(of_bag, of_stack, strict=True):

@@ -19,7 +19,14 @@ import numpy as np
 import pytest
 
 import eyespot
-from estimator import Reader, SubpixelSettings, track, track_source, track_whole_source
+from estimator import (
+    Reader,
+    SubpixelMode,
+    SubpixelSettings,
+    track,
+    track_source,
+    track_whole_source,
+)
 from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
@@ -119,7 +126,9 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
 ) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
-        assert Reader(SubpixelSettings()).read(images[0]).doubt == "internal_error"
+        assert (
+            Reader(SubpixelMode(SubpixelSettings(), None)).read(images[0]).doubt == "internal_error"
+        )
     out = f"{tmp_path / 'spots.csv'}"
     monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", out])
     with pytest.raises(SystemExit) as ended:
@@ -241,7 +250,10 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
     try:
         with spots_stream(tmp_path / "spots.csv") as write:
             tracking = track_source(
-                dark_frames(3000), Reader(SubpixelSettings()), write=write, progress=note
+                dark_frames(3000),
+                Reader(SubpixelMode(SubpixelSettings(), None)),
+                write=write,
+                progress=note,
             )
     finally:
         tracemalloc.stop()
@@ -278,4 +290,6 @@ def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images: list[np.nd
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        track_whole_source(Source(name="frames", read=read), Reader(SubpixelSettings()))
+        track_whole_source(
+            Source(name="frames", read=read), Reader(SubpixelMode(SubpixelSettings(), None))
+        )

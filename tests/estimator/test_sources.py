@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from estimator import Reader, SubpixelSettings, track
+from estimator import Reader, SubpixelMode, SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
@@ -50,7 +50,7 @@ def expected(images: list[np.ndarray]) -> Results:
 
 
 def offline(source: Source) -> Results:
-    tracking = track_source(source, Reader(SubpixelSettings()))
+    tracking = track_source(source, Reader(SubpixelMode(SubpixelSettings(), None)))
     assert tracking.ended is Ended.COMPLETE
     return [record.result for record in tracking.records]
 
@@ -173,7 +173,7 @@ def test_a_lossy_video_moves_spots_by_no_more_than_its_noise_can(tmp_path, image
 
 def test_the_hidden_labels_of_a_stack_are_met(tmp_path, images):
     folder = write_stack(tmp_path / "stack", images, ("metered",))
-    tracking = track_source(open_source(folder), Reader(SubpixelSettings()))
+    tracking = track_source(open_source(folder), Reader(SubpixelMode(SubpixelSettings(), None)))
     for record, truth in zip(tracking.records, truths(), strict=True):
         assert record.file_name == f"frames/metered{record.frame:06d}.png"
         if isinstance(record.result, Spot):
@@ -186,7 +186,7 @@ def test_typed_failures_are_counted_by_their_reason(tmp_path, images):
     clipped = Truth(x=0, y=80, semi_major=33, semi_minor=30)
     frame = frame_of(Drawing(truth=clipped), np.random.default_rng(1), SHAPE)
     folder = write_folder(tmp_path / "folder", [*images, frame, images[GONE]])
-    tracking = track_source(open_source(folder), Reader(SubpixelSettings()))
+    tracking = track_source(open_source(folder), Reader(SubpixelMode(SubpixelSettings(), None)))
     by_hand = [r.result.reason.value for r in tracking.records if isinstance(r.result, NoSpot)]
     assert tracking.no_spot == {reason: by_hand.count(reason) for reason in by_hand}
     assert tracking.no_spot["none_found"] == 2
@@ -313,7 +313,7 @@ def test_missing_and_empty_places_are_refused(tmp_path):
 
 def test_what_was_measured_before_a_break_is_kept(tmp_path, images, expected):
     path = cut(write_video(tmp_path / "video.avi", images), 0.6)
-    tracking = track_source(open_source(path), Reader(SubpixelSettings()))
+    tracking = track_source(open_source(path), Reader(SubpixelMode(SubpixelSettings(), None)))
     assert tracking.ended is Ended.BROKEN
     count = len(tracking.records)
     assert f"breaks off at frame {count} of the 12" in tracking.fault
@@ -356,7 +356,7 @@ def test_a_camera_runs_until_it_is_stopped(monkeypatch, images, expected):
 
 def test_a_camera_that_stops_by_itself_is_a_fault(monkeypatch, images):
     monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(images[:2], None))
-    tracking = track_source(open_source("0"), Reader(SubpixelSettings()))
+    tracking = track_source(open_source("0"), Reader(SubpixelMode(SubpixelSettings(), None)))
     assert tracking.ended is Ended.BROKEN
     assert "camera 0 stopped at frame 2" in tracking.fault
 
@@ -369,4 +369,4 @@ def test_a_camera_that_is_not_there_is_refused():
 def test_a_start_outside_of_the_frame_is_refused(tmp_path, images):
     source = open_source(write_folder(tmp_path / "folder", images))
     with pytest.raises(ValueError, match=r"\(200, 80\) px lies outside .* 200x160 px"):
-        track_source(source, Reader(SubpixelSettings(), start=(200, 80)))
+        track_source(source, Reader(SubpixelMode(SubpixelSettings(), None), start=(200, 80)))

@@ -21,7 +21,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import eyespot
-from estimator import LiteralSettings, Reader, SubpixelSettings, track
+from estimator import LiteralSettings, Reader, SubpixelMode, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
 from estimator.run.overlay import annotated, overlay_writer
 from estimator.sources.ros import write_bag
@@ -650,7 +650,7 @@ def test_three_numbers_with_a_gap_are_no_recording(run, tmp_path):
 def test_an_image_of_another_size_begins_a_new_sequence():
     small, other = far_apart()
     large = np.pad(other, ((40, 0), (90, 0), (0, 0)), mode="edge")
-    reader = Reader(SubpixelSettings())
+    reader = Reader(SubpixelMode(SubpixelSettings(), None))
     reader.read(small)
     alone = next(track([large], SubpixelSettings()))
     np.testing.assert_equal(vars(reader.read(large).result), vars(alone))
