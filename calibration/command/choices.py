@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 from cyclopts import Parameter
 
 from estimator.run.options import Exposure, Given, Options
+from formats.calibration import Calibration, read_calibration
 from formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ class Choices(Given):
     model: Literal["auto", "cone", "eye", "plane", "sphere", "image", "lens"] = "auto"
     """Model to fit; auto chooses cone or lens by how sharp the spots' edges are. Fitted to spots:
     cone, the exact geometry; eye, how an unknown eye and its viewing lens show a cone that is known
-    (--cone); plane, the paper's line through planes; sphere, the paper's eccentricity of one
+    (--calibration); plane, the paper's line through planes; sphere, the paper's eccentricity of one
     eyeball, beside planes. Fitted to all pixels of one stack: image, a cone; lens, a glue lens."""
     exposure: Exposure = None
     free: Annotated[str | None, Parameter(metavar="NAME,…")] = None
@@ -49,8 +50,9 @@ class Choices(Given):
     lens: str | None = None
     """Preset or lens file to start the model lens from, within 30 % (default: guessed from the
     spots)."""
-    cone: Path | None = None
-    """Calibration of the same fibre in the same medium, made on a phantom, for the model eye."""
+    calibration: Path | None = None
+    """Calibration of the same fibre, made before. The fit starts from it, with its covariance as
+    prior, and says what it learned; the model eye takes its cone, made on a phantom."""
     microscope: Annotated[Path | None, _ELSEWHERE] = None
     """Microscope file of the sources; a stack contains its own."""
     poses: Annotated[tuple[Path, ...], _ELSEWHERE, Parameter(show_default=False)] = ()
@@ -102,6 +104,11 @@ class Choices(Given):
                 )
             found[name] = Prior(mean, sigma)
         return found
+
+    @cached_property
+    def known(self) -> Calibration | None:
+        """The calibration that was made before."""
+        return read_calibration(self.calibration) if self.calibration else None
 
     @property
     def rotation(self) -> Quaternion:

@@ -36,7 +36,7 @@ from estimator import Ranger
 from estimator.run.progress_bar import progress, say
 from estimator.sources.opening import open_source
 from estimator.viewer import check_recording_path, recording_of
-from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.calibration import Calibration, write_calibration
 from formats.inputs import InputError, in_terminal
 from formats.spots import Spot
 from formats.whole_files import require_space, written_whole
@@ -112,10 +112,6 @@ SHARP_EDGE = 0.05
 core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
 
 
-def _cone(choices: Choices) -> Calibration | None:
-    return read_calibration(choices.cone) if choices.cone else None
-
-
 class Model(NamedTuple):
     """A model and its selectable parameters."""
 
@@ -132,7 +128,7 @@ MODELS = {
     "plane": Model(fit_planes),
     "sphere": Model(fit_sphere),
     "cone": Model(fit_cone_to_spots, PARAMETERS, CONE),
-    "eye": Model(lambda trials, given: fit_eye(trials, given, _cone(given)), EYE, EYE),
+    "eye": Model(lambda trials, given: fit_eye(trials, given, given.known), EYE, EYE),
     "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
     "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }
@@ -274,7 +270,8 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
     Raises:
         InputError: wrong input; a fit that is not good is no error.
     """
-    model: str = "lens" if choices.model == "auto" and choices.lens else choices.model
+    of_lens = choices.lens or (choices.known and choices.known.model == "lens")
+    model: str = "lens" if choices.model == "auto" and of_lens else choices.model
     others = [source for source in sources if not is_stack(source)]
     if model != "auto":
         _check(model, choices, sources=len(sources), others=len(others))
@@ -305,6 +302,10 @@ def _has_pixels(recordings: Sequence[Recording]) -> bool:
 
 def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
     fitted = MODELS[model].fit(recordings, choices)
+    if choices.known and model != "eye":
+        for change in _learned(fitted, choices.known):
+            fitted.notes.append(change)
+            say(change)
     return Fit(
         model=model,
         fitted=fitted,
@@ -312,6 +313,18 @@ def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
         doubts=doubts(fitted),
         exposure=choices.exposure,
     )
+
+
+def _learned(fitted: Fitted, known: Calibration) -> Iterator[str]:
+    """What the recording changed of a calibration that was known before."""
+    for name, value, sigma, unit in fitted.rows:
+        if name in known.values and (before := known.sigma(name)) > 0:
+            change = value - known.values[name]
+            yield (
+                f"{name} was {known.values[name]:.6g} ± {before:.2g} {unit} before; the recording "
+                f"moved it by {change:+.2g}, {change / before:+.1f} of these standard deviations, "
+                f"and it is now known to {sigma:.2g}."
+            )
 
 
 def run(
@@ -381,9 +394,11 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
         raise InputError("--robust works with the models plane and sphere only. Leave it out.")
     if choices.lens and model != "lens":
         raise InputError("--lens works with --model lens only. Leave it out.")
-    if choices.cone is not None and model != "eye":
-        raise InputError("--cone works with --model eye only. Leave it out.")
-    _cone(choices)  # a wrong file is refused before any spot is measured
+    if choices.known and (choices.lens or not chosen.parameters):
+        raise InputError(
+            "--calibration does not work with --lens, nor with the models plane and sphere. "
+            "Leave it out."
+        )
     if chosen.of_pixels and (others or sources != 1):
         raise InputError(
             f"--model {model} fits the pixels of one stack; got {sources} sources, of which "

@@ -15,8 +15,15 @@ from calibration.command.verdict import Fitted, PlotCurve, bounds_hit
 from calibration.pixels.data import CONE
 from calibration.recordings import Recording
 from calibration.solvers import excess_variance
-from calibration.spots.cone_fit import ConeFit, JointPrior, fit_cone
-from calibration.spots.cone_trials import OUTLINE_PER_MM, RETINA, SIZE_PER_MM, Prior, phantom_wall
+from calibration.spots.cone_fit import ConeFit, fit_cone
+from calibration.spots.cone_trials import (
+    OUTLINE_PER_MM,
+    RETINA,
+    SIZE_PER_MM,
+    JointPrior,
+    Prior,
+    phantom_wall,
+)
 from calibration.spots.plane_fit import (
     Loss,
     PlaneFit,
@@ -216,12 +223,14 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
     _require_errors(recordings)
     tilts = [recording.tilt for recording in recordings if recording.trial.kind == "plane"]
     tilt = dict(zip(("tilt_x", "tilt_y"), tilts[0] if tilts else (0.0, 0.0), strict=True))
+    own = known_cone(choices.known, recordings) if choices.known else None
     fit = fit_cone(
         [recording.trial for recording in recordings],
         recordings[0].microscope.pinhole(),
-        start=cone_start(recordings) | tilt,
+        start=(dict(own.mean) if own else cone_start(recordings)) | tilt,
         free=choices.names or CONE,
         priors=_without_touch(choices),
+        joint_prior=own,
     )
     return _fitted(fit, recordings, calibration_model="exact")
 
@@ -319,24 +328,19 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
     _require_errors(recordings)
     if cone is None:
         raise InputError(
-            "--model eye needs --cone FILE: a calibration of the same fibre in the same medium. "
-            "Fit one to recordings of a phantom with --model cone."
+            "--model eye needs --calibration FILE: of the same fibre in the same medium. Fit one "
+            "to recordings of a phantom with --model cone."
         )
     for recording in recordings:
         if recording.trial.kind != "eyeball":
             raise InputError(
                 f"{recording.name} was taken on a plane, which does not belong to the eye. Fit it "
-                "by itself with --model cone, and give the result with --cone."
+                "by itself with --model cone, and give the result with --calibration."
             )
-        if recording.medium != cone.medium:
-            raise InputError(
-                f"{recording.name} was taken in {recording.medium}, but --cone is valid in "
-                f"{cone.medium}. Calibrate the cone in {recording.medium}."
-            )
-    own = _cone(cone)
+    own = known_cone(cone, recordings)
     priors = {"eye_radius": RETINA} | _without_touch(choices)
     for name in own.mean.keys() & priors.keys():
-        raise InputError(f"--prior {name} is given twice, as --cone contains it. Leave it out.")
+        raise InputError(f"--prior {name} is given twice, as --calibration has it. Leave it out.")
     microscope = recordings[0].microscope
     # c to a few percent, which are those of the microscope file's scale.
     offsets = [
@@ -357,13 +361,19 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
     return _fitted(fit, recordings, calibration_model="area")
 
 
-def _cone(calibration: Calibration) -> JointPrior:
-    """half_angle and b of a calibration."""
+def known_cone(calibration: Calibration, recordings: Sequence[Recording]) -> JointPrior:
+    """half_angle and b of a calibration in the recordings' medium."""
     values = calibration.values
     if "b" not in values or not {"k", "half_angle"} & values.keys():
         raise InputError(
-            f"--cone must be a calibration of a cone; got one of the model {calibration.model!r}. "
-            "Fit a phantom with --model cone."
+            "--calibration must be of a cone here; got one of the model "
+            f"{calibration.model!r}. Fit a phantom with --model cone."
+        )
+    medium = recordings[0].medium
+    if medium != calibration.medium:
+        raise InputError(
+            f"{recordings[0].name} was taken in {medium}, but --calibration is valid in "
+            f"{calibration.medium}. Calibrate the cone in {medium}."
         )
     name = "half_angle" if "half_angle" in values else "k"
     rows = [list(values).index(row) for row in (name, "b")]

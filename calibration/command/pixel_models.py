@@ -19,14 +19,14 @@ from scipy import ndimage
 
 import optics
 from calibration.command.choices import Choices
-from calibration.command.models import cone_start
+from calibration.command.models import cone_start, known_cone
 from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from calibration.pixels.data import LENS, UNITS, read_footage
 from calibration.pixels.fit import ImageFit, fit_footage, lens_start
 from calibration.recordings import Recording
-from calibration.spots.cone_trials import Prior
+from calibration.spots.cone_trials import JointPrior, Prior
 from estimator.run.progress_bar import progress, say
-from formats.calibration import BEAM, LENS_PARAMETERS
+from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from formats.inputs import InputError
 from formats.stack import read_stack
 from optics.wall_light.lens import lens_of
@@ -140,10 +140,11 @@ _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
-    start = cone_start(recordings)
+    own = known_cone(choices.known, recordings) if choices.known else None
+    start = dict(own.mean) if own else cone_start(recordings)
     if "blur" in choices.names:
         start["blur"] = _BLUR_PX
-    return _fitted(recording, choices, "cone", [start])
+    return _fitted(recording, choices, "cone", [start], joint_prior=own)
 
 
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
@@ -152,8 +153,14 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     Starts from the lenses that resemble the spots most, among them the one that was chosen. If
     none was, and the light is not that of a drop as wide as the fibre, the radii of core and cap
     are free.
+
+    A lens that was calibrated before is the start instead. What its file has an error of is free.
     """
     (recording,) = recordings
+    if choices.known:
+        start, joint = _known_lens(choices.known, choices.names)
+        choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
+        return _fitted(recording, choices, "lens", [start], joint_prior=joint)
     if choices.lens:
         kind = lens_start(optics.load_lens(choices.lens))
     else:
@@ -169,6 +176,35 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     return _fitted(recording, choices, "lens", starts, widths=widths)
 
 
+def _known_lens(
+    calibration: Calibration, names: Sequence[str]
+) -> tuple[dict[str, float], JointPrior]:
+    """Parameters of a calibrated lens, and those known with an error, of `names` if there are any.
+
+    Raises:
+        InputError: the calibration is not of a lens, or all of its parameters are exact.
+    """
+    values = calibration.values
+    if calibration.model != "lens":
+        raise InputError(
+            "--calibration must be of a lens here; got one of the model "
+            f"{calibration.model!r}. Give one of a lens, or --model cone."
+        )
+    shape = {name: values[name] for name in LENS_PARAMETERS if name in values}
+    start = lens_start(optics.glue_lens(**shape))
+    start |= {name: values[name] for name in _EITHER_IN_FILE if name in values}
+    of_file = [n for n in start if n in values and calibration.sigma(n) > 0]
+    known = [name for name in of_file if not names or name in names]
+    if not known and not names:
+        raise InputError(
+            "--calibration states no error of any parameter, so that nothing can be corrected. "
+            "Name what may change with --free."
+        )
+    rows = [list(values).index(name) for name in known]
+    covariance = calibration.covariance[np.ix_(rows, rows)]
+    return start, JointPrior({name: start[name] for name in known}, covariance)
+
+
 def _fitted(
     recording: Recording,
     choices: Choices,
@@ -176,6 +212,7 @@ def _fitted(
     starts: Sequence[dict[str, float]],
     *,
     widths: bool = False,
+    joint_prior: JointPrior | None = None,
 ) -> Fitted:
     """Fit, and bring the result into the form that all models share.
 
@@ -185,6 +222,7 @@ def _fitted(
         source: kind of the light source.
         starts: start values, the likeliest first.
         widths: whether the radii of core and cap may be fitted too, if the light asks for it.
+        joint_prior: of the beam, from a calibration.
     """
     if "spread" in choices.names:
         starts = [start | {"spread": _SPREAD_MM} for start in starts]
@@ -211,6 +249,7 @@ def _fitted(
             others=starts[1:],
             free=choices.names or None,
             priors=choices.priors,
+            joint_prior=joint_prior,
             spare=dict(zip(_WIDTHS, (core, held), strict=True)) if widths else None,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )

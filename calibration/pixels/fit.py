@@ -17,9 +17,14 @@ import optics
 from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names, read_footage
 from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
-from calibration.pixels.solver import BeamSolver, Point
-from calibration.solvers import MOST_STEPS, covariance_and_lost
-from calibration.spots.cone_trials import BORESIGHT_SIGMA, Prior, phantom_wall
+from calibration.pixels.solver import EVEN, BeamSolver, Point
+from calibration.solvers import covariance_and_lost
+from calibration.spots.cone_trials import (
+    BORESIGHT_SIGMA,
+    JointPrior,
+    Prior,
+    phantom_wall,
+)
 from formats.inputs import InputError
 from formats.stack import Stack
 from optics.wall_light.lens import lens_parameters
@@ -187,6 +192,7 @@ def fit_footage(
     priors: Mapping[str, Prior] | None = None,
     others: Sequence[Mapping[str, float]] = (),
     spare: Mapping[str, Prior] | None = None,
+    joint_prior: JointPrior | None = None,
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
@@ -196,6 +202,8 @@ def fit_footage(
     Args:
         others: further start values, tried in order while a fit misses light.
         spare: priors of further parameters, free if the fit from `start` misses light.
+        joint_prior: of free parameters that have none in `priors`, such as a lens that was
+            calibrated before.
     """
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
@@ -221,7 +229,7 @@ def fit_footage(
     def run_of(free: Sequence[str], priors: dict[str, Prior]) -> _FitRun:
         names = (*free, *(name for name in NUISANCES if name not in free))
         lens = LinearLensLight(footage, names) if source == "lens" else None
-        return _FitRun(footage, names, priors, lens, radius, progress)
+        return _FitRun(footage, names, priors, joint_prior, lens, radius, progress)
 
     run = run_of(free, known)
     # From what the first start leads to, wrong radii are likelier than a wrong start.
@@ -298,6 +306,7 @@ class _FitRun(NamedTuple):
     footage: Footage
     names: tuple[str, ...]
     priors: dict[str, Prior]
+    joint_prior: JointPrior | None
     lens: LinearLensLight | None
     radius_px: float
     progress: Callable[[float], None]
@@ -318,6 +327,7 @@ class _FitRun(NamedTuple):
             point,
             names=self.names,
             priors=self.priors,
+            joint_prior=self.joint_prior,
             lens=self.lens,
             progress=self.progress,
         )
@@ -343,10 +353,15 @@ class _FitRun(NamedTuple):
         solver = self.solver(point, first=first)
         self._tabulate(solver, coarse=first)
         solver.choose(guess=True)
-        if first:
-            solver.brighten()
-        steps = _COARSE_STEPS if first else MOST_STEPS
-        solver.minimise(_TOLERANCE[True], follow=True, most_steps=steps)
+        if not first:
+            solver.minimise(_TOLERANCE[True], follow=True)
+            return solver
+        solver.brighten()
+        # A wall that is free can take the shape of the light of a beam that is far off, so that the
+        # beam is found as if the wall were even.
+        free = solver.tau
+        for solver.tau in (EVEN, free):
+            solver.minimise(_TOLERANCE[True], follow=True, most_steps=_COARSE_STEPS)
         return solver
 
     def whole_fit(self, some: BeamSolver) -> ImageFit:

@@ -40,7 +40,7 @@ from calibration.pixels.light import (
     LinearLensLight,
 )
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
-from calibration.spots.cone_trials import Prior
+from calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from formats.inputs import InputError
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
@@ -48,7 +48,7 @@ _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 _LEAST, _MOST = _UNITS / 3000.0, _UNITS * 30.0
 _FEW = 2  # frames
 _FREE = 1.0  # tau of a wall with texture: nothing is known
-_EVEN = 1e-9
+EVEN = 1e-9
 _LIT = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
 _RING = {True: 4, False: 2}  # cells around these; more while the beam is a guess
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
@@ -114,11 +114,13 @@ class BeamSolver:
         *,
         names: tuple[str, ...],
         priors: Mapping[str, Prior],
+        joint_prior: JointPrior | None,
         lens: LinearLensLight | None,
         progress: Callable[[float], None],
     ) -> None:
         self.footage, self.cells, self.numbers, self.point = footage, cells, list(numbers), point
-        self.names, self.priors, self.lens, self.progress = names, priors, lens, progress
+        self.names, self.lens, self.progress = names, lens, progress
+        self._prior_means, self._prior_weights = prior_terms(names, priors, joint_prior)
         self.light = Light(footage, cells, names, lens)
         means = [cells.means(footage.light[i], footage.clear[i]) for i in self.numbers]
         self.seen = np.array([mean for mean, _ in means])
@@ -128,7 +130,7 @@ class BeamSolver:
         self.sizes = np.array([_size(name, point.values[name], priors) for name in names])
         self.spread = np.ones(len(STATES))  # of the states, in their units
         # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
-        self.tau, self.error = _FREE if len(self.numbers) > _FEW else _EVEN, 0.0
+        self.tau, self.error = _FREE if len(self.numbers) > _FEW else EVEN, 0.0
         self.trust = np.ones(self.seen.shape)  # of cells that are far off
         self.map = np.ones(cells.along**2)
         # Of all cells, because the tiles near a beam change with its pose; zero until learnt.
@@ -301,16 +303,12 @@ class BeamSolver:
         information[np.arange(p, total), np.arange(p, total)] += stiff
         gradient[p:] += stiff * states
         cost += float(stiff @ np.square(states))
-        for i, name in enumerate(self.names):
-            if name in self.priors:
-                prior = self.priors[name]
-                off, slope = (
-                    (point.values[name] - prior.mean) / prior.sigma,
-                    self.sizes[i] / prior.sigma,
-                )
-                cost += off**2
-                gradient[i] += slope * off
-                information[i, i] += slope**2
+        values = np.array([point.values[name] for name in self.names])
+        off = self._prior_weights @ (values - self._prior_means)
+        slopes = self._prior_weights * self.sizes
+        cost += float(off @ off)
+        gradient[:p] += slopes.T @ off
+        information[:p, :p] += slopes.T @ slopes
         return NormalEquations(cost, gradient, information)
 
     def _slopes(self, k: int, own: FrameLight, texture: np.ndarray) -> Float[np.ndarray, "p+7 n"]:
@@ -392,7 +390,7 @@ class BeamSolver:
         """Take the wall for even, unless that explains the frames worse than chance allows."""
         before = self.point, self.now, self.equations, self.map
         cells = float(np.sum(1.0 - self.tau**-2.0 / self.now.information))
-        self.tau = _EVEN
+        self.tau = EVEN
         self.minimise(1.0, follow=False)
         if self.equations.cost - before[2].cost > cells + _SURE * math.sqrt(2.0 * cells):
             self.tau = _FREE

@@ -24,9 +24,11 @@ from calibration.spots.cone_trials import (
     HELD,
     NUISANCES,
     ConeTrial,
+    JointPrior,
     Prior,
     TrialGroup,
     misfit,
+    prior_terms,
     spots,
 )
 from formats.inputs import InputError
@@ -47,22 +49,8 @@ The focal length is 1/(scale inverse_working_distance) px; the pinhole's height 
 """
 
 
-class JointPrior(NamedTuple):
-    """Prior knowledge of several parameters whose errors are correlated.
-
-    Attributes:
-        mean: by name, in the parameters' units.
-        covariance: in the same order.
-    """
-
-    mean: Mapping[str, float]
-    covariance: Float[np.ndarray, "n n"]
-
-
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
 """Scales of parameters that may be zero; the scale of the others is their value."""
-_LEAST_PRIOR = 1e-6
-"""Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""
 
 
 class ConeFit(NamedTuple):
@@ -173,7 +161,8 @@ def fit_cone(
     fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
     # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
-    prior_means, prior_weights = _priors(free, priors or {}, joint_prior)
+    own = {name: prior for name, prior in (priors or {}).items() if name in free}
+    prior_means, prior_weights = prior_terms(PARAMETERS, own, joint_prior)
     nothing = [0.0] * len(trials)
     missed = size_sigmas or nothing, outline_sigmas or nothing
     groups = [
@@ -219,13 +208,13 @@ def fit_cone(
         boresight[number] = boresight_sigma * found[beam]
         boresight_covariance[number] = boresight_sigma**2 * covariance[beam, beam]
         at += len(NUISANCES)
-    own = slice(len(free))
+    shared = slice(len(free))
     in_order = np.argsort([number for group in groups for number in group.numbers])
     slopes = np.asarray(spot_slopes)[in_order]
     return ConeFit(
         values=values,
         free=tuple(free),
-        covariance=covariance[own, own] * np.outer(sizes, sizes),
+        covariance=covariance[shared, shared] * np.outer(sizes, sizes),
         information=marginal_information(information, len(free)) / np.outer(sizes, sizes),
         touch=touch,
         touch_error=touch_error,
@@ -240,24 +229,6 @@ def fit_cone(
         undetermined=undetermined,
         converged=bool(solution.converged),
     )
-
-
-def _priors(
-    free: Sequence[str], priors: Mapping[str, Prior], joint: JointPrior | None
-) -> tuple[Float[np.ndarray, "q"], Float[np.ndarray, "q q"]]:
-    """Means, and the matrix that turns deviations into independent ones of variance 1."""
-    means, weights = np.zeros(len(PARAMETERS)), np.zeros((len(PARAMETERS),) * 2)
-    for name in free:
-        if name in priors:
-            at = PARAMETERS.index(name)
-            means[at], weights[at, at] = priors[name].mean, 1.0 / priors[name].sigma
-    if joint is not None:
-        rows = [PARAMETERS.index(name) for name in joint.mean]
-        means[rows] = list(joint.mean.values())
-        # A calibration may state no error.
-        least = np.diag(np.square(_LEAST_PRIOR * means[rows]))
-        weights[np.ix_(rows, rows)] = np.linalg.inv(np.linalg.cholesky(joint.covariance + least))
-    return means, weights
 
 
 def _carried_on(

@@ -41,6 +41,8 @@ BORESIGHT_SIGMA = math.radians(3.0)
 """Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
 that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
 _POINTS = 32
+_LEAST_PRIOR = 1e-6
+"""Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""
 
 
 class Prior(NamedTuple):
@@ -48,6 +50,38 @@ class Prior(NamedTuple):
 
     mean: float
     sigma: float
+
+
+class JointPrior(NamedTuple):
+    """Prior knowledge of several parameters whose errors are correlated.
+
+    Attributes:
+        mean: by name, in the parameters' units.
+        covariance: in the same order.
+    """
+
+    mean: Mapping[str, float]
+    covariance: Float[np.ndarray, "n n"]
+
+
+def prior_terms(
+    names: Sequence[str], priors: Mapping[str, Prior], joint: JointPrior | None
+) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p p"]]:
+    """Means of the named parameters, and the matrix that makes their deviations independent.
+
+    The deviations times the matrix have variance 1; they are 0 for parameters without a prior.
+    """
+    means, weights = np.zeros(len(names)), np.zeros((len(names),) * 2)
+    for at, name in enumerate(names):
+        if name in priors:
+            means[at], weights[at, at] = priors[name].mean, 1.0 / priors[name].sigma
+    if joint is not None:
+        rows = [names.index(name) for name in joint.mean]
+        means[rows] = list(joint.mean.values())
+        # A calibration may state no error.
+        least = np.diag(np.square(_LEAST_PRIOR * means[rows]))
+        weights[np.ix_(rows, rows)] = np.linalg.inv(np.linalg.cholesky(joint.covariance + least))
+    return means, weights
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -135,11 +135,11 @@ def test_what_does_not_fit_the_eye_is_refused():
     }
     of_lens = eye_fits.calibration(lens, np.zeros((6, 6)), "lens")
     for recording, choices, known, said in (
-        (trial, given, None, "needs --cone FILE"),
+        (trial, given, None, "needs --calibration FILE"),
         (on_plane, given, cone, "was taken on a plane"),
-        (trial._replace(medium="air"), given, cone, "--cone is valid in vitreous"),
-        (trial, given, of_lens, "must be a calibration of a cone"),
-        (trial, Choices(prior=("b=-5,1",)), cone, "--cone contains it"),
+        (trial._replace(medium="air"), given, cone, "--calibration is valid in vitreous"),
+        (trial, given, of_lens, "--calibration must be of a cone"),
+        (trial, Choices(prior=("b=-5,1",)), cone, "--calibration has it"),
     ):
         with pytest.raises(InputError, match=said):
             fit_eye([recording], choices, known)
@@ -210,7 +210,7 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
         for word in written(tmp_path, f"c{c}", withdrawn(eye, c, 2.0 * c))
     ]
     given = [
-        *("fit", *recordings, "--model", "eye", "--cone", str(tmp_path / "cone.json")),
+        *("fit", *recordings, "--model", "eye", "--calibration", str(tmp_path / "cone.json")),
         *("--microscope", str(tmp_path / "microscope.json"), "--medium", "vitreous"),
         *(
             "--phantom",
@@ -227,9 +227,9 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
     assert found.model == "area"
     # Behind the retina, as in the random eyes of `eyespot study eye`: -0.07 ± 0.01 per mm.
     assert -0.12 < found.values["inverse_working_distance"] < -0.03
-    other = [{"eye": "cone", given[-1]: str(tmp_path / "other.json")}.get(w, w) for w in given]
+    other = [{"eye": "plane", given[-1]: str(tmp_path / "other.json")}.get(w, w) for w in given]
     refused = call(other)
-    assert "--cone works with --model eye only" in str(refused.exception)
+    assert "--calibration does not work with --lens" in str(refused.exception)
 
 
 @pytest.mark.slow

@@ -52,7 +52,7 @@ def test_models_hold_their_limits_behind_a_flat_contact_lens(tmp_path):
     fitted = call(
         [
             *("fit", *(str(stack.folder) for stack in withdrawals)),
-            *("--model", "eye", "--cone", str(tmp_path / "cone.json")),
+            *("--model", "eye", "--calibration", str(tmp_path / "cone.json")),
             *("--out", str(tmp_path / "eye.json")),
         ],
     )

@@ -20,6 +20,7 @@ import optics
 from calibration.pixels.data import BareFibre, Footage, check_names, read_footage
 from calibration.pixels.fit import fit_footage
 from calibration.pixels.light import STATES, Cells, Light
+from calibration.spots.cone_trials import JointPrior
 from formats.camera import CameraNoise, Response
 from formats.stack import Stack, read_stack
 from optics.wall_light.cells import CellBeam, lattice_irradiance
@@ -646,7 +647,11 @@ def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float
 
 
 def fit_of_seed(
-    seed: int, footage: Footage, light: np.ndarray, truth: dict[str, float]
+    seed: int,
+    footage: Footage,
+    light: np.ndarray,
+    truth: dict[str, float],
+    joint_prior: JointPrior | None = None,
 ) -> calibration.ImageFit:
     """The fit to the frames with noise; what is known beforehand scatters as it says, too."""
     rng = np.random.default_rng(seed)
@@ -661,7 +666,26 @@ def fit_of_seed(
         name: calibration.Prior(truth[name] + sigma * rng.standard_normal(), sigma)
         for name, sigma in PRIORS.items()
     }
-    return fit_footage(noisy, source="cone", start=START, priors=priors)
+    return fit_footage(noisy, source="cone", start=START, priors=priors, joint_prior=joint_prior)
+
+
+def test_a_second_recording_adds_its_information_to_a_calibration(tmp_path):
+    """Two recordings with noise of their own know as much together as the sum of both."""
+    footage, light, truth = ideal_withdrawal(tmp_path)
+    first, second = (fit_of_seed(seed, footage, light, truth) for seed in (1, 2))
+    own = [list(first.parameters).index(name) for name in ("half_angle", "b")]
+    known = first.covariance[np.ix_(own, own)]
+    mean = {name: first.parameters[name][0] for name in ("half_angle", "b")}
+    both = fit_of_seed(2, footage, light, truth, JointPrior(mean, known))
+    alone, together = (fit.covariance[np.ix_(own, own)] for fit in (second, both))
+    expected = np.linalg.inv(np.linalg.inv(known) + np.linalg.inv(alone))
+    # The noise's weights follow the light, so at another point they differ by some thousandths.
+    np.testing.assert_allclose(together, expected, rtol=0.02)
+    values = [np.array([fit.parameters[name][0] for name in mean]) for fit in (first, second)]
+    weighted = [np.linalg.solve(c, v) for c, v in zip((known, alone), values, strict=True)]
+    found = np.array([both.parameters[name][0] for name in mean])
+    # The model is linear within these errors, so the mean is off by a small part of them.
+    assert np.all(np.abs(found - expected @ sum(weighted)) < 0.05 * np.sqrt(np.diag(expected)))
 
 
 @pytest.mark.slow
