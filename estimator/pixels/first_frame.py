@@ -171,11 +171,16 @@ class Belief:
         middle = self.solver.window.middle_px
         return frame.cells.motion.image_px(middle) - middle
 
-    @property
-    def drifted(self) -> bool:
-        """Whether the wall has moved since the map's begin, beyond what may be an error."""
-        way = math.hypot(*self.drift(self.newest))
-        return way > max(_DRIFTED_PX, _SURELY * math.sqrt(self.shift_variance_px2))
+    def drifted(self, shake_px: float) -> bool:
+        """Whether the wall has moved since the map's begin, beyond errors and a shake of the image.
+
+        Args:
+            shake_px: standard deviation of the shake along each side, in the first frame and now.
+        """
+        variance = self.shift_variance_px2 + 4.0 * shake_px**2
+        return math.hypot(*self.drift(self.newest)) > max(
+            _DRIFTED_PX, _SURELY * math.sqrt(variance)
+        )
 
     def differs(self, other: Belief) -> bool:
         """Whether the newest pose is another one."""
@@ -457,8 +462,8 @@ def explained_with(
     start = replace(
         start,
         shift_sigma=math.hypot(belief.shift_sigma_px, math.sqrt(2.0) * shake_px),
-        # Where the microscope drifts, the eye frame moves against the robot.
-        robot=None if belief.drifted else look.robot,
+        # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
+        robot=None if belief.drifted(0.0) else look.robot,
     )
     found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
     learnt_px2, seen_px2 = belief.learnt_px2, lit_px2(solver, found)

@@ -138,7 +138,7 @@ class PoseTracker:
             return RangeFlag.NOT_CONVERGED, WallMemory.DROPPED
         self._beliefs = followed
         best = followed[0]
-        wall = WallMemory.MOVED if best.drifted else WallMemory.KNOWN
+        wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
         flag = flag_of(best, outline)
         if flag is RangeFlag.NONE and best.lost:
             flag = RangeFlag.MISFIT  # of the wall that was learnt

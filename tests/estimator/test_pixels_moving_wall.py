@@ -132,3 +132,11 @@ def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
     readings = list(readings_of(stack, tmp_path))
     assert max(abs(distance) for _, distance, _ in readings) < 0.005
     assert max(chi_squared for _, _, chi_squared in readings) < 30
+
+
+def test_a_shake_as_stated_is_no_motion_of_the_wall(tmp_path):
+    # Two frames differ by 0.7 px along each side, and by 1 px or more in one of three. That a pair
+    # is 3 px apart, from where the wall counts as moved, happens once in 8,000.
+    stack = cone_stack(tmp_path / "stack", unrest={"shake_px": 0.5})
+    walls = [wall for wall, _, _ in readings_of(stack, tmp_path)]
+    assert walls == [WallMemory.NEW, *5 * [WallMemory.KNOWN]]
