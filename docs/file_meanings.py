@@ -59,7 +59,7 @@ MEANINGS = {
     },
     "spots": {
         "status": "Whether there is a spot.",
-        "reason": "Why there is none; see [reasons](messages.md).",
+        "reason": "Why there is no spot, no distance or a doubtful one: [reasons](messages.md).",
         "sigma_semi_minor_px": "Standard deviation of the semi-minor axis.",
         "schema_version": "Version of the format.",
         "significance": "Of a spot that is `too_faint`: its peak above the background over the "

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from calibration.command.verdict import Fault, remedy
 from estimator.distance.budget import Cause
-from estimator.distance.range import RangeFlag, WallMemory
+from estimator.distance.range import WallMemory
 from estimator.run import exit_codes
 from formats.spots import Reason
 
@@ -45,12 +45,9 @@ def reasons_page() -> Iterator[str]:
     yield "# Reasons\n"
     yield "A result that is missing or doubtful has one of these reasons. What a command says of"
     yield "wrong input is on [another page](errors.md).\n"
-    yield "## Why a frame has no spot\n"
+    yield "## Why a frame has no spot, or a spot no distance or a doubtful one\n"
     yield "The column `reason` of a spots file, the console, and the node's diagnostics.\n"
     yield from _rows({reason.value: reason.meaning for reason in Reason})
-    yield "\n## Why a distance is doubtful\n"
-    yield "The console and the node's diagnostics.\n"
-    yield from _rows({flag.value: flag.meaning for flag in RangeFlag})
     yield "\n## What the mode pixels knew of the wall\n"
     yield "The column `wall_memory` of a spots file, and the node's diagnostics."
     yield "[Every pixel](../../pixels.md) says how the wall is learnt.\n"

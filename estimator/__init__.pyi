@@ -6,7 +6,6 @@ from .detector.tracking import track as track
 from .distance.budget import Budget as Budget
 from .distance.budget import Budgets as Budgets
 from .distance.range import Range as Range
-from .distance.range import RangeFlag as RangeFlag
 from .distance.range import TipPose as TipPose
 from .distance.ranger import Ranger as Ranger
 from .run.offline import Ended as Ended

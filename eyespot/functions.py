@@ -71,7 +71,8 @@ def track(
         microscope: microscope file; None for the stack's own.
         poses: file with the robot's poses.
         mode: measure the half-maximum contour, repeat the paper's algorithm, or find the beam's
-            pose from all pixels; auto takes the pixels for a lens if the camera's noise is known.
+            pose from all pixels; auto takes the pixels for a lens if the camera's noise is known
+            and its rate permits.
         exposure: of a stack that has two.
         unrelated: measure every image by itself; None if the images are not numbered one by one.
         progress: show a bar.
@@ -133,7 +134,7 @@ def score(
     folder: File | None = None,
     spots: Sequence[File] = (),
     *,
-    mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
+    mode: Literal["auto", "literal", "subpixel", "pixels", "both"] | None = None,
     unrelated: bool = False,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
@@ -145,7 +146,7 @@ def score(
     Args:
         folder: a labelled set or a stack; None for the sample set that comes with eyespot.
         spots: spots files with image names relative to the set.
-        mode: also measure the images with our estimator.
+        mode: also measure the images with our estimator; None: auto if there are no spots.
         unrelated: let `mode` measure every image by itself.
         against: true ellipse to compare with.
         split: the only split to score.

@@ -40,7 +40,7 @@ PARAMETERS = ("x", "y", "semi_major", "semi_minor", "angle")
 
 
 class Reason(Enum):
-    """Why a frame has no spot: the closed list of the spots file.
+    """Why a frame has no spot, or a spot no distance or a doubtful one: the spots file's list.
 
     `INTERNAL_ERROR` is a bug of the measurement that the frame met; all others are findings.
     """
@@ -55,6 +55,9 @@ class Reason(Enum):
     AMBIGUOUS = "ambiguous"
     UNREADABLE = "unreadable"
     INTERNAL_ERROR = "internal_error"
+    OUT_OF_RANGE = "out_of_range"
+    MISFIT = "misfit"
+    NOT_CONVERGED = "not_converged"
 
     @property
     def meaning(self) -> str:
@@ -76,10 +79,17 @@ _MEANINGS = {
     "Shorten the exposure.",
     Reason.OCCLUDED: "Too little of the outline is visible: an instrument, a shadow or a "
     "reflection hides it.",
-    Reason.AMBIGUOUS: "Two places could be the spot. Click it (console), or cover the other light.",
+    Reason.AMBIGUOUS: "Two places could be the spot, or two distances explain it. Click the spot "
+    "(console), or cover the other light; behind a lens only motion tells distances apart.",
     Reason.UNREADABLE: "The frame could not be decoded; the note says why. Record it again, or in "
     "another encoding.",
     Reason.INTERNAL_ERROR: "The measurement failed. This is a bug; please report the frame.",
+    Reason.OUT_OF_RANGE: "The model has no such spot in front of the wall, or it needs the robot's "
+    "axis and there is none. Check the calibration, the microscope file and the poses.",
+    Reason.MISFIT: "The light is not that of the calibrated beam on a wall. Look for reflexes, a "
+    "second light or another lens; check the calibration and the camera's noise.",
+    Reason.NOT_CONVERGED: "No pose was found that explains the light. The next frame is fitted "
+    "anew.",
 }
 
 
@@ -179,7 +189,7 @@ class NoSpot:
         return False
 
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error "
     "or unreadable",
@@ -187,6 +197,7 @@ HISTORY = {
     "what makes it wide; tip, axis, their covariance, chi_squared and wall_memory of the mode "
     "pixels",
     3: "significance of a spot that is too_faint",
+    4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
 }
 """What changed with each version of the format that is read."""
 
@@ -264,7 +275,7 @@ class SpotRecord:
         frame: index of the frame.
         file_name: of the frame's image; empty if there is none.
         time_s: of the frame; NaN if unknown.
-        mode: "literal", "subpixel" or "pixels".
+        mode: that measured the frame: "literal", "subpixel" or "pixels".
         result: the spot, or why there is none.
         distance_mm: from the tip to the wall along the beam; NaN without a calibration. The mode
             pixels may know it without a spot.
@@ -277,6 +288,8 @@ class SpotRecord:
         pose: tip and axis of the mode pixels; None of the others.
         wall_memory: what the mode pixels knew of the wall: one of `WallMemory`; empty in the
             others.
+        doubt: why a spot has no distance or a doubtful one: one of `Reason`; empty if all is well,
+            or without a calibration.
     """
 
     frame: int
@@ -292,6 +305,7 @@ class SpotRecord:
     largest_cause: str = ""
     pose: RecordedPose | None = None
     wall_memory: str = ""
+    doubt: str = ""
 
     @property
     def status(self) -> str:
@@ -300,8 +314,8 @@ class SpotRecord:
 
     @property
     def reason(self) -> str:
-        """The file's `reason`: one of `Reason`, empty with a spot."""
-        return self.result.reason.value if isinstance(self.result, NoSpot) else ""
+        """The file's `reason`: one of `Reason`; empty if all is well."""
+        return self.result.reason.value if isinstance(self.result, NoSpot) else self.doubt
 
     @property
     def significance(self) -> float:
@@ -509,6 +523,9 @@ def _record(row: dict[str, str]) -> SpotRecord:
             f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
             f"{shortened(row['frame'])}."
         )
+    if row["reason"] not in ("", *(reason.value for reason in Reason)):
+        known = ", ".join(reason.value for reason in Reason)
+        raise InputError(f"reason must be one of {known}; got {shortened(row['reason'])}.")
     return SpotRecord(
         frame=int(frame),
         file_name=row["file_name"],
@@ -519,18 +536,15 @@ def _record(row: dict[str, str]) -> SpotRecord:
         largest_cause=row.get("largest_cause", ""),
         pose=_pose(values),
         wall_memory=row.get("wall_memory", ""),
+        doubt=row["reason"],
     )
 
 
 def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
     if row["status"] == "no_spot":
-        try:
-            return NoSpot(Reason(row["reason"]), values["significance"])
-        except ValueError:
-            known = ", ".join(reason.value for reason in Reason)
-            raise InputError(
-                f"reason must be one of {known}; got {shortened(row['reason'])}."
-            ) from None
+        if not row["reason"]:
+            raise InputError("a frame without a spot needs a reason.")
+        return NoSpot(Reason(row["reason"]), values["significance"])
     if row["status"] != "spot":
         raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
     covariance = np.empty((5, 5))

@@ -12,7 +12,6 @@ from typing import Literal
 import numpy as np
 
 from estimator import LiteralSettings, SubpixelSettings, track
-from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
 from estimator.sources.opening import open_source
 from estimator.sources.ros import write_bag
@@ -123,5 +122,5 @@ def measured_offline(
         ellipse = [spot.semi_major_px, spot.semi_minor_px, spot.angle_rad]
         metres = float(np.float32(distance.distance_mm / 1e3))  # as sensor_msgs/Range holds it
         numbers.append([spot.x_px, spot.y_px, 1.0, *ellipse, metres])
-        doubts.append("ok" if distance.flag is RangeFlag.NONE else distance.flag.value)
+        doubts.append("ok" if distance.flag is None else distance.flag.value)
     return numbers, doubts

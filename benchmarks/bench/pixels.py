@@ -29,7 +29,7 @@ from benchmarks.paper import largest, rms
 from benchmarks.sets.read import own_reader, true_beam
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
-from estimator.distance.range import RangeFlag, TipPose
+from estimator.distance.range import TipPose
 from estimator.run.options import Options
 from estimator.run.reader import Reader, Reading
 from estimator.sources.opening import open_source
@@ -148,7 +148,7 @@ def doubt_of_pose(read: Reading) -> str:
     """Why the pose is doubtful or missing; empty if all is well, even where there is no spot."""
     if read.range is None:
         return read.doubt
-    return "" if read.range.flag is RangeFlag.NONE else read.range.flag.value
+    return read.range.flag.value if read.range.flag else ""
 
 
 def _errors_of_pose(pose: TipPose | None, labels: FrameLabels) -> dict[str, float]:

@@ -17,10 +17,12 @@ from estimator import (
     LiteralMode,
     LiteralSettings,
     PixelsMode,
+    Ranger,
     Reader,
     SubpixelMode,
     SubpixelSettings,
 )
+from estimator.run.reader import best_mode
 from formats.calibration import Calibration
 from formats.inputs import (
     FOLDER_NAME,
@@ -276,7 +278,7 @@ def plain_spot(
     )
 
 
-Mode = Literal["literal", "subpixel", "pixels"]
+Mode = Literal["auto", "literal", "subpixel", "pixels"]
 """As of `eyespot track`."""
 
 
@@ -291,6 +293,7 @@ def own_reader(
     """A reader that knows nothing of the robot.
 
     Args:
+        beam: for the modes pixels and auto.
         click: (x, y) of the first spot, px, where the literal mode starts, as the paper's operator
             clicks on it. The other modes find the spot themselves.
         constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
@@ -302,9 +305,13 @@ def own_reader(
     given = {"response": microscope.response} | dict(constants or {})
     if mode == "literal":
         return Reader(LiteralMode(LiteralSettings(**given), None), start=click)
-    settings = SubpixelSettings(**given)
+    settings, ranger = SubpixelSettings(**given), None
+    if mode == "auto" and best_mode(beam, microscope)[0] == "subpixel":
+        mode = "subpixel"
+        if beam is not None and microscope.camera() is None:
+            ranger = Ranger(beam, microscope)
     if mode == "subpixel":
-        return Reader(SubpixelMode(settings, None))
+        return Reader(SubpixelMode(settings, ranger))
     from estimator.pixels.tracker import PixelRanger
 
     assert beam is not None, "the mode pixels needs the beam"

@@ -1,4 +1,4 @@
-"""The distance of a spot, its standard deviation, and a flag if it is doubtful."""
+"""The distance of a spot, its standard deviation, and the reason if it is doubtful."""
 
 from __future__ import annotations
 
@@ -9,40 +9,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-
-class RangeFlag(Enum):
-    """Why a distance is doubtful.
-
-    AMBIGUOUS: other distances (`Range.others_mm`) explain the spot equally well. OUT_OF_RANGE: the
-    model has no such spot, or needs an axis that the robot did not report (the distance is NaN),
-    or it has one only with the tip behind the wall (it is negative); in the mode pixels the spot is
-    nearer or farther than a lens's light was computed for. MISFIT: the light is not that of the
-    calibrated beam on a wall. NOT_CONVERGED: the pose was not found. Both are of the mode pixels.
-    """
-
-    NONE = "none"
-    AMBIGUOUS = "ambiguous"
-    OUT_OF_RANGE = "out_of_range"
-    MISFIT = "misfit"
-    NOT_CONVERGED = "not_converged"
-
-    @property
-    def meaning(self) -> str:
-        """What is doubtful, and what to do, in a sentence or two."""
-        return _MEANINGS[self]
-
-
-_MEANINGS = {
-    RangeFlag.NONE: "Nothing is doubtful.",
-    RangeFlag.AMBIGUOUS: "A lens makes spots of the same size at several distances. Another "
-    "distance explains this one equally well; only motion tells them apart.",
-    RangeFlag.OUT_OF_RANGE: "The model has no such spot in front of the wall, or it needs the "
-    "robot's axis and there is none. Check the calibration, the microscope file and the poses.",
-    RangeFlag.MISFIT: "The light is not that of the calibrated beam on a wall. Look for reflexes, "
-    "a second light or another lens; check the calibration and the camera's noise.",
-    RangeFlag.NOT_CONVERGED: "No pose was found that explains the light. The next frame is fitted "
-    "anew.",
-}
+from formats.spots import Reason
 
 
 class WallMemory(Enum):
@@ -119,13 +86,12 @@ class Range:
         distance_mm: d = |SO|, along the beam; NaN where the model has no such spot.
         sigma_mm: its standard deviation, from the covariances of the spot and the calibration; NaN
             if the spot's mode measures none. Errors of the model itself are not included.
-        flag: why it is doubtful.
         sigma_image_mm: of `exact`: the part of the spot's and the axis's covariances in `sigma_mm`.
         others_mm: other distances that explain the spot equally well.
         poses: of `exact`: the best pose and its mirror image (the incidence reversed); of the mode
             pixels: the pose.
         chi_squared: of the mode pixels, per cell: 1 where beam, wall and camera explain the light.
-        missing: why there is no distance, where the model says it.
+        missing: why there is no distance, if there is none or it is negative.
         wall: what the mode pixels knew of the wall.
     """
 
@@ -135,12 +101,12 @@ class Range:
     poses: tuple[TipPose, ...] = ()
     sigma_image_mm: float = math.nan
     chi_squared: float = math.nan
-    missing: RangeFlag = RangeFlag.OUT_OF_RANGE
+    missing: Reason = Reason.OUT_OF_RANGE
     wall: WallMemory = WallMemory.NONE
 
     @property
-    def flag(self) -> RangeFlag:
-        """Derived from the distances."""
+    def flag(self) -> Reason | None:
+        """Why there is no distance, or it is doubtful; None if all is well."""
         if not self.distance_mm >= 0:
             return self.missing
-        return RangeFlag.AMBIGUOUS if self.others_mm else RangeFlag.NONE
+        return Reason.AMBIGUOUS if self.others_mm else None

@@ -19,7 +19,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from estimator.distance.cone import calibrated_view
-from estimator.distance.range import Range, RangeFlag, WallMemory
+from estimator.distance.range import Range, WallMemory
 from estimator.pixels.beam import POSE, BeamLight, Sweep
 from estimator.pixels.first_frame import Belief, Look, distinct, explained_alone, explained_with
 from estimator.pixels.frame_fit import farthest_px
@@ -30,7 +30,7 @@ from formats.calibration import LENS_PARAMETERS, Calibration
 from formats.camera import CameraNoise
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
-from formats.spots import Outline
+from formats.spots import Outline, Reason
 from formats.stated import USUAL_SHAKE_PX
 from formats.whole_files import cache_file, kept_arrays
 
@@ -93,10 +93,11 @@ class PoseTracker:
     def _read_spot(self, look: Look, outline: Outline) -> Range:
         """The pose of a measured spot."""
         look = self._shown(look, outline)
-        flag, wall = RangeFlag.NOT_CONVERGED, WallMemory.NEW
+        flag: Reason | None = Reason.NOT_CONVERGED
+        wall = WallMemory.NEW
         if self._beliefs:
             flag, wall = self._followed(look, outline)
-        if flag is not RangeFlag.NONE:
+        if flag is not None:
             # Where the past does not explain the frame, it may be wrong.
             wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
             if self._beliefs:
@@ -105,10 +106,10 @@ class PoseTracker:
             flag = self._begun(look, outline)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
-                if flag is not RangeFlag.NONE or self._beliefs[0].lost:
+                if flag is not None or self._beliefs[0].lost:
                     self._reference, wall = None, WallMemory.DROPPED
                     flag = self._begun(look, outline)
-        if flag is not RangeFlag.NONE:
+        if flag is not None:
             self.forget()
             return _missing(flag, wall)
         return self._range(wall, outline)
@@ -117,10 +118,10 @@ class PoseTracker:
         """The pose of a spot that was not measured, if earlier frames explain the light."""
         before = self._beliefs
         if not before or self._last is None:
-            return _missing(RangeFlag.NOT_CONVERGED, WallMemory.NEW)
+            return _missing(Reason.NOT_CONVERGED, WallMemory.NEW)
         outline = _like(self._last, outlines)
         flag, wall = self._followed(self._shown(look, outline), outline)
-        if flag is RangeFlag.NONE:
+        if flag is None:
             return self._range(wall, outline)
         self._beliefs = before
         return _missing(flag, wall)
@@ -131,26 +132,26 @@ class PoseTracker:
             return look
         return look._replace(picture=look.picture.with_sharp(outline))
 
-    def _followed(self, look: Look, outline: Outline) -> tuple[RangeFlag, WallMemory]:
+    def _followed(self, look: Look, outline: Outline) -> tuple[Reason | None, WallMemory]:
         """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
         followed = self._follow(look, outline)
         if not followed:
-            return RangeFlag.NOT_CONVERGED, WallMemory.DROPPED
+            return Reason.NOT_CONVERGED, WallMemory.DROPPED
         self._beliefs = followed
         best = followed[0]
         wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
         flag = flag_of(best, outline)
-        if flag is RangeFlag.NONE and best.lost:
-            flag = RangeFlag.MISFIT  # of the wall that was learnt
+        if flag is None and best.lost:
+            flag = Reason.MISFIT  # of the wall that was learnt
         return flag, wall
 
-    def _begun(self, look: Look, outline: Outline) -> RangeFlag:
+    def _begun(self, look: Look, outline: Outline) -> Reason | None:
         """Explain a frame by itself: why that failed, if so."""
         self._beliefs, self._mix = explained_alone(
             self.beam, self.noise, self._reference, look, outline
         )
         flag = flag_of(self._beliefs[0] if self._beliefs else None, outline)
-        if flag is RangeFlag.NONE:
+        if flag is None:
             best = self._beliefs[0]
             self._shaken = shake_covariance(best.solver, best.solution)
         return flag
@@ -181,7 +182,7 @@ class PoseTracker:
         return distinct([belief for belief in followed if belief is not None])
 
 
-def _missing(flag: RangeFlag, wall: WallMemory) -> Range:
+def _missing(flag: Reason, wall: WallMemory) -> Range:
     return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
 
 

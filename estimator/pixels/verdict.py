@@ -29,7 +29,7 @@ import math
 import numpy as np
 from jaxtyping import Float
 
-from estimator.distance.range import Range, RangeFlag, TipPose, WallMemory
+from estimator.distance.range import Range, TipPose, WallMemory
 from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT, SIDES, WallMotion
 from estimator.pixels.first_frame import Belief
@@ -43,7 +43,7 @@ from estimator.pixels.frame_model import (
     lit,
 )
 from estimator.pixels.solver import PoseSolution, PoseSolver
-from formats.spots import Outline
+from formats.spots import Outline, Reason
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
@@ -274,21 +274,21 @@ the light during the exposure, over that way. Of rendered frames of known pose: 
 place is right to 0.004 px, under the haze of a varnished one to 0.05 px."""
 
 
-def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
-    """Why the newest frame is not explained, if so.
+def flag_of(belief: Belief | None, outline: Outline) -> Reason | None:
+    """Why the newest frame is not explained; None if it is.
 
     Args:
         belief: the best explanation; None if there is none.
     """
     if belief is None or not belief.solution.converged:
-        return RangeFlag.NOT_CONVERGED
+        return Reason.NOT_CONVERGED
     nearest, farthest = belief.solver.beam.within_mm
     if not nearest < belief.newest.pose.distance < farthest:
-        return RangeFlag.OUT_OF_RANGE
+        return Reason.OUT_OF_RANGE
     best, sharp = belief.solution, belief.solver.beam.sharp
     widened = belief.newest.pose.distance + belief.solver.beam.apex_mm
     if math.sqrt(best.shown_covariance[2, 2]) > _VAGUE[sharp] * widened:
-        return RangeFlag.NOT_CONVERGED
+        return Reason.NOT_CONVERGED
     newest, window = belief.newest, belief.solver.window
     by_beam = belief.solver.model.light(newest, best.own)
     spot = lit(by_beam)
@@ -304,7 +304,7 @@ def flag_of(belief: Belief | None, outline: Outline) -> RangeFlag:
         explained &= halo(light, spot) < _HALO
     if len(best.frames) == 1:
         explained &= bool(np.mean(usable[spot]) > _VISIBLE)
-    return RangeFlag.NONE if explained else RangeFlag.MISFIT
+    return None if explained else Reason.MISFIT
 
 
 def range_of(

@@ -50,7 +50,7 @@ class Tracking:
         no_spot: number of frames without a spot, by reason.
         most_significant: of the spots that are too faint, see `NoSpot.significance`; None if no
             spot is.
-        doubtful: number of doubtful distances by `RangeFlag`.
+        doubtful: number of spots without a distance or with a doubtful one, by `Reason`.
         wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
         ended: how it came to its end.
@@ -90,15 +90,15 @@ class Tracking:
         if isinstance(error, OSError) and error.filename:
             self.fault = f"{error.filename}: {error.strerror}."
 
-    def _count(self, record: SpotRecord, doubt: str) -> None:
+    def _count(self, record: SpotRecord) -> None:
         self.frames += 1
         self.distances += not math.isnan(record.distance_mm)
         if not record.result:
             self.no_spot[record.reason] += 1
             if not math.isnan(record.significance):
                 self.most_significant = max(self.most_significant or 0.0, record.significance)
-        elif doubt:
-            self.doubtful[doubt] += 1
+        elif record.reason:
+            self.doubtful[record.reason] += 1
         if record.wall_memory:
             self.wall_memory[record.wall_memory] += 1
         if not math.isnan(record.pose_age_s):
@@ -148,7 +148,7 @@ def track_source(
             if show is not None:
                 show(frame, reading)
             write(record)
-            tracking._count(record, reading.doubt)
+            tracking._count(record)
             progress(record)
     except KeyboardInterrupt:
         if not tracking.frames:
@@ -232,6 +232,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         largest_cause=budget.largest.cause.value if budget and budget.largest else "",
         pose=_pose(reading),
         wall_memory=reading.range.wall.value if reading.range else "",
+        doubt=reading.doubt,
     )
 
 

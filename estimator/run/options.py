@@ -126,9 +126,11 @@ class Options(Given):
 
     mode: Literal["auto", "subpixel", "literal", "pixels"] = "auto"
     """The half-maximum contour, the paper's algorithm, or the pose from all pixels; auto: pixels
-    for a lens if the camera's noise is known, else subpixel."""
+    for a lens if the camera's noise is known and its rate permits, else subpixel."""
     settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
     """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
+    rate_hz: Annotated[float | None, Field(gt=0), Parameter(parse=False)] = None
+    """Frames a second of a camera, for the mode auto (default: the source's)."""
     start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _text("X,Y|auto")] = None
     """Position of the spot in the first frame, px (default: auto)."""
     calibration: Path | None = None
@@ -159,8 +161,10 @@ class Options(Given):
     """Unit quaternion from the poses' frame to the eye's; gives the beam's axis."""
 
     def of_source(self, source: Source) -> Self:
-        """These options with the source's own microscope file, if none is given."""
-        return self.model_copy(update={"microscope": self.microscope or source.microscope_file})
+        """These options with the source's rate, and its microscope file if none is given."""
+        own = {"microscope": self.microscope or source.microscope_file}
+        rate = {"rate_hz": source.rate_hz} if source.live and self.rate_hz is None else {}
+        return self.model_copy(update=own | rate)
 
     def reader(self) -> Reader:
         """Read the files and prepare the measurement; `Ranger` says how long that takes.
@@ -189,9 +193,16 @@ class Options(Given):
     def _mode(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> Mode[Any, Any]:
         from estimator.detector.literal import LiteralSettings
         from estimator.distance.ranger import Ranger
-        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode
+        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
 
-        mode = self._best_mode(microscope, beam) if self.mode == "auto" else self.mode
+        mode: str = self.mode
+        if mode == "auto":
+            asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]
+            mode, why = best_mode(
+                beam, microscope, asked=option(asked[0]) if asked else "", rate_hz=self.rate_hz
+            )
+            if why:
+                say(why)
         settings = self._settings(mode, microscope)
         if self.reference is not None and mode != "pixels":
             raise InputError(
@@ -217,29 +228,6 @@ class Options(Given):
         if isinstance(settings, LiteralSettings):
             return LiteralMode(settings, ranger, eye_from_robot=turn, stated=stated)
         return SubpixelMode(settings, ranger, eye_from_robot=turn, stated=stated)
-
-    def _best_mode(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> str:
-        """Pixels where an outline is not enough: behind a lens several distances may share one."""
-        if beam is None or microscope is None or beam.model != "lens":
-            return "subpixel"
-        asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]
-        hindrance = (
-            f"{option(asked[0])} is one of outlines"
-            if asked
-            else "the microscope file lacks the camera's noise"
-            if microscope.noise is None
-            else "the microscope has distortion"
-            if microscope.camera() is not None
-            else ""
-        )
-        if hindrance:
-            say(
-                f"Mode subpixel, because {hindrance}. Behind a lens one outline may belong to "
-                "several distances."
-            )
-            return "subpixel"
-        say("Mode pixels, because behind a lens one outline may belong to several distances.")
-        return "pixels"
 
     def _pixel_ranger(
         self, microscope: MicroscopeFile | None, beam: Calibration | None, *, shake_px: float

@@ -18,7 +18,7 @@ from estimator.detector.literal import LiteralSettings
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tracking import TrackState, measure, outlines_of
 from estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
-from estimator.distance.range import Range, RangeFlag
+from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
 from estimator.run import exit_codes
 from formats.inputs import InputError
@@ -28,6 +28,8 @@ from formats.stated import Stated
 
 if TYPE_CHECKING:
     from estimator.pixels.tracker import PixelRanger
+    from formats.calibration import Calibration
+    from formats.microscope import MicroscopeFile
 
 _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05
@@ -65,11 +67,11 @@ class Reading(NamedTuple):
 
     @property
     def doubt(self) -> str:
-        """A `RangeFlag` of the distance, or a `Reason` for none; empty if all is well."""
+        """A `Reason` for no distance or a doubtful one, or for no spot; empty if all is well."""
+        reason = self.range.flag if self.range else None
         if isinstance(self.result, NoSpot) and self.range is None:
-            return self.result.reason.value
-        flag = self.range.flag if self.range else RangeFlag.NONE
-        return "" if flag is RangeFlag.NONE else flag.value
+            reason = self.result.reason
+        return reason.value if reason else ""
 
 
 class Context(NamedTuple):
@@ -267,6 +269,49 @@ class PixelsMode(Mode[SubpixelSettings, "PixelRanger"]):
         )
         # Bright things that are no spots have no distance, and no doubt about one.
         return (found if result or found.poses else None), None
+
+
+_FASTEST_HZ = 12.0  # pixels takes 72 ms a frame on two cores
+
+
+def best_mode(
+    beam: Calibration | None,
+    microscope: MicroscopeFile | None,
+    *,
+    asked: str = "",
+    rate_hz: float | None = None,
+) -> tuple[str, str]:
+    """The mode `auto`: pixels where an outline is not enough and the camera permits it.
+
+    A cone has a sharp edge, and its outline measures distances as well as all pixels do.
+
+    Args:
+        asked: option that only the models of outlines have; empty if there is none.
+        rate_hz: of a camera; None for a recording, which waits.
+
+    Returns:
+        The name of the mode, and why in a sentence or two; empty if nothing was to choose.
+    """
+    if beam is None or microscope is None:
+        return "subpixel", ""
+    if beam.model != "lens":
+        return "subpixel", "Mode subpixel, because a cone's outline is as good as all its pixels."
+    several = "behind a lens one outline may belong to several distances."
+    hindrance = (
+        f"{asked} is one of outlines"
+        if asked
+        else "the microscope file lacks the camera's noise"
+        if microscope.noise is None
+        else "the microscope has distortion"
+        if microscope.camera() is not None
+        else f"the mode pixels reads {_FASTEST_HZ:g} frames a second, and the camera has "
+        f"{rate_hz:g}"
+        if rate_hz is not None and rate_hz > _FASTEST_HZ
+        else ""
+    )
+    if hindrance:
+        return "subpixel", f"Mode subpixel, because {hindrance}. B{several[1:]}"
+    return "pixels", f"Mode pixels, because {several}"
 
 
 class Reader:

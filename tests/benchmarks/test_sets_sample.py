@@ -38,7 +38,7 @@ def test_a_newcomer_scores_our_estimator_with_one_option(tmp_path: Path) -> None
     assert done.exit_code == 0, done.output
     with (tmp_path / "out" / "leaderboard.csv").open(newline="") as file:
         first = next(csv.DictReader(file))
-    assert first["entry"] == "subpixel"
+    assert first["entry"] == "auto"
     # No unbiased estimator is better than its bound; sub-pixel mode does not know the wall.
     assert float(first["over_bound"]) > 1
     assert json.loads((tmp_path / "out" / "score.json").read_text())["set"] == NAME

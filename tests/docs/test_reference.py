@@ -22,7 +22,6 @@ from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES
 from docs.schemas import KINDS, rows_of, schema_of
 from estimator.distance.budget import Cause
-from estimator.distance.range import RangeFlag
 from formats.spots import Reason
 from scenes import Scene
 from tests.command_line import WORDS, options_of
@@ -58,7 +57,7 @@ def test_every_scene_key_is_there_with_its_meaning(pages: dict[str, str]) -> Non
 
 def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
     text = pages["messages.md"]
-    for kind in (Reason, RangeFlag, Cause):
+    for kind in (Reason, Cause):
         for one in kind:
             assert f"| `{one.value}` | {one.meaning}" in text
     for fault in Fault:

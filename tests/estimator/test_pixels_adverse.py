@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from estimator import SubpixelSettings, TrackState, measure, open_source
-from estimator.distance.range import RangeFlag, WallMemory
+from estimator.distance.range import WallMemory
 from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
 from estimator.pixels.cells import COUNT
@@ -148,7 +148,7 @@ def test_a_distance_at_which_the_light_is_not_known_is_none(tmp_path, monkeypatc
     (frame,) = open_source(stack.folder)
     reading = reader_in(stack, tmp_path).read(frame.image, time_s=frame.time_s)
     assert reading.result
-    assert reading.doubt == RangeFlag.OUT_OF_RANGE.value
+    assert reading.doubt == Reason.OUT_OF_RANGE.value
     assert np.isnan(reading.distance_mm)
 
 

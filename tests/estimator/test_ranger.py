@@ -15,13 +15,12 @@ from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.shape import Shape, spot_shape
 from estimator.distance import lens_range
 from estimator.distance.lens_range import LensCurve, distance_from_lens
-from estimator.distance.range import RangeFlag
 from estimator.distance.ranger import Ranger
 from formats.calibration import LENS_PARAMETERS, Calibration
 from formats.camera import Response
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
-from formats.spots import Spot
+from formats.spots import Reason, Spot
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
 
@@ -312,13 +311,13 @@ def test_a_mirror_pose_at_another_distance_is_told_unless_the_axis_decides():
     ranger = Ranger(calibration(), microscope(0.0), model="exact")
     seen, _, axis, _ = exact_spot(0.0, d=6.0, c=3.0, incidence=0.5)
     free = ranger.distance(seen)
-    assert free.flag is RangeFlag.AMBIGUOUS
+    assert free.flag is Reason.AMBIGUOUS
     both = sorted([free.distance_mm, *free.others_mm], key=lambda d: abs(d - 6.0))
     assert both[0] == pytest.approx(6.0, abs=2e-8)
     # The test could fail: the other one is another distance.
     assert abs(both[1] - 6.0) > 1e-4
     led = ranger.distance(seen, axis=axis)
-    assert led.flag is RangeFlag.NONE
+    assert led.flag is None
     assert led.distance_mm == pytest.approx(6.0, abs=2e-8)
 
 
@@ -396,7 +395,7 @@ def test_a_mode_without_errors_gives_a_distance_without_one():
     literal = spot(*CENTRE, 60, 55, covariance=np.full((5, 5), np.nan))
     for model in ("planar", "corrected", "exact"):
         result = Ranger(calibration(), microscope(), model=model).distance(literal)
-        assert result.flag is RangeFlag.NONE
+        assert result.flag is None
         assert math.isnan(result.sigma_mm)
 
 
@@ -407,14 +406,14 @@ def test_a_spot_that_the_eye_cannot_hold_is_out_of_range(model):
     too_large = spot(*CENTRE, 1.2 * R_EYE / SCALE, 1.1 * R_EYE / SCALE)
     for seen in (off_the_sphere, too_large):
         result = ranger.distance(seen)
-        assert result.flag is RangeFlag.OUT_OF_RANGE
+        assert result.flag is Reason.OUT_OF_RANGE
         assert math.isnan(result.distance_mm)
 
 
 def test_a_spot_smaller_than_at_contact_is_out_of_range():
     result = Ranger(calibration(), microscope()).distance(spot(*CENTRE, 20, 19))
     assert result.distance_mm < 0
-    assert result.flag is RangeFlag.OUT_OF_RANGE
+    assert result.flag is Reason.OUT_OF_RANGE
 
 
 def test_what_does_not_fit_is_refused_with_a_remedy():
@@ -708,7 +707,7 @@ def test_lens_returns_the_distance_of_its_half_maximum_contour(flat_end, c, inci
         result = ranger.distance(lens_spot(table, beam_at(d, c=c, incidence=incidence)))
         # Radii agree within 0.1 %, and the distance has 1.2 (at 6 mm 0.9) times its share.
         assert result.distance_mm == pytest.approx(d, rel=1.3e-3)
-        assert result.flag is RangeFlag.NONE
+        assert result.flag is None
 
 
 @pytest.fixture(scope="module")
@@ -810,10 +809,10 @@ def test_two_distances_of_one_radius_are_told_apart_in_a_frame(flat_end, d, inci
     frame, ranger.microscope = lit_frame(table, beam_at(d, incidence=incidence))
     seen, _ = measure(frame, TrackState(), SubpixelSettings())
     by_size = ranger.distance(seen)
-    assert by_size.flag is RangeFlag.AMBIGUOUS
+    assert by_size.flag is Reason.AMBIGUOUS
     candidates = np.array([by_size.distance_mm, *by_size.others_mm])
     by_shape = ranger.distance(seen, frame=frame)
-    assert by_shape.flag is RangeFlag.NONE
+    assert by_shape.flag is None
     # Three standard deviations; near the tip the radius hardly changes and the shape decides alone.
     assert abs(by_shape.distance_mm - d) < 3 * by_shape.sigma_mm
     assert np.abs(candidates - d).min() < 0.3 < np.abs(candidates - d).max()

@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator import RangeFlag
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
 
 _COLUMNS = (
@@ -70,6 +69,14 @@ def _records() -> list[SpotRecord]:
         ),
         SpotRecord(frame=8, file_name="ü.png", time_s=0.8, mode="literal", result=_literal_spot()),
         *failures,
+        SpotRecord(
+            frame=9,
+            file_name="",
+            time_s=0.9,
+            mode="pixels",
+            result=_spot(),
+            doubt=Reason.MISFIT.value,
+        ),
     ]
 
 
@@ -110,13 +117,13 @@ def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
     [
         (lambda text: "a,b\n1,2\n", r"line 1: not a spots file: column 'frame'"),
         (
-            lambda text: text.replace(",3\n", ",99\n", 1),
+            lambda text: text.replace(",4\n", ",99\n", 1),
             r"line 2: schema is 99; .* Install a newer eyespot",
         ),
         (lambda text: text.replace("66.0", "wide", 1), r"line 2: semi_major_px .* 'wide'"),
         (lambda text: text.replace("none_found", "tired", 1), r"line 4: reason .* 'tired'"),
         (lambda text: text.replace("no_spot", "maybe", 1), r"line 4: status .* 'maybe'"),
-        (lambda text: text + "1,2,3\n", r"line 14: \d+ cells expected"),
+        (lambda text: text + "1,2,3\n", r"line 18: \d+ cells expected"),
         (lambda text: text.replace("\n7,", "\nseven,", 1), r"line 2: frame .* 'seven'"),
         (lambda text: "", r"line 1: not a spots file"),
         (lambda text: "\0\x01", r"not a spots file"),
@@ -138,7 +145,7 @@ def test_a_picture_is_no_spots_file(tmp_path: Path) -> None:
         read_spots(path)
 
 
-@pytest.mark.parametrize("reason", [*Reason, *RangeFlag])
+@pytest.mark.parametrize("reason", Reason)
 def test_every_reason_is_explained(reason):
     assert reason.meaning.endswith(".")
     assert len(reason.meaning) < 200

@@ -17,7 +17,7 @@ def score(
     /,
     *,
     entries: Path | None = None,
-    mode: Literal["literal", "subpixel", "pixels", "both"] | None = None,
+    mode: Literal["auto", "literal", "subpixel", "pixels", "both"] | None = None,
     calibration: Path | None = None,
     sample: bool = False,
     unrelated: bool = False,
@@ -34,10 +34,10 @@ def score(
         entries: Folder of a leaderboard. Every spots file, and every folder with spots files, is an
             entry; see docs/leaderboard.md.
         mode: Also measure the images with our estimator, and score its spots; both: literal and
-            subpixel.
-        calibration: The beam of --mode pixels, from `eyespot fit` (default: each stack's true one).
-        sample: Score on the small set that comes with eyespot: spots files, --mode, or our
-            sub-pixel mode if no spots are given.
+            subpixel; auto: as `eyespot track` (default: auto if no spots are given).
+        calibration: The beam of the modes auto and pixels, from `eyespot fit` (default: each
+            stack's true one).
+        sample: Score on the small set that comes with eyespot.
         unrelated: Let --mode measure every image by itself, for stacks that are no sequences.
         against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
         split: Score only this split, such as test (default: all that have spots).
@@ -50,7 +50,6 @@ def score(
     if sample:
         # The first argument is then a spots file, too.
         spots, folder = (*([folder] if folder else []), *spots), sample_folder()
-        mode = mode or (None if spots or entries else "subpixel")
     if folder is None:
         raise InputError("FOLDER is missing: the set or stack to score on. Or give --sample.")
     result = run(

@@ -336,8 +336,8 @@ def run(
         spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
         entries: folder with entries, see `entries_in`.
         mode: mode of our estimator that measures the images first; "both" are the literal and the
-            sub-pixel mode.
-        calibration: of the beam, for the mode pixels; None for each stack's true one.
+            sub-pixel mode. None: auto if there is nothing else to score.
+        calibration: of the beam, for auto and pixels; None for each stack's true one.
         unrelated: let our estimator measure every image by itself.
         against: which of the two ellipses is the truth.
         split: the only split to score; None: all splits.
@@ -350,18 +350,20 @@ def run(
         OSError: `out` cannot be written.
     """
     folder = Path(folder)
+    if mode is None and not spots_files and entries is None:
+        mode = "auto"
     modes: tuple[Mode, ...] = ("literal", "subpixel")
     modes = modes if mode == "both" else (mode,) if mode else ()
     given = [entry_of(path) for path in spots_files] + (entries_in(entries) if entries else [])
     names = Counter([*(entry.name for entry in given), *modes])
     if not names:
         raise InputError(
-            "nothing to score. Give spots files, --entries, or --mode to measure the images."
+            "nothing to score. Give spots files, entries, or --mode to measure the images."
         )
     if twice := [name for name, count in names.items() if count > 1]:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
-    if calibration is not None and mode != "pixels":
-        raise InputError("calibration has no effect without --mode pixels. Give both, or neither.")
+    if calibration is not None and mode not in ("auto", "pixels"):
+        raise InputError("calibration has no effect without --mode auto or pixels. Give both.")
     beam = None if calibration is None else read_calibration(calibration)
     if out is None:
         return _scored(folder, given, modes, beam, unrelated, against, split)[0]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import resources
@@ -24,6 +25,7 @@ from benchmarks.sets.read import (
     true_beam,
 )
 from estimator import open_source, track_whole_source
+from estimator.run.progress_bar import say
 from formats.calibration import Calibration
 from formats.inputs import (
     InputError,
@@ -209,13 +211,13 @@ def track_set(
     """Measure every frame of a set; each stack and exposure is one recording.
 
     The literal mode starts at the true position of the first spot of each recording, as the paper's
-    operator clicks on it. The other modes find the spot themselves. The mode pixels gets the beam,
-    but not the robot's poses. Like the labels, the spots are in the original image, with its
-    distortion.
+    operator clicks on it. The other modes find the spot themselves. The modes auto and pixels get
+    the beam, but not the robot's poses. Like the labels, the spots are in the original image, with
+    its distortion.
 
     Args:
         mode: mode of the estimator, with its default settings.
-        calibration: of the beam, for the mode pixels; None for each stack's true one.
+        calibration: of the beam, for auto and pixels; None for each stack's true one.
         unrelated: measure every image by itself, without following the spot.
 
     Returns:
@@ -224,12 +226,17 @@ def track_set(
     Raises:
         InputError: the mode pixels cannot read a stack; the text says why.
     """
-    return [
+    records = [
         replace(record, file_name=image_name(entry, record.file_name))
         for entry in stacks
         for exposure in exposures_of(entry.open())
         for record in _track(entry, exposure, mode, calibration, unrelated, progress)
     ]
+    if mode == "auto":
+        used = Counter(record.mode for record in records)
+        by_mode = " and ".join(f"{count} images in mode {name}" for name, count in used.items())
+        say(f"Measured {by_mode}: pixels for a lens if the camera's noise is known, else subpixel.")
+    return records
 
 
 def _track(
@@ -242,11 +249,13 @@ def _track(
 ) -> list[SpotRecord]:
     opened = entry.open()
     first = opened.exposed(exposure)[0]
+    # Nothing says what the source of a stack is that was not rendered.
+    knows_beam = mode == "pixels" or (mode == "auto" and "scene" in opened.description)
     reader = own_reader(
         mode,
         read_microscope(entry.folder / "microscope.json"),
         click=(first.half_max_x_px, first.half_max_y_px),
-        beam=(calibration or true_beam(opened)) if mode == "pixels" else None,
+        beam=calibration or (true_beam(opened) if knows_beam else None),
     )
     source = replace(open_source(entry.folder, exposure=exposure), unrelated=unrelated)
     return track_whole_source(source, reader, progress=lambda record: progress())
