@@ -208,7 +208,7 @@ def test_poses_of_rendered_frames_are_within_their_stated_errors(stack, tmp_path
             "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
         }
     ).reader()
-    assert reader.mode == "pixels"
+    assert reader.mode.name == "pixels"
     poses = read_poses(stack.folder / "kinematics.csv")
     distances = []
     for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
