@@ -1,8 +1,8 @@
 from .bridge import FLOAT32_LEVENBERG_MARQUARDT as FLOAT32_LEVENBERG_MARQUARDT
 from .bridge import render_as_jax as render_as_jax
+from .pixels.data import read_footage as read_footage
 from .pixels.fit import ImageFit as ImageFit
 from .pixels.fit import fit_image as fit_image
-from .pixels.fit import lens_start as lens_start
 from .spots.cone_fit import ConeFit as ConeFit
 from .spots.cone_fit import fit_cone as fit_cone
 from .spots.cone_trials import ConeTrial as ConeTrial

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import stats
 
 from calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
-from calibration.pixels.fit import ImageFit, fit_footage
+from calibration.pixels.fit import ImageFit, fit_image
 from formats.inputs import InputError
 from tests.photon_frames import footage_of, photographed, widened
 from tests.photon_stacks import Recording
@@ -122,7 +122,7 @@ def fitted(recording: Recording, seed: int) -> tuple[ImageFit, float]:
         "numerical_aperture": drop.aperture_na * off[1],
     }
     began = time.monotonic()
-    fit = fit_footage(footage, source="lens", start=start)
+    fit = fit_image(footage, source="lens", start=start)
     return fit, time.monotonic() - began
 
 

@@ -30,10 +30,10 @@ from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.command.choices import Choices
 from calibration.command.fitting import fit_recordings
 from calibration.pixels.data import Footage, read_footage
-from calibration.pixels.fit import fit_footage
+from calibration.pixels.fit import fit_image
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
-from optics.wall_light.lens import lens_toml
+from optics.wall_light.lens import lens_parameters, lens_toml
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
@@ -126,7 +126,7 @@ class FramePose:
         """Render, and fit each frame alone."""
         load_mitsuba()
         dome = {"width_px": 192, "height_px": 144, "scale_mm_px": 0.03, "samples": 16}
-        lens = calibration.lens_start(optics.load_lens("dome"))
+        lens = lens_parameters(optics.load_lens("dome"))
         rows: list[dict[str, Any]] = []
         for kind, beam, view, known in (
             ("cone", {"kind": "cone"}, {"samples": 256}, _CONE),
@@ -151,7 +151,7 @@ class FramePose:
                 for frame, labels in enumerate(stack.labels[1:], 1):
                     axis = drawn_prior(np.array(labels.axis), rng)
                     distance = labels.d_mm + _DISTANCE_SIGMA_MM * rng.uniform(-1, 1)
-                    fit = fit_footage(
+                    fit = fit_image(
                         replace(_some(footage, [frame]), readings=np.zeros(1), axis=axis),
                         source=kind,  # type: ignore[arg-type]
                         start=known,
@@ -225,7 +225,7 @@ class BeamFit:
         else:
             medium, kind = beam.rpartition(" ")[2], "lens"
             source = {"kind": "lens", "lens": "dome", "medium": medium}
-            start = calibration.lens_start(optics.load_lens("dome"))
+            start = lens_parameters(optics.load_lens("dome"))
             scale = {"air": 0.03, "vitreous": 0.02}[medium]
             view = {"width_px": 192, "height_px": 144, "samples": 16, "scale_mm_px": scale}
         free = tuple(start) if kind == "cone" else ("sag", "numerical_aperture")
@@ -235,7 +235,7 @@ class BeamFit:
         scene = {"seed": 11, "source": source, "spot": spot, "motion": motion, "microscope": view}
         footage = _rendered(scene)
         began = time.perf_counter(), time.process_time()
-        self.fit = fit_footage(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
+        self.fit = fit_image(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
         self.seconds = time.perf_counter() - began[0], time.process_time() - began[1]
 
 

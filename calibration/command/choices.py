@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 from cyclopts import Parameter
 
 from estimator.run.options import Exposure, Given, Options
-from formats.calibration import Calibration, read_calibration
 from formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
     from calibration.recordings import LogBook
     from calibration.spots.cone_trials import Prior
     from calibration.spots.plane_fit import Loss
+    from formats.calibration import Calibration
     from formats.poses import Quaternion
 
 _T = TypeVar("_T")
@@ -108,6 +108,8 @@ class Choices(Given):
     @cached_property
     def known(self) -> Calibration | None:
         """The calibration that was made before."""
+        from formats.calibration import read_calibration
+
         return read_calibration(self.calibration) if self.calibration else None
 
     @property

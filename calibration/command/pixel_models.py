@@ -22,14 +22,14 @@ from calibration.command.choices import Choices
 from calibration.command.models import cone_start, known_cone
 from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from calibration.pixels.data import LENS, UNITS, read_footage
-from calibration.pixels.fit import ImageFit, fit_footage, lens_start
+from calibration.pixels.fit import ImageFit, fit_image
 from calibration.recordings import Recording
 from calibration.spots.cone_trials import JointPrior, Prior
 from estimator.run.progress_bar import progress, say
 from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from formats.inputs import InputError
 from formats.stack import read_stack
-from optics.wall_light.lens import lens_of
+from optics.wall_light.lens import lens_of, lens_parameters
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
@@ -162,7 +162,7 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
         choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
         return _fitted(recording, choices, "lens", [start], joint_prior=joint)
     if choices.lens:
-        kind = lens_start(optics.load_lens(choices.lens))
+        kind = lens_parameters(optics.load_lens(choices.lens))
     else:
         radii = dict.fromkeys(_WIDTHS, recording.fibre_radius_mm)
         kind = {**radii, "rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
@@ -191,7 +191,7 @@ def _known_lens(
             f"{calibration.model!r}. Give one of a lens, or --model cone."
         )
     shape = {name: values[name] for name in LENS_PARAMETERS if name in values}
-    start = lens_start(optics.glue_lens(**shape))
+    start = lens_parameters(optics.glue_lens(**shape))
     start |= {name: values[name] for name in _EITHER_IN_FILE if name in values}
     of_file = [n for n in start if n in values and calibration.sigma(n) > 0]
     known = [name for name in of_file if not names or name in names]
@@ -242,7 +242,7 @@ def _fitted(
         radius = recording.fibre_radius_mm
         core, rim = (Prior(mean * radius, sigma * radius) for mean, sigma in (_CORE, _CAP))
         held = Prior(rim.mean, _HELD * radius)
-        fit = fit_footage(
+        fit = fit_image(
             footage,
             source=source,
             start=starts[0],

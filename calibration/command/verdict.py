@@ -167,7 +167,7 @@ _LENS = "--model lens, if the spot's edge is soft"
 _PLACES = "withdrawals at other places, one within 1 mm of the axis and one beyond 3 mm"
 _ROBOT = (
     "to check that --eye-from-robot is right to a degree, that the eye did not turn, and that "
-    "--cone belongs to this fibre; or leave out the withdrawal farthest from the axis"
+    "--calibration belongs to this fibre; or leave out the withdrawal farthest from the axis"
 )
 
 _REMEDIES: dict[Fault, dict[str, str]] = {

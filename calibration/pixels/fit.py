@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 import optics
-from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names, read_footage
+from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
 from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
@@ -26,8 +26,6 @@ from calibration.spots.cone_trials import (
     phantom_wall,
 )
 from formats.inputs import InputError
-from formats.stack import Stack
-from optics.wall_light.lens import lens_parameters
 
 
 class FitCriterion(Enum):
@@ -135,55 +133,6 @@ _NAMED = 10  # frames that an error message names
 
 
 def fit_image(
-    stack: Stack,
-    *,
-    source: Literal["cone", "lens"],
-    start: Mapping[str, float],
-    free: Sequence[str] | None = None,
-    priors: Mapping[str, Prior] | None = None,
-    exposure: str | None = None,
-    lean_sigma: float = np.radians(1.0),
-    boresight_sigma: float = BORESIGHT_SIGMA,
-) -> ImageFit:
-    """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
-
-    The wall may have any texture, which is learnt cell by cell from all frames. Of an even wall it
-    is learnt that it has none.
-
-    Args:
-        stack: a withdrawal from contact; its labels are not read.
-        source: kind of the light source.
-        start: start values of free parameters, within 30 %, and values of the others: `half_angle`
-            and `b` for a cone, `lens_start` for a lens. `reflectance` and `power` (default 0.5 and
-            1 mW) affect the light that the eye scatters back.
-        free: names from `UNITS`; by default the cone's half_angle and b, or the lens's sag and
-            numerical_aperture. The pose, sensitivity and illumination are always free, and each
-            frame's power, exposure, place and shake, whose sizes are learnt.
-        priors: priors of free parameters.
-        exposure: see `open_source`.
-        lean_sigma: standard deviation of the robot's directions, rad.
-        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
-
-    Raises:
-        InputError: an unknown name, a missing start value, or a stack that cannot be fitted.
-    """
-    return fit_footage(
-        read_footage(stack, exposure=exposure),
-        source=source,
-        start=start,
-        free=free,
-        priors=priors,
-        lean_sigma=lean_sigma,
-        boresight_sigma=boresight_sigma,
-    )
-
-
-def lens_start(lens: optics.GlueLens) -> dict[str, float]:
-    """Start values of `fit_image` for a lens."""
-    return lens_parameters(lens)
-
-
-def fit_footage(
     footage: Footage,
     *,
     source: Literal["cone", "lens"],
@@ -197,13 +146,31 @@ def fit_footage(
     boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
-    """`fit_image` for frames in memory; calls `progress` with chi squared at every step.
+    """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
+
+    The wall may have any texture, which is learnt cell by cell from all frames. Of an even wall it
+    is learnt that it has none.
 
     Args:
+        footage: a withdrawal, see `read_footage`.
+        source: kind of the light source.
+        start: start values of free parameters, within 30 %, and values of the others: `half_angle`
+            and `b` for a cone, `lens_parameters` for a lens. `reflectance` and `power` (default 0.5
+            and 1 mW) affect the light that the eye scatters back.
+        free: names from `UNITS`; by default the cone's half_angle and b, or the lens's sag and
+            numerical_aperture. The pose, sensitivity and illumination are always free, and each
+            frame's power, exposure, place and shake, whose sizes are learnt.
+        priors: priors of free parameters.
         others: further start values, tried in order while a fit misses light.
         spare: priors of further parameters, free if the fit from `start` misses light.
         joint_prior: of free parameters that have none in `priors`, such as a lens that was
             calibrated before.
+        lean_sigma: standard deviation of the robot's directions, rad.
+        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
+        progress: called with chi squared at every step.
+
+    Raises:
+        InputError: an unknown name, a missing start value, or frames that cannot be fitted.
     """
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calibration.pixels.data import BareFibre, Footage
-from calibration.pixels.fit import fit_footage
+from calibration.pixels.fit import fit_image
 from formats.camera import CameraNoise, Response
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
@@ -60,5 +60,5 @@ def test_frames_without_usable_pixels_are_refused_with_their_number():
     with pytest.raises(
         InputError, match=r"0 cells .* are usable; .* parameters .* needs more"
     ) as told:
-        fit_footage(saturated_footage(), source="cone", start=start)
+        fit_image(saturated_footage(), source="cone", start=start)
     assert "Change the exposure" in str(told.value)

@@ -12,11 +12,12 @@ import optics
 import scenes
 from calibration.command.pixel_models import _maps, _of_frames, _propagated
 from calibration.pixels.data import read_footage
-from calibration.pixels.fit import fit_footage, lens_start
+from calibration.pixels.fit import fit_image
 from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from formats.spots import Spot
+from optics.wall_light.lens import lens_parameters
 from tests.command_line import call
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
@@ -129,9 +130,9 @@ def test_what_pixels_show_in_products_alone_is_not_a_good_fit(cone, tmp_path):
 def test_a_lens_is_found_over_a_wall_that_nobody_knows(tmp_path, wall):
     source = {"kind": "lens", "lens": "dome", "medium": "air"}
     textured = render(tmp_path / "lens", source=source, scale=0.03, samples=16, wall=wall)
-    dome = lens_start(optics.load_lens("dome"))
+    dome = lens_parameters(optics.load_lens("dome"))
     start = dome | {"sag": 0.09, "numerical_aperture": 0.24}
-    fit = fit_footage(read_footage(textured, exposure="metered"), source="lens", start=start)
+    fit = fit_image(read_footage(textured, exposure="metered"), source="lens", start=start)
     assert fit.converged
     assert fit.textured
     for name in ("sag", "numerical_aperture"):

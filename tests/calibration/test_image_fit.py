@@ -18,7 +18,7 @@ from scipy import integrate, ndimage, stats
 import calibration
 import optics
 from calibration.pixels.data import BareFibre, Footage, check_names, read_footage
-from calibration.pixels.fit import fit_footage
+from calibration.pixels.fit import fit_image
 from calibration.pixels.light import STATES, Cells, Light
 from calibration.spots.cone_trials import JointPrior
 from formats.camera import CameraNoise, Response
@@ -463,7 +463,7 @@ def stack(tmp_path_factory) -> Stack:
 
 @pytest.mark.slow
 def test_cone_is_found_from_thirty_percent_off(stack):
-    fit = calibration.fit_image(stack, source="cone", start=START)
+    fit = calibration.fit_image(calibration.read_footage(stack), source="cone", start=START)
     assert fit.converged
     assert not fit.undetermined
     # 32,000 pixels: chi squared per degree of freedom scatters by 0.008.
@@ -477,7 +477,7 @@ def test_cone_is_found_from_thirty_percent_off(stack):
 
 @pytest.mark.slow
 def test_tips_and_axis_are_those_of_the_labels(stack):
-    fit = calibration.fit_image(stack, source="cone", start=START)
+    fit = calibration.fit_image(calibration.read_footage(stack), source="cone", start=START)
     tips = np.array([labels.tip_mm for labels in stack.labels])
     axis = np.array(stack.labels[0].axis)
     # Errors along the axis are the touch's, and those across it the lean's times the distance.
@@ -499,15 +499,20 @@ def test_labels_are_not_read(stack, tmp_path):
             if name not in kept and isinstance(value, float):
                 row[name] = 0.123
     (other / "metadata.jsonl").write_text("\n".join(map(json.dumps, rows)) + "\n")
-    ours = calibration.fit_image(stack, source="cone", start=START)
-    blind = calibration.fit_image(read_stack(other), source="cone", start=START)
+    ours = calibration.fit_image(calibration.read_footage(stack), source="cone", start=START)
+    blind = calibration.fit_image(
+        calibration.read_footage(read_stack(other)), source="cone", start=START
+    )
     assert blind.parameters == ours.parameters
 
 
 @pytest.mark.slow
 def test_what_shows_in_products_alone_is_said(stack):
     fit = calibration.fit_image(
-        stack, source="cone", start=START, free=("half_angle", "b", "power")
+        calibration.read_footage(stack),
+        source="cone",
+        start=START,
+        free=("half_angle", "b", "power"),
     )
     (told,) = fit.undetermined
     assert "power" in told
@@ -523,7 +528,7 @@ def test_wrong_exposures_are_learnt_frame_by_frame(stack):
     footage = read_footage(stack)
     wrong = 1 + 0.1 * np.sin(np.arange(10))
     told = dataclasses.replace(footage, exposure_s=footage.exposure_s * wrong)
-    fit, right = (fit_footage(one, source="cone", start=START) for one in (told, footage))
+    fit, right = (fit_image(one, source="cone", start=START) for one in (told, footage))
     # What was told is off by 7 %, RMS; what was right stays within the noise of a frame's light.
     assert 0.04 < fit.states["exposure"] < 0.12
     assert right.states["exposure"] < 0.005
@@ -537,8 +542,8 @@ def test_wrong_exposures_are_learnt_frame_by_frame(stack):
 def test_a_camera_noisier_than_its_data_sheet_enlarges_the_errors(stack):
     footage = read_footage(stack)
     better = dataclasses.replace(footage.noise, full_well_e=4 * footage.noise.full_well_e)
-    told = fit_footage(dataclasses.replace(footage, noise=better), source="cone", start=START)
-    right = fit_footage(footage, source="cone", start=START)
+    told = fit_image(dataclasses.replace(footage, noise=better), source="cone", start=START)
+    right = fit_image(footage, source="cone", start=START)
     assert told.chi_squared_per_dof > 3
     # What is added is in proportion to the light and not to its root, so it errs to the safe side.
     for name in ("half_angle", "b"):
@@ -608,7 +613,7 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(tmp_path, off_deg):
         clear=np.stack([((image > 0) & (image < 255)).all(axis=-1) for image in images]),
         exposure_s=times,
     )
-    fit = fit_footage(noisy, source="cone", start=START)
+    fit = fit_image(noisy, source="cone", start=START)
     assert fit.converged
     for name, true in {"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0}.items():
         value, sigma = fit.parameters[name]
@@ -666,7 +671,7 @@ def fit_of_seed(
         name: calibration.Prior(truth[name] + sigma * rng.standard_normal(), sigma)
         for name, sigma in PRIORS.items()
     }
-    return fit_footage(noisy, source="cone", start=START, priors=priors, joint_prior=joint_prior)
+    return fit_image(noisy, source="cone", start=START, priors=priors, joint_prior=joint_prior)
 
 
 def test_a_second_recording_adds_its_information_to_a_calibration(tmp_path):

@@ -13,8 +13,8 @@ import optics
 import scenes
 from calibration.command.fitting import chosen_model
 from calibration.command.pixel_models import guessed_lenses
-from calibration.pixels.fit import lens_start
 from calibration.recordings import read_recording
+from optics.wall_light.lens import lens_parameters
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
 CONE = {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": -5.117}
@@ -81,7 +81,7 @@ def test_of_two_exposures_the_metered_one_is_measured(stack):
 
 
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
-    kind = lens_start(optics.load_lens("dome"))  # another lens on the same fibre
+    kind = lens_parameters(optics.load_lens("dome"))  # another lens on the same fibre
     guess, *_ = guessed_lenses(read_recording(stack("lens", LENS)), kind)
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
