@@ -36,7 +36,7 @@ from estimator import Ranger
 from estimator.run.progress_bar import progress, say
 from estimator.sources.opening import open_source
 from estimator.viewer import check_recording_path, recording_of
-from formats.calibration import Calibration, write_calibration
+from formats.calibration import BEAM, Calibration, write_calibration
 from formats.inputs import InputError, in_terminal
 from formats.spots import Spot
 from formats.whole_files import require_space, written_whole
@@ -318,12 +318,12 @@ def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
 def _learned(fitted: Fitted, known: Calibration) -> Iterator[str]:
     """What the recording changed of a calibration that was known before."""
     for name, value, sigma, unit in fitted.rows:
-        if name in known.values and (before := known.sigma(name)) > 0:
-            change = value - known.values[name]
+        # The beam's angles from the tool are new after each mounting, so they are no prior.
+        if name in known.values and name not in BEAM and (before := known.sigma(name)) > 0:
+            moved = (value - known.values[name]) / before
             yield (
-                f"{name} was {known.values[name]:.6g} ± {before:.2g} {unit} before; the recording "
-                f"moved it by {change:+.2g}, {change / before:+.1f} of these standard deviations, "
-                f"and it is now known to {sigma:.2g}."
+                f"{name} moved by {moved:+.1f} σ, from {known.values[name]:.6g} ± {before:.2g} to "
+                f"{value:.6g} ± {sigma:.2g} {unit}."
             )
 
 

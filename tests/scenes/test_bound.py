@@ -163,7 +163,7 @@ def test_fits_by_maximum_likelihood_reach_the_bound() -> None:
     )
     rng = np.random.default_rng(5)
     weight = np.sqrt(information[..., 0])
-    count = 200
+    count = 100
     fitted = []
     for _ in range(count):
         seen = mean + rng.normal(0, 1, SHAPE) / weight
@@ -172,8 +172,8 @@ def test_fits_by_maximum_likelihood_reach_the_bound() -> None:
         )
         fitted.append(fit.x[:4])
     scatter = np.std(fitted, axis=0, ddof=4)
-    # The standard deviation of 200 values scatters by 1/sqrt(400) = 5 %; 3 of these.
-    assert scatter == pytest.approx(bound, rel=0.15)
+    # The standard deviation of 100 values scatters by 1/sqrt(200) = 7 %; 3 of these.
+    assert scatter == pytest.approx(bound, rel=0.21)
 
 
 SCENE = (
