@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
@@ -25,6 +24,7 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
+from benchmarks import reporting as page
 from benchmarks.paper import (
     ACCEPTABLE_ERROR_MM,
     LITERAL,
@@ -37,25 +37,7 @@ from benchmarks.paper import (
     rms,
     track_stack,
 )
-from benchmarks.reporting import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    VERMILION,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import listed, number, rows_of, where
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
 from estimator import Ranger, Reader, Reading
@@ -201,25 +183,20 @@ LATENCIES_S = (0.0, 0.05, 0.1)
 PARTS = ("rest", "blur", "stamps", "latency")
 
 
-class Parts(NamedTuple):
-    """Error and its parts, mm; see the module."""
-
-    error: float
-    rest: float
-    blur: float
-    stamps: float
-    latency: float
-
-
-def parts(*, estimate: float, frozen: float, d: float, stamped: float, late: float) -> Parts:
-    """Split an error; all in mm.
+def parts(
+    *, estimate: float, frozen: float, d: float, stamped: float, late: float
+) -> dict[str, float]:
+    """The error and its `PARTS`, mm.
 
     Args:
-        d: true, in the middle of the exposure.
-        stamped: the robot's reading of the pose with that stamp.
-        late: of the pose that is taken for the frame's.
+        estimate: from the blurred frame, mm.
+        frozen: from the frame without blur, mm.
+        d: true, in the middle of the exposure, mm.
+        stamped: the robot's reading of the pose with that stamp, mm.
+        late: of the pose that is taken for the frame's, mm.
     """
-    return Parts(estimate - late, frozen - d, estimate - frozen, d - stamped, stamped - late)
+    split = (frozen - d, estimate - frozen, d - stamped, stamped - late)
+    return {"error": estimate - late, **dict(zip(PARTS, split, strict=True))}
 
 
 def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
@@ -314,6 +291,7 @@ def errors(
         row, doubt, rest_doubt = labels[n], *(r[n].doubt.replace("_", " ") for r in (seen, still))
         if row.visible_fraction < VISIBLE_ENOUGH:
             doubt = doubt or "less than half of the contour in view"
+        estimate = math.nan if doubt else seen[n].distance_mm
         about = {
             "source": trial.moving.source.kind,
             "motion": trial.motion,
@@ -323,20 +301,21 @@ def errors(
             **{name: getattr(row, name) for name in _OF_LABELS},
         }
         for latency_s in LATENCIES_S:
+            late = reading(poses, row.time_s + latency_s, wall)
             found = parts(
-                estimate=math.nan if doubt else seen[n].distance_mm,
+                estimate=estimate,
                 frozen=math.nan if rest_doubt else still[n].distance_mm,
                 d=row.d_mm,
                 stamped=reading(poses, row.time_s, wall),
-                late=(late := reading(poses, row.time_s + latency_s, wall)),
+                late=late,
             )
             yield about | {
                 "latency_s": latency_s,
                 "doubt": doubt,
                 "rest_doubt": rest_doubt,
-                "estimate_mm": math.nan if doubt else seen[n].distance_mm,
+                "estimate_mm": estimate,
                 "reading_mm": late,
-                **{f"{name}_mm": value for name, value in found._asdict().items()},
+                **{f"{name}_mm": value for name, value in found.items()},
             }
 
 
@@ -395,38 +374,12 @@ _RUNS = 2
 _DEFAULTS = ("clocks.kinematics_jitter_s=0.001",)
 
 
-@dataclass(frozen=True, kw_only=True)
-class DynamicFindings:
-    """All results of a run.
-
-    Attributes:
-        exposure_ms: at the mean distance.
-        sources: kinds of light that were seen moving.
-    """
-
-    scene: Scene
-    exposure_ms: float
-    sources: tuple[str, ...]
-    speeds: tuple[float, ...]
-    errors: pd.DataFrame
-    spreads: pd.DataFrame
-
-    @property
-    def stamped(self) -> pd.DataFrame:
-        """Every frame, with stamped poses."""
-        return self.errors[self.errors.latency_s == LATENCIES_S[0]]
-
-    def by_speed(self, source: str, motion: str, way: str, latency_s: float) -> pd.DataFrame:
-        """Rows that differ in the speed only, in its order."""
-        of = where(self.spreads, source=source, motion=motion, way=way, latency_s=latency_s)
-        return of.sort_values("speed_mm_s")
-
-    def speed_limits(self, source: str, motion: str, way: str) -> list[float]:
-        """Speed at which the RMS error is no longer acceptable, by latency, mm/s; NaN if none."""
-        return [
-            speed_at(self.by_speed(source, motion, way, latency), ACCEPTABLE_ERROR_MM)
-            for latency in LATENCIES_S
-        ]
+def by_speed(
+    spreads: pd.DataFrame, source: str, motion: str, way: str, latency_s: float
+) -> pd.DataFrame:
+    """Rows that differ in the speed only, in its order."""
+    of = where(spreads, source=source, motion=motion, way=way, latency_s=latency_s)
+    return of.sort_values("speed_mm_s")
 
 
 def check(scene: Scene) -> None:
@@ -490,40 +443,44 @@ _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
-def errors_by_speed(findings: DynamicFindings, source: str) -> Figure:
+def errors_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
     """RMS error against speed: a panel for each motion."""
 
     def draw(axes: Axes, _: str, motion: str) -> None:
-        axes.axhline(ACCEPTABLE_ERROR_MM, color=GREY, lw=0.8, ls=":")
-        for way, colour in zip(COMPARED, (VERMILION, BLUE), strict=True):
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=page.GREY, lw=0.8, ls=":")
+        for way, colour in zip(COMPARED, (page.VERMILION, page.BLUE), strict=True):
             for latency, dashes in zip(LATENCIES_S, ("-", "--", ":"), strict=True):
-                rows = findings.by_speed(source, motion, way.name, latency)
+                rows = by_speed(spreads, source, motion, way.name, latency)
                 label = f"{way.name}, {1000 * latency:g} ms late"
-                _by_speed(axes, rows, "error", color=colour, ls=dashes, label=label)
+                _drawn(axes, rows, "error", color=colour, ls=dashes, label=label)
 
-    return small_multiples(
+    return page.small_multiples(
         draw, rows=[""], columns=list(MOTIONS), x=_SPEED, y="RMS error (mm)", sharey=True
     )
 
 
-def parts_by_speed(findings: DynamicFindings, source: str) -> Figure:
+def parts_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
     """RMS of each part of the error against speed, with the latest poses."""
 
     def draw(axes: Axes, way: str, motion: str) -> None:
-        rows = findings.by_speed(source, motion, way, LATENCIES_S[-1])
-        for part, colour in zip(PARTS, (GREY, ORANGE, GREEN, PURPLE), strict=True):
-            _by_speed(axes, rows, part, color=colour, label=part)
-        _by_speed(axes, rows, "error", color=BLACK, ls="--", label="error")
+        rows = by_speed(spreads, source, motion, way, LATENCIES_S[-1])
+        for part, colour in zip(
+            PARTS, (page.GREY, page.ORANGE, page.GREEN, page.PURPLE), strict=True
+        ):
+            _drawn(axes, rows, part, color=colour, label=part)
+        _drawn(axes, rows, "error", color=page.BLACK, ls="--", label="error")
 
     ways = [way.name for way in COMPARED]
     shared: dict[str, Any] = {"sharex": True, "sharey": True}
-    return small_multiples(draw, rows=ways, columns=list(MOTIONS), x=_SPEED, y="RMS (mm)", **shared)
+    return page.small_multiples(
+        draw, rows=ways, columns=list(MOTIONS), x=_SPEED, y="RMS (mm)", **shared
+    )
 
 
 _SPEED = "speed of the tip (mm/s)"
 
 
-def _by_speed(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
+def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
     sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
     axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
     axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
@@ -542,18 +499,53 @@ _PAPERS_SPEED_MM_S = 1.5
 """Speed up to which the paper's error is acceptable (Zhou et al. 2020)."""
 
 
-def report(findings: DynamicFindings) -> Report:
-    """The report of a run."""
-    late = f"{1000 * LATENCIES_S[-1]:g} ms late"
-    return Report(
+def report(
+    errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float, camera_hz: float
+) -> page.Report:
+    """The report of a run: dynamic_error.csv and dynamic_spread.csv.
+
+    Args:
+        exposure_ms: at the mean distance.
+        camera_hz: frames a second.
+    """
+    sources, top = errors.source.unique().tolist(), spreads.speed_mm_s.max()
+    shown, late = sources[-1], f"{1000 * LATENCIES_S[-1]:g} ms late"
+    stamped = where(errors, latency_s=LATENCIES_S[0])
+    used = where(stamped, source=shown, way=SUBPIXEL.name)
+    own = largest(used.error_mm[used.doubt == ""])
+    withdrawn = by_speed(spreads, shown, "withdrawal", SUBPIXEL.name, LATENCIES_S[-1])
+    last = where(withdrawn, speed_mm_s=top)
+    fastest = where(spreads, source=shown, speed_mm_s=top)
+    names = (1000 * fastest.latency_s).map("{:g} ms late".format)
+    table = fastest.assign(late=names).pivot(
+        index=["motion", "way"], columns="late", values="rms_error_mm"
+    )
+    return page.Report(
         title="How wrong is the distance while the tip moves, and why?",
-        answer=_answer(findings),
-        lead=f"Estimates from frames of {findings.exposure_ms:g} ms while the tip moves along "
-        "the beam, across the wall and as a hand moves it, against the robot's readings.",
-        first=_first(findings),
-        claims=list(_claims(findings)),
+        answer=f"Up to {top:g} mm/s the distance from the {shown}'s spot is off by "
+        f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
+        f"{late} make it {number(rms(last.rms_error_mm), 2)} mm (rms, along the beam, at that "
+        "speed).",
+        lead=f"Estimates from frames of {exposure_ms:g} ms while the tip moves along the beam, "
+        "across the wall and as a hand moves it, against the robot's readings.",
+        first=[
+            page.Picture(
+                "errors",
+                errors_by_speed(spreads, shown),
+                "A late pose costs more than blur. RMS error of the estimates that count, "
+                f"{shown}; dotted: the error that the paper accepts.",
+                data="dynamic_spread.csv",
+            ),
+            page.Table.of(
+                table.reset_index(),
+                ["motion", "way", *dict.fromkeys(names)],
+                f"RMS error in mm at {top:g} mm/s, {shown}.",
+                data="dynamic_spread.csv",
+            ),
+        ],
+        claims=list(_claims(stamped, spreads, 1000 / camera_hz)),
         sections=[
-            Section(
+            page.Section(
                 "Error against speed",
                 "Withdrawal is along the beam; scan is across the wall at one distance; hand is a "
                 "hand's slow motion with the tremor that remains on a robot. Each frame counts "
@@ -561,7 +553,7 @@ def report(findings: DynamicFindings) -> Report:
                 "paper's model with k and b from a withdrawal at rest; sub-pixel mode has the "
                 "true source.",
             ),
-            Section(
+            page.Section(
                 "Blur and time",
                 "Every motion is rendered twice: as it is, and with exposures too short for blur "
                 "but the same poses, brightness and noise. So each frame's error is the sum of "
@@ -570,32 +562,34 @@ def report(findings: DynamicFindings) -> Report:
                 "latest pose and its clock's errors. Latency: how far the robot has moved before "
                 "a pose without a stamp is read. While the tip withdraws at speed v, a pose late "
                 "by L adds −vL.",
-                Picture(
+                page.Picture(
                     "parts",
-                    parts_by_speed(findings, findings.sources[-1]),
-                    f"RMS of the parts, {findings.sources[-1]}, with poses {late}.",
+                    parts_by_speed(spreads, shown),
+                    f"RMS of the parts, {shown}, with poses {late}.",
                     data="dynamic_spread.csv",
                 ),
             ),
         ],
         data={
-            "dynamic_error.csv": findings.errors,
-            "dynamic_spread.csv": findings.spreads,
-            **{f"{source}-rest-{LITERAL.slug}.csv": None for source in findings.sources},
+            "dynamic_error.csv": errors,
+            "dynamic_spread.csv": spreads,
+            **{f"{source}-rest-{LITERAL.slug}.csv": None for source in sources},
         },
     )
 
 
-def _claims(findings: DynamicFindings) -> Iterator[Claim]:
-    top, pairs = findings.speeds[-1], list(product(findings.sources, (w.name for w in COMPARED)))
-    for source in findings.sources:
-        rows = where(findings.stamped, source=source, way=SUBPIXEL.name)
+def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame, frame_ms: float) -> Iterator[page.Claim]:
+    """From the errors with stamped poses, and the sizes of all."""
+    top, sources = spreads.speed_mm_s.max(), stamped.source.unique().tolist()
+    pairs = list(product(sources, (way.name for way in COMPARED)))
+    for source in sources:
+        rows = where(stamped, source=source, way=SUBPIXEL.name)
         used = rows[rows.doubt == ""]
         worst, moved = largest(used.error_mm), largest(used.blur_mm + used.stamps_mm)
         reasons = rows.doubt[rows.doubt != ""].value_counts()
         why = "".join(f"; {number} {reason}" for reason, number in reasons.items())
         ms = 1000 * rows.exposure_s
-        yield Claim(
+        yield page.Claim(
             name=f"{source}, requirement",
             sentence=f"Sub-pixel mode with stamped poses is off by {worst:.3f} mm at most up to "
             f"{top:g} mm/s (required: {_REQUIRED_MM:g} mm); blur and stamps together add up to "
@@ -606,9 +600,12 @@ def _claims(findings: DynamicFindings) -> Iterator[Claim]:
             high=_REQUIRED_MM,
         )
     for source, way in pairs:
-        limits = [findings.speed_limits(source, motion, way) for motion in MOTIONS]
-        for latency, speeds in zip(LATENCIES_S, zip(*limits, strict=True), strict=True):
-            yield Claim(
+        for latency in LATENCIES_S:
+            speeds = tuple(
+                speed_at(by_speed(spreads, source, motion, way, latency), ACCEPTABLE_ERROR_MM)
+                for motion in MOTIONS
+            )
+            yield page.Claim(
                 name=f"{source}, {way}, {1000 * latency:g} ms late",
                 sentence=f"The RMS error reaches the acceptable {ACCEPTABLE_ERROR_MM:g} mm at "
                 f"{listed(speeds, '.2f')} mm/s ({', '.join(MOTIONS.values())}; a dash: not up to "
@@ -617,10 +614,10 @@ def _claims(findings: DynamicFindings) -> Iterator[Claim]:
             )
     # Blur and latency at the top speed along the beam, where means do not cancel.
     for source, way in pairs:
-        late = findings.by_speed(source, "withdrawal", way, LATENCIES_S[-1])
+        late = by_speed(spreads, source, "withdrawal", way, LATENCIES_S[-1])
         for row in rows_of(late[(late.speed_mm_s == top) & (late.spots > 0)]):
             latency, blur = abs(row.mean_latency_mm), abs(row.mean_blur_mm)
-            yield Claim(
+            yield page.Claim(
                 name=f"{source}, {way}, late pose against blur",
                 sentence=f"Along the beam at {top:g} mm/s, poses {1000 * LATENCIES_S[-1]:g} ms "
                 f"late add {latency:.3f} mm to the mean error, blur adds {blur:.3f} mm. The mean "
@@ -632,65 +629,25 @@ def _claims(findings: DynamicFindings) -> Iterator[Claim]:
             )
     # The delay or the blur that alone would explain the paper's error.
     delay = ACCEPTABLE_ERROR_MM / _PAPERS_SPEED_MM_S
-    for source in findings.sources:
-        scans = where(findings.stamped, source=source, way=LITERAL.name, motion="scan")
+    for source in sources:
+        scans = where(stamped, source=source, way=LITERAL.name, motion="scan")
         scans = scans[scans.blur_mm.notna()]
         paths = scans.speed_mm_s * scans.exposure_s
         if scans.empty:
             continue
         slope = float(np.dot(paths, scans.blur_mm) / np.dot(paths, paths))
         exposure_ms = 1000 * delay / slope if slope > 0 else math.nan
-        yield Claim(
+        yield page.Claim(
             name=f"{source}, the paper's speed",
             sentence=f"A delay of {1000 * delay:.0f} ms between frame and pose would explain the "
             f"paper's {ACCEPTABLE_ERROR_MM:g} mm at {_PAPERS_SPEED_MM_S:g} mm/s, and so would blur "
             f"of exposures of {exposure_ms:.0f} ms. In literal mode blur across the wall adds "
             f"{slope:+.2f} mm per mm of the spot's path during the exposure (a line through "
             f"{len(scans)} frames with paths up to {paths.max():.3f} mm). The camera allows "
-            f"{1000 / findings.scene.clocks.camera_hz:g} ms a frame; --exposure-ms sets the "
+            f"{frame_ms:g} ms a frame; --exposure-ms sets the "
             "exposure.",
             value=exposure_ms,
         )
-
-
-def _answer(findings: DynamicFindings) -> str:
-    source = findings.sources[-1]
-    used = where(findings.stamped, source=source, way=SUBPIXEL.name)
-    own = largest(used.error_mm[used.doubt == ""])
-    late = findings.by_speed(source, "withdrawal", SUBPIXEL.name, LATENCIES_S[-1])
-    last = late[late.speed_mm_s == findings.speeds[-1]]
-    return (
-        f"Up to {findings.speeds[-1]:g} mm/s the distance from the {source}'s spot is off by "
-        f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
-        f"{1000 * LATENCIES_S[-1]:g} ms late make it {number(rms(last.rms_error_mm), 2)} mm (rms, "
-        "along the beam, at that speed)."
-    )
-
-
-def _first(findings: DynamicFindings) -> list[Picture | Table]:
-    source = findings.sources[-1]
-    top = findings.speeds[-1]
-    fastest = where(findings.spreads, source=source, speed_mm_s=top)
-    late = (1000 * fastest.latency_s).map("{:g} ms late".format)
-    table = fastest.assign(late=late).pivot(
-        index=["motion", "way"], columns="late", values="rms_error_mm"
-    )
-    names = dict.fromkeys(late)
-    return [
-        Picture(
-            "errors",
-            errors_by_speed(findings, source),
-            f"A late pose costs more than blur. RMS error of the estimates that count, {source}; "
-            "dotted: the error that the paper accepts.",
-            data="dynamic_spread.csv",
-        ),
-        Table.of(
-            table.reset_index(),
-            ["motion", "way", *names],
-            f"RMS error in mm at {top:g} mm/s, {source}.",
-            data="dynamic_spread.csv",
-        ),
-    ]
 
 
 # The command.
@@ -706,7 +663,7 @@ def dynamic(
     seed: Seed = None,
     source: LightSource = "both",
     exposure_ms: Annotated[float, Parameter(validator=Number(gte=0.1, lte=100))] = 20.0,
-) -> DynamicFindings:
+) -> pd.DataFrame:
     """Measure the error while the tip moves: by speed, motion blur and a late pose.
 
     Args:
@@ -719,13 +676,6 @@ def dynamic(
     runs = 1 if quick else _RUNS
     rows = [row for source in sources for row in _rows(study, source, speeds=speeds, runs=runs)]
     errors = pd.DataFrame(rows)
-    findings = DynamicFindings(
-        scene=study.scene,
-        exposure_ms=exposure_ms,
-        sources=sources,
-        speeds=speeds,
-        errors=errors,
-        spreads=spreads(errors, speeds),
-    )
-    study.publish(report, findings)
-    return findings
+    sizes, camera_hz = spreads(errors, speeds), study.scene.clocks.camera_hz
+    study.publish(report, errors, sizes, exposure_ms=exposure_ms, camera_hz=camera_hz)
+    return errors

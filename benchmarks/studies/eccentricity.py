@@ -4,17 +4,16 @@ DIR/model_error.csv  every error of every model, analytic and rendered
     limits.csv       at which c a model's error reaches 0.1 and 0.5 mm
     refit.csv        c fitted as the paper does, and how much of the error that hides
     causes.csv       Shapley's share of each cause
-    sensitivity.csv  which axis of the whole space the errors come from
     stacks/, spots/  rendered frames, and the spots measured in them
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,6 +26,7 @@ from scipy.stats import qmc
 
 import optics
 import scenes
+from benchmarks import reporting as page
 from benchmarks.model_error import (
     ECCENTRICITY,
     MODEL_COLOURS,
@@ -50,28 +50,7 @@ from benchmarks.paper import (
     require_roomy_eyeball,
     track_stack,
 )
-from benchmarks.reporting import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    grouped,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import error_causes
 from benchmarks.studies.error_causes import (
     CAUSES,
@@ -140,23 +119,6 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         eye = CauseEye(*(jnp.asarray(np.array(values)) for values in columns))
         estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
         yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
-
-
-def sensitivities(space: pd.DataFrame, *, bins: int = 32) -> pd.DataFrame:
-    """Content of sensitivity.csv: the part of the variance that an axis alone explains.
-
-    The first-order Sobol index (Sobol 1993), in [0, 1]: the variance of the mean error in bins of
-    equal counts, over the whole variance; the axes' sum is short of 1 by the part of axes together.
-    `exact` has no error.
-    """
-    rows = []
-    for model, pinhole in product([m for m in optics.MODELS if m != "exact"], PINHOLES):
-        of = where(space, pinhole=pinhole)
-        for axis in AXES:
-            error = of[model].to_numpy(float)[np.argsort(of[axis].to_numpy())]
-            means = [part.mean() for part in np.array_split(error, bins)]
-            rows.append((model, pinhole, axis, float(np.var(means) / np.var(error))))
-    return pd.DataFrame(rows, columns=["model", "pinhole", "axis", "first_order"])
 
 
 @jax.jit
@@ -282,68 +244,56 @@ _NOISE_FREE = {
 _FEWEST_SPOTS = 3  # fewer do not determine c
 
 
-class EccentricTrial(NamedTuple):
-    """A withdrawal: one pinhole, incidence and eccentricity.
+def trials(scene: Scene, *, quick: bool) -> tuple[dict[str, Scene], dict[str, Scene]]:
+    """Withdrawals at the scene's incidence and square ones without the instrument, by name.
 
-    Attributes:
-        scene: with the instrument in view, or square to the wall and without it.
-        noise_free: the same at twice the resolution without noise; None if not wanted.
-    """
-
-    name: str
-    scene: Scene
-    noise_free: Scene | None
-
-
-def trials(scene: Scene, *, quick: bool) -> list[EccentricTrial]:
-    """Withdrawals at the scene's incidence, and square ones without the instrument.
-
-    Some of the former are rendered without noise, too; a square beam would be hidden by the
-    instrument.
+    The second result is some of the former again, at twice the resolution without noise; a square
+    beam would be hidden by the instrument.
     """
     every = np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist()
     few = [4.0, LARGEST_C_MM] if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist()
-    found = []
-    for height, square in product(pinhole_heights(scene), (False, True)):
-        for c in few if square else every:
-            own = scenes.changed(
-                scene,
-                {
-                    "spot.eccentricity_mm": c,
-                    "microscope.pinhole_height_mm": height,
-                    "motion.kind": "withdrawal",
-                    "motion.start_mm": 0.5,
-                    "motion.travel_mm": 5.5,
-                    "motion.frames": 3 if quick else 12,
-                    "exposures.kinds": ["metered"],
-                    **({"spot.incidence_deg": 0.0, "instrument.visible": False} if square else {}),
-                },
-            )
-            view = own.microscope
-            finer = {
-                "microscope.scale_mm_px": view.scale_mm_px / _FINER,
-                "microscope.width_px": view.width_px * _FINER,
-                "microscope.height_px": view.height_px * _FINER,
+    found, noise_free = {}, {}
+    for height, kind in product(pinhole_heights(scene), ("tilted", "square")):
+        bare = {"spot.incidence_deg": 0.0, "instrument.visible": False} if kind == "square" else {}
+        for c in few if bare else every:
+            changes = {
+                "spot.eccentricity_mm": c,
+                "microscope.pinhole_height_mm": height,
+                "motion.kind": "withdrawal",
+                "motion.start_mm": 0.5,
+                "motion.travel_mm": 5.5,
+                "motion.frames": 3 if quick else 12,
+                "exposures.kinds": ["metered"],
             }
-            noise_free = c in few and not square
-            again = scenes.changed(own, finer | _NOISE_FREE) if noise_free else None
-            kind = "square" if square else "tilted"
-            found.append(EccentricTrial(f"{kind}-pinhole-{height:g}-c-{c:g}", own, again))
-    return found
+            name, own = f"{kind}-pinhole-{height:g}-c-{c:g}", scenes.changed(scene, changes | bare)
+            found[name] = own
+            if c in few and not bare:
+                finer = {
+                    "microscope.scale_mm_px": own.microscope.scale_mm_px / _FINER,
+                    "microscope.width_px": own.microscope.width_px * _FINER,
+                    "microscope.height_px": own.microscope.height_px * _FINER,
+                }
+                noise_free[name] = scenes.changed(own, finer | _NOISE_FREE)
+    return found, noise_free
 
 
-def measure(study: Study, every: Sequence[EccentricTrial]) -> dict[str, Any]:
-    """Render, track and compare: what `EccentricityFindings` has of rendered frames."""
-    wanted = {trial.name: trial.scene for trial in every}
-    wanted |= {f"{t.name}-noise-free": t.noise_free for t in every if t.noise_free is not None}
+def measure(
+    study: Study, every: Mapping[str, Scene], noise_free: Mapping[str, Scene]
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, np.ndarray]:
+    """Render, track and compare.
+
+    Returns:
+        Errors of all models on every measured spot, and of small_plane with c fitted; the fits, see
+        `refitted`; errors by cause; and whether each frame has a spot that counts.
+    """
     tracked = study.measured(
-        wanted,
+        {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}},
         lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name)),
     )
     # Empty tables first, so that a run without spots has tables, too.
     errors, refits, shares = [pd.DataFrame(columns=MODEL_ERROR)], [], [pd.DataFrame()]
-    for trial in every:
-        seen, geometry = tracked[trial.name], geometry_of(trial.scene)
+    for name, scene in every.items():
+        seen, geometry = tracked[name], geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
             errors.append(measured_errors(geometry, spots, models=optics.MODELS))
@@ -352,82 +302,37 @@ def measure(study: Study, every: Sequence[EccentricTrial]) -> dict[str, Any]:
             rows, refit = refitted(geometry, errors[-1], *given)
             errors.append(rows)
             refits.append(refit)
-        if trial.noise_free is not None:
-            both = seen.used & tracked[f"{trial.name}-noise-free"].used
-            if both.any():
-                fine = tracked[f"{trial.name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
-                shares.append(_shares(trial.scene, geometry, seen[both], fine))
-    used = np.concatenate([tracked[trial.name].used for trial in every])
-    return {
-        "rendered": pd.concat(errors[1:] or errors, ignore_index=True),
-        "rendered_refits": pd.DataFrame(refits),
-        "shares": pd.concat(shares[1:] or shares, ignore_index=True),
-        "frames": used.size,
-        "left_out": int(np.count_nonzero(~used)),
-    }
-
-
-def _shares(
-    scene: Scene, geometry: Geometry, spots: pd.DataFrame, fine: np.ndarray
-) -> pd.DataFrame:
-    """A trial's errors by cause, from spots and their e1' in noise-free frames, px."""
-    measured, ideal, c, d = (
-        spots[name].to_numpy() for name in ("semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm")
+        if name in noise_free and (both := seen.used & tracked[f"{name}-noise-free"].used).any():
+            fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
+            columns = ["semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm"]
+            measured, ideal, c, d = seen.loc[both, columns].to_numpy().T
+            length = spread_length(scene)
+            spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
+            # A wall that spreads light does so in the frames already.
+            edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
+            shift = Shift(edge=edge, pixels=measured - fine, spread=spread)
+            medium = scene.source.medium
+            shares.append(error_causes.shares(geometry, medium=medium, c=c, d=d, shift=shift))
+    return (
+        pd.concat(errors[1:] or errors, ignore_index=True),
+        pd.DataFrame(refits),
+        pd.concat(shares[1:] or shares, ignore_index=True),
+        np.concatenate([tracked[name].used for name in every]),
     )
-    spread = error_causes.spread_shift(geometry, c=c, d=d, length=spread_length(scene))
-    # A wall that spreads light does so in the frames already.
-    edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
-    shift = Shift(edge=edge, pixels=measured - fine, spread=spread)
-    return error_causes.shares(geometry, medium=scene.source.medium, c=c, d=d, shift=shift)
 
 
-# The results of a run, and the figures of the report.
+Tables = Mapping[str, pd.DataFrame]
 
 
-@dataclass(frozen=True, kw_only=True)
-class EccentricityFindings:
-    """What the report is made of.
+def with_true_c(errors: pd.DataFrame) -> pd.DataFrame:
+    """Errors without those of a fitted c."""
+    return errors[~errors.refit.astype(bool)]
 
-    Attributes:
-        withdrawals: errors on exact contours, with the true c and with the fitted one.
-        refits: fits of c to them, see `refitted`; `rendered_refits` to rendered spots.
-        limits: where models reach the limits, among the withdrawals.
-        rendered: errors of all models on every measured spot, and of small_plane with c fitted.
-        shares: errors by cause, for trials with a noise-free frame.
-        frames: number of frames rendered for the errors; `left_out`: without a spot that counts.
-        geometries: number of points in the space of geometries.
-        within: part of the space in which each model is within the largest limit.
-    """
 
-    scene: Scene
-    withdrawals: pd.DataFrame
-    refits: pd.DataFrame
-    limits: pd.DataFrame
-    rendered: pd.DataFrame
-    rendered_refits: pd.DataFrame
-    shares: pd.DataFrame
-    frames: int
-    left_out: int
-    geometries: int
-    sensitivities: pd.DataFrame
-    within: dict[str, float]
-
-    @property
-    def heights(self) -> tuple[float, float]:
-        """z_F of the pinholes that the report compares, mm."""
-        return pinhole_heights(self.scene)
-
-    @property
-    def with_true_c(self) -> pd.DataFrame:
-        """The errors on rendered spots, without those of a fitted c."""
-        return self.rendered[~self.rendered.refit.astype(bool)]
-
-    def limits_of(
-        self, model: str, height: float, incidence: float, *, refit: bool = False
-    ) -> tuple[float, ...]:
-        """c at which a model reaches each of `LIMITS_MM`, mm; NaN where it does not."""
-        of = where(self.limits, model=model, refit=refit, z_f_mm=height, incidence_deg=incidence)
-        return tuple(of.c_mm)
+def limit_of(tables: Tables, model: str, height: float, incidence: float) -> float:
+    """c at which a model given the true c reaches the largest of `LIMITS_MM`, mm, or NaN."""
+    of = where(tables["limits"], model=model, refit=False, z_f_mm=height, incidence_deg=incidence)
+    return float(of.c_mm.iloc[-1])
 
 
 def pinhole_heights(scene: Scene) -> tuple[float, float]:
@@ -437,24 +342,38 @@ def pinhole_heights(scene: Scene) -> tuple[float, float]:
 
 # Figures.
 
-_COLOURS = {"planar": ORANGE} | MODEL_COLOURS
+_COLOURS = {"planar": page.ORANGE} | MODEL_COLOURS
 _BROWN, _GREYS = "#8C6D31", ("#B8B8B8", "#6E6E6E")
 _CAUSE_COLOURS = dict(
-    zip(CAUSES, (BLUE, VERMILION, ORANGE, BLACK, GREEN, SKY, PURPLE, _BROWN, *_GREYS), strict=True)
+    zip(
+        CAUSES,
+        (
+            page.BLUE,
+            page.VERMILION,
+            page.ORANGE,
+            page.BLACK,
+            page.GREEN,
+            page.SKY,
+            page.PURPLE,
+            _BROWN,
+            *_GREYS,
+        ),
+        strict=True,
+    )
 )
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
-def worst_errors(findings: EccentricityFindings) -> Figure:
+def worst_errors(scene: Scene, tables: Tables) -> Figure:
     """Largest error over d against c: a panel for each pinhole (row) and incidence (column)."""
 
     def draw(axes: Axes, height: float, incidence: float) -> None:
         for limit in LIMITS_MM:
-            axes.axhline(limit, color=GREY, lw=0.8, ls=":")
+            axes.axhline(limit, color=page.GREY, lw=0.8, ls=":")
         exact, seen = (
             where(errors, z_f_mm=height, incidence_deg=incidence)
-            for errors in (findings.withdrawals, findings.with_true_c)
+            for errors in (tables["withdrawals"], with_true_c(tables["rendered"]))
         )
         for model, colour in _COLOURS.items():
             line = largest_errors(where(exact, model=model, refit=False))
@@ -464,14 +383,14 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
             marks = largest_errors(seen[seen.model == model])
             axes.plot(marks, ls="", marker="o", ms=3.5, color=colour, label=label)
         refit = largest_errors(exact[exact.refit])
-        axes.plot(refit, color=VERMILION, ls="--", label="small_plane, c fitted")
+        axes.plot(refit, color=page.VERMILION, ls="--", label="small_plane, c fitted")
         axes.set(yscale="log", ylim=(_LEAST_MM, 12.0))
         axes.yaxis.set_major_formatter("{x:g}")
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
-        rows=findings.heights,
-        columns=findings.withdrawals.incidence_deg.unique().tolist(),
+        rows=pinhole_heights(scene),
+        columns=tables["withdrawals"].incidence_deg.unique().tolist(),
         title=lambda height, incidence: f"{pinhole_title(height)}, incidence {incidence:g}°",
         x=ECCENTRICITY,
         y="largest |error| (mm)",
@@ -482,12 +401,11 @@ def worst_errors(findings: EccentricityFindings) -> Figure:
     )
 
 
-def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
+def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
     """Shapley's shares stacked against c: a row for each pinhole, a column for each model.
 
     Every panel has its own scale: the shares of the best model are a hundredth of the worst's.
     """
-    shares = findings.shares
     chosen = shares[(shares.d_mm - d).abs() < 1e-6]
 
     def draw(axes: Axes, height: float, model: str) -> None:
@@ -502,10 +420,10 @@ def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
             above += np.maximum(size, 0.0)
             below += np.minimum(size, 0.0)
         whole = here.whole_mm[here.cause == CAUSES[0]]
-        axes.plot(c, whole, ls="", marker="D", ms=4, mfc="white", mec=BLACK, label="whole")
-        axes.axhline(0, color=BLACK, lw=0.6)
+        axes.plot(c, whole, ls="", marker="D", ms=4, mfc="white", mec=page.BLACK, label="whole")
+        axes.axhline(0, color=page.BLACK, lw=0.6)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=chosen.z_f_mm.unique().tolist(),
         columns=SHOWN,
@@ -515,15 +433,6 @@ def _causes_figure(findings: EccentricityFindings, *, d: float) -> Figure:
         legend_columns=5,
         sharex=True,
     )
-
-
-def check(scene: Scene) -> None:
-    """Refuse a scene in which c cannot reach its largest value.
-
-    Raises:
-        SceneError: saying what to change.
-    """
-    require_roomy_eyeball(scene, f"c reaches {LARGEST_C_MM:g} mm")
 
 
 def fill_space(
@@ -538,7 +447,7 @@ def fill_space(
         before: rows to write before those of the space.
 
     Returns:
-        A row a geometry: axes, pinhole, and the error of every model (mm), in single precision.
+        The error of every model (mm) at each geometry, in single precision.
     """
     cone = geometry_of(scene)
     filled = []
@@ -568,71 +477,102 @@ def fill_space(
             for model in optics.MODELS:
                 made = {"estimate_mm": block[model], "error_mm": errors[model]}
                 write(block.assign(model=model, **about, **made))
-            kept = pd.concat([block[list(AXES)], errors], axis=1).astype(np.float32)
-            filled.append(kept.assign(pinhole=block.pinhole))
+            filled.append(errors.astype(np.float32))
     return pd.concat(filled, ignore_index=True)
-
-
-def _withdrawals(scene: Scene, *, quick: bool) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """On exact contours: four pinholes, square to the wall and at the scene's incidence."""
-    eccentricities = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
-    found = []
-    for height in (0.0, *pinhole_heights(scene), np.inf):
-        for incidence_deg in dict.fromkeys((0.0, scene.spot.incidence_deg)):
-            own = scenes.changed(
-                scene, {"microscope.pinhole_height_mm": height, "spot.incidence_deg": incidence_deg}
-            )
-            geometry, medium = geometry_of(own), scene.source.medium
-            found.append(withdrawals(geometry, eccentricities=eccentricities, medium=medium))
-    errors, refits = zip(*found, strict=True)
-    return pd.concat(errors, ignore_index=True), pd.concat(refits, ignore_index=True)
 
 
 # The page.
 
 
-def report(findings: EccentricityFindings) -> Report:
-    """The report of a run."""
-    return Report(
+def _report(
+    scene: Scene, tables: Tables, used: np.ndarray, within: Mapping[str, float], geometries: int
+) -> page.Report:
+    """The report; `within` is the part of the space in which a model keeps the largest limit."""
+    heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
+    on_sphere, microscope = (limit_of(tables, "small_plane", h, incidence) for h in heights)
+    limits = [
+        (height, tilt, *(limit_of(tables, model, height, tilt) for model in SHOWN))
+        for height, tilt in product(heights, dict.fromkeys((0.0, incidence)))
+    ]
+    refits, largest_mm = tables["refits"], LIMITS_MM[-1]
+    chosen = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
+    chosen &= refits.z_f_mm.isin(heights) & (refits.incidence_deg == incidence)
+    ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in AXES.items())
+    return page.Report(
         title="How wrong is the distance, at which eccentricity, and why?",
-        answer=_answer(findings),
+        answer=f"The paper's model is off by {largest_mm:g} mm from c = {number(on_sphere)} mm on "
+        "if the pinhole lies on the eyeball's sphere, and from c = "
+        f"{number(microscope)} mm on under a microscope; over all geometries it stays within that "
+        f"in {100 * within['small_plane']:.0f} %, corrected in {100 * within['corrected']:.0f} %, "
+        f"exact in {100 * within['exact']:.0f} %.",
         lead="Five models from spot size to distance against the exact geometry: on exact "
-        "contours, and on spots measured in rendered frames.",
-        first=_first(findings),
-        claims=list(_claims(findings)),
+        f"contours, on spots measured in rendered frames, and on {geometries:,} geometries, a "
+        f"scrambled Sobol sequence: {ranges}; z_F = 0, r, 200 mm and infinite. For every "
+        "half-angle the spot at contact has the scene's size.",
+        first=[
+            page.Picture(
+                "largest_error",
+                worst_errors(scene, tables),
+                "The paper's model fails with growing c, and sooner under a microscope. Largest "
+                "absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on rendered "
+                "spots (dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
+                f"{' and '.join(f'{limit:g}' for limit in LIMITS_MM)} mm. On exact contours the "
+                "model exact has no error except rounding and is not drawn.",
+                data="model_error.csv",
+            ),
+            page.Table(
+                [page.Column(heading, 1) for heading in ("z_F, mm", "incidence, °", *SHOWN)],
+                limits,
+                f"Smallest c in mm at which the largest error over d reaches {largest_mm:g} mm; a "
+                f"dash: not up to c = {LARGEST_C_MM:g} mm.",
+                data="limits.csv",
+            ),
+        ],
+        claims=[claim for height in heights for claim in _main_cause(tables, height)]
+        + _rendered_spots(with_true_c(tables["rendered"]), used),
         sections=[
-            _refit(findings),
-            _causes(findings),
-            _space(findings),
+            page.Section(
+                "The error that a fit of c hides",
+                "The paper fits c to the same distances with which it then tests the model (Table "
+                "II). A wrong c compensates for a wrong factor as long as the correct factor is "
+                "below 1. If the correct factor is above 1, the fit ends at c = 0.",
+                page.Table.of(
+                    refits[chosen],
+                    "z_f_mm c_mm fitted_c_mm largest_error_mm largest_residual_mm "
+                    "hidden_mm".split(),
+                    "Largest error over d with the true c, largest residual with the fitted one, "
+                    "and the difference, which the fit hides; exact contours.",
+                    data="refit.csv",
+                ),
+            ),
+            page.Section("Causes", *_causes(scene, tables["causes"])),
         ],
         data={
             "model_error.csv": None,
-            "limits.csv": findings.limits,
-            "refit.csv": pd.concat([findings.refits, findings.rendered_refits]),
-            "causes.csv": findings.shares,
-            "sensitivity.csv": findings.sensitivities,
+            "limits.csv": tables["limits"],
+            "refit.csv": pd.concat([refits, tables["rendered_refits"]]),
+            "causes.csv": tables["causes"],
         },
     )
 
 
-def _claims(findings: EccentricityFindings) -> Iterator[Claim]:
-    """What the tables do not show; limits.csv and refit.csv have the rest."""
-    for height in findings.heights:
-        yield from _main_cause(findings, height)
-    errors = findings.with_true_c
-    if len(errors):
-        worst = tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
-        yield Claim(
+def _rendered_spots(errors: pd.DataFrame, used: np.ndarray) -> list[page.Claim]:
+    if errors.empty:
+        return []
+    worst = tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
+    return [
+        page.Claim(
             name="rendered spots",
-            sentence=f"Largest errors over {findings.frames - findings.left_out} spots: "
-            f"{listed(worst, '.3f')} mm ({', '.join(optics.MODELS)}); k, b, c and r are given. "
-            f"{findings.left_out} frames have no spot that counts.",
+            sentence=f"Largest errors over {used.sum()} spots: {listed(worst, '.3f')} mm "
+            f"({', '.join(optics.MODELS)}); k, b, c and r are given. {(~used).sum()} frames have "
+            "no spot that counts.",
             value=worst,
         )
+    ]
 
 
-def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim]:
-    shares = findings.shares
+def _main_cause(tables: Tables, height: float) -> Iterator[page.Claim]:
+    shares = tables["causes"]
     here = [] if shares.empty else rows_of(where(shares, z_f_mm=height, model="small_plane"))
     if not here:
         return
@@ -641,12 +581,12 @@ def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim
         (p for p in here if (p.c_mm, p.d_mm) == (spot.c_mm, spot.d_mm)),
         key=lambda p: -abs(p.part_mm),
     )
-    exact = where(findings.withdrawals, refit=False, model="small_plane", z_f_mm=height)
+    exact = where(tables["withdrawals"], refit=False, model="small_plane", z_f_mm=height)
     own = min(
         rows_of(where(exact, incidence_deg=spot.incidence_deg)),
         key=lambda e: (abs(e.c_mm - spot.c_mm), abs(e.d_mm - spot.d_mm)),
     )
-    yield Claim(
+    yield page.Claim(
         name=f"z_F = {height:g} mm, causes",
         sentence=f"At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane "
         f"is {spot.whole_mm:+.3f} mm if it is also given an r too large by {WRONG_R_MM:g} mm and a "
@@ -659,111 +599,23 @@ def _main_cause(findings: EccentricityFindings, height: float) -> Iterator[Claim
     )
 
 
-def _answer(findings: EccentricityFindings) -> str:
-    incidence = findings.scene.spot.incidence_deg
-    on_sphere, microscope = (
-        findings.limits_of("small_plane", height, incidence)[-1] for height in findings.heights
-    )
-    within = findings.within
-    return (
-        f"The paper's model is off by {LIMITS_MM[-1]:g} mm from c = {number(on_sphere)} mm on if "
-        f"the pinhole lies on the eyeball's sphere, and from c = {number(microscope)} mm on under "
-        f"a microscope; over all geometries it stays within that in "
-        f"{100 * within['small_plane']:.0f} %, corrected in {100 * within['corrected']:.0f} %, "
-        f"exact in {100 * within['exact']:.0f} %."
-    )
-
-
-def _first(findings: EccentricityFindings) -> list[Picture | Table]:
-    incidences = dict.fromkeys((0.0, findings.scene.spot.incidence_deg))
-    rows = [
-        (height, incidence, *(findings.limits_of(m, height, incidence)[-1] for m in SHOWN))
-        for height in findings.heights
-        for incidence in incidences
-    ]
-    headings = ("z_F, mm", "incidence, °", *SHOWN)
-    return [
-        Picture(
-            "largest_error",
-            worst_errors(findings),
-            "The paper's model fails with growing c, and sooner under a microscope. Largest "
-            "absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on rendered spots "
-            "(dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
-            f"{' and '.join(f'{limit:g}' for limit in LIMITS_MM)} mm. On exact contours the model "
-            "exact has no error except rounding and is not drawn.",
-            data="model_error.csv",
-        ),
-        Table(
-            [Column(heading, 1) for heading in headings],
-            rows,
-            f"Smallest c in mm at which the largest error over d reaches {LIMITS_MM[-1]:g} mm; a "
-            f"dash: not up to c = {LARGEST_C_MM:g} mm.",
-            data="limits.csv",
-        ),
-    ]
-
-
-def _refit(findings: EccentricityFindings) -> Section:
-    incidence, refits = findings.scene.spot.incidence_deg, findings.refits
-    whole = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
-    chosen = whole & refits.z_f_mm.isin(findings.heights) & (refits.incidence_deg == incidence)
-    return Section(
-        "The error that a fit of c hides",
-        "The paper fits c to the same distances with which it then tests the model (Table II). A "
-        "wrong c compensates for a wrong factor as long as the correct factor is below 1. If the "
-        "correct factor is above 1, the fit ends at c = 0.",
-        Table.of(
-            refits[chosen],
-            "z_f_mm c_mm fitted_c_mm largest_error_mm largest_residual_mm hidden_mm".split(),
-            "Largest error over d with the true c, largest residual with the fitted one, and the "
-            "difference, which the fit hides; exact contours.",
-            data="refit.csv",
-        ),
-    )
-
-
-def _causes(findings: EccentricityFindings) -> Section:
-    shares = findings.shares
+def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
     text = (
         "Each link between distance and spot is real or ideal, together with the model's own term "
         f"for it, in all {1 << len(CAUSES):,} sets of causes; the parts are Shapley's values. Edge "
         "and pixels are measured in rendered frames, light spread in the wall is that of L = "
-        f"{spread_length(findings.scene):.3f} mm. The models are given an r {WRONG_R_MM:g} mm and "
-        f"a c {WRONG_C_MM:g} mm too large. The paper's cos φ counts as a term for foreshortening."
+        f"{spread_length(scene):.3f} mm. The models are given an r {WRONG_R_MM:g} mm and a c "
+        f"{WRONG_C_MM:g} mm too large. The paper's cos φ counts as a term for foreshortening."
     )
     if shares.empty:
-        return Section("Causes", text, "No rendered spot counts in this run.")
+        return [text, "No rendered spot counts in this run."]
     # The distance that most spots share, nearest to the middle of the range.
     d = min(shares.d_mm.round(6).unique(), key=lambda d: abs(d - SHOWN_C_MM))
-    return Section(
-        "Causes",
-        text,
-        Picture(
-            "causes",
-            _causes_figure(findings, d=d),
-            f"Parts of the error at d = {d:.3g} mm, {findings.scene.spot.incidence_deg:g}° "
-            "incidence; diamonds: the error, their sum. Each panel has a scale of its own.",
-            data="causes.csv",
-        ),
+    caption = (
+        f"Parts of the error at d = {d:.3g} mm, {scene.spot.incidence_deg:g}° incidence; diamonds: "
+        "the error, their sum. Each panel has a scale of its own."
     )
-
-
-def _space(findings: EccentricityFindings) -> Section:
-    ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in AXES.items())
-    keys = ["model", "pinhole"]
-    found = findings.sensitivities.pivot(index=keys, columns="axis", values="first_order")
-    return Section(
-        "The whole space",
-        f"{findings.geometries:,} geometries, a scrambled Sobol sequence: {ranges}; z_F = 0, r, "
-        "200 mm and infinite. For every half-angle the spot at contact has the scene's size.",
-        Table.of(
-            found.reset_index(),
-            [*keys, *AXES],
-            "Part of the error's variance that each axis alone explains (first-order Sobol "
-            "index). The rest is due to axes together.",
-            data="sensitivity.csv",
-        ),
-    )
+    return [text, page.Picture("causes", _causes_figure(shares, d=d), caption, "causes.csv")]
 
 
 _GEOMETRIES, _GEOMETRIES_IF_QUICK = 1 << 17, 1 << 14
@@ -782,7 +634,7 @@ def eccentricity(
     quick: Quick = False,
     seed: Seed = None,
     geometries: PositiveInt | None = None,
-) -> EccentricityFindings:
+) -> dict[str, pd.DataFrame]:
     """Measure how wrong each model is, at which eccentricity, and by which cause.
 
     Args:
@@ -797,32 +649,36 @@ def eccentricity(
             "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
         )
     count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)
-    defaults, options = ("source.kind=cone",), {"geometries": count}
     study = Study(
-        "eccentricity", out, scene, changes, quick, seed, defaults, check, options=options
+        "eccentricity",
+        *(out, scene, changes, quick, seed, ("source.kind=cone",)),
+        partial(require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm"),
+        options={"geometries": count},
     )
     base = study.scene
     with study.timed("render and measure"):
-        found = measure(study, trials(base, quick=quick))
+        rendered, rendered_refits, shares, used = measure(study, *trials(base, quick=quick))
     with study.timed("withdrawals on exact contours"):
-        on_exact, refits = _withdrawals(base, quick=quick)
+        # Four pinholes, square to the wall and at the scene's incidence.
+        found = []
+        for height in (0.0, *pinhole_heights(base), np.inf):
+            for tilt in dict.fromkeys((0.0, base.spot.incidence_deg)):
+                view = {"microscope.pinhole_height_mm": height, "spot.incidence_deg": tilt}
+                geometry = geometry_of(scenes.changed(base, view))
+                c = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
+                found.append(withdrawals(geometry, eccentricities=c, medium=base.source.medium))
+        on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))
     with study.timed("space of geometries"):
-        space = fill_space(
-            base,
-            count=count,
-            seed=study.seed,
-            csv_file=study.folder / "model_error.csv",
-            before=pd.concat([on_exact, found["rendered"]]),
-        )
-    findings = EccentricityFindings(
-        scene=base,
-        withdrawals=on_exact,
-        refits=refits,
-        limits=limits(on_exact),
-        **found,
-        geometries=len(space),
-        sensitivities=sensitivities(space),
-        within={m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS},
-    )
-    study.publish(report, findings)
-    return findings
+        csv_file, before = study.folder / "model_error.csv", pd.concat([on_exact, rendered])
+        space = fill_space(base, count=count, seed=study.seed, csv_file=csv_file, before=before)
+    tables = {
+        "withdrawals": on_exact,
+        "refits": refits,
+        "limits": limits(on_exact),
+        "rendered": rendered,
+        "rendered_refits": rendered_refits,
+        "causes": shares,
+    }
+    within = {m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS}
+    study.publish(_report, base, tables, used, within, len(space))
+    return tables

@@ -24,52 +24,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import optics
+from benchmarks import reporting as page
 from benchmarks.model_error import ECCENTRICITY
 from benchmarks.paper import coalitions, shapley_values
-from benchmarks.reporting import (
-    BLACK,
-    BLUE,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    grouped,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
-from benchmarks.studies.eye_paths import (
-    NOMINAL_RADIUS_MM,
-    PARTS,
-    PATHS,
-    SCALE_MM_PX,
-    WITHDRAWALS_C_MM,
-    Drawn,
-    Pinhole,
-    Recipe,
-    Seen,
-    Spots,
-    cameras,
-    distance_by_area,
-    distance_by_closed_form,
-    distance_by_local_magnification,
-    distance_through_path,
-    drawn,
-    fitted_pinhole,
-    grid,
-    in_batches,
-    local_factor,
-    spots_through,
-    withdrawals,
-)
+from benchmarks.reporting import grouped, number, rows_of, where
+from benchmarks.studies import eye_paths
+from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
 from benchmarks.study import OutputFolder, Quick, Seed, Study
 from optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
 
@@ -113,27 +73,33 @@ def path_errors(
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=_OPEN_MM)
     batches = every, axes, _noise(seed, len(axes))
-    seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
+    seen, fitted = eye_paths.in_batches(
+        lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE
+    )
     schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
     known = jax.tree.map(lambda leaf: leaf[0], every)
     shape, minor = seen.visible.shape, seen.semi_axes[..., 0]
     in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
     own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
     paraxial = float(known.inverse_working_distance)
-    uncalibrated = Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM)))
+    uncalibrated = Pinhole(
+        *map(jnp.asarray, (eye_paths.SCALE_MM_PX, 0.0, eye_paths.NOMINAL_RADIUS_MM))
+    )
 
     def closed_form(model: str, pinhole: Pinhole) -> np.ndarray:
-        return distance_by_closed_form(
+        return eye_paths.distance_by_closed_form(
             model, minor, spots, pinhole=jax.tree.map(np.asarray, pinhole)
         )
 
     def by_area(pinhole: Pinhole) -> np.ndarray:
         each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
-        return distance_by_area(in_a_row, each)
+        return eye_paths.distance_by_area(in_a_row, each)
 
     def by_magnification() -> np.ndarray:
-        factor = local_factor(known, np.asarray(spots.eccentricity).ravel())
-        return distance_by_local_magnification(minor, factor.reshape(spots.distance.shape))
+        factor = eye_paths.local_factor(known, np.asarray(spots.eccentricity).ravel())
+        return eye_paths.distance_by_local_magnification(
+            minor, factor.reshape(spots.distance.shape)
+        )
 
     ways: dict[Recipe, Callable[[], np.ndarray]] = {
         Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
@@ -144,7 +110,7 @@ def path_errors(
         ),
         Recipe.LOCAL: by_magnification,
         Recipe.FITTED: lambda: closed_form("corrected", own),
-        Recipe.EXACT_SCHEMATIC: lambda: distance_through_path(in_a_row, known, axes[0]),
+        Recipe.EXACT_SCHEMATIC: lambda: eye_paths.distance_through_path(in_a_row, known, axes[0]),
         Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
         Recipe.AREA: lambda: by_area(own),
     }
@@ -165,7 +131,7 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
-    return in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+    return eye_paths.in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
 
 
 @eqx.filter_jit
@@ -173,27 +139,27 @@ def _calibrated(
     eyes: tuple[PathCamera, Float[Array, "n 3"], Float[Array, "n trials frames 5"]], spots: Spots
 ) -> tuple[Seen, Pinhole]:
     """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
-    flat, calibration = jax.tree.map(jnp.ravel, spots), withdrawals()
+    flat, calibration = jax.tree.map(jnp.ravel, spots), eye_paths.withdrawals()
     count, shape = len(flat.distance), calibration.distance.shape
     # All spots in one batch: XLA compiles the formula once.
     together = jax.tree.map(lambda a, b: jnp.concatenate([a, jnp.ravel(b)]), flat, calibration)
 
     def in_one(camera: PathCamera, semi_axes: Array, noise: Array) -> tuple[Seen, Pinhole]:
-        images = spots_through(camera, semi_axes, together)
+        images = eye_paths.spots_through(camera, semi_axes, together)
         last = jax.tree.map(lambda leaf: leaf[count:].reshape(shape + leaf.shape[1:]), images)
         first = jax.tree.map(
             lambda leaf: leaf[:count].reshape(spots.distance.shape + leaf.shape[1:]), images
         )
-        return first, fitted_pinhole(last, noise)
+        return first, eye_paths.fitted_pinhole(last, noise)
 
     return jax.vmap(in_one)(*eyes)
 
 
 def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
     def of_batch(eyes: Eye) -> PathCamera:
-        return cameras(path, eyes, jnp.asarray(pupil_radius))
+        return eye_paths.cameras(path, eyes, jnp.asarray(pupil_radius))
 
-    groups = [in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
+    groups = [eye_paths.in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
 
 
@@ -204,7 +170,7 @@ def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
 
 def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5"]:
     """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
-    shape = (*withdrawals().distance.shape, 5)
+    shape = (*eye_paths.withdrawals().distance.shape, 5)
     if seed is None:
         return np.zeros((count, *shape))
     drawn = [np.random.default_rng([seed, eye]).standard_normal(shape) for eye in range(count)]
@@ -252,12 +218,12 @@ def _causes(
         schematic: the eye that stands for all where no calibration is made, with a leading axis.
         spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
     """
-    players = (*PARTS, _NOISE)
+    players = (*eye_paths.PARTS, _NOISE)
     recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
     shown = np.isin(np.asarray(spots.eccentricity)[:, 0, 0], _SHOWN_MM)
     worth = np.zeros((len(recipes), len(_SHOWN_MM), 2 ** len(players)))
     for row, members in enumerate(coalitions(len(players))):
-        parts = [part for part, inside in zip(PARTS, members, strict=False) if inside]
+        parts = [part for part, inside in zip(eye_paths.PARTS, members, strict=False) if inside]
         eyes = together(schematic, eyes_drawn.eyes(parts))
         noise = seed if members[-1] else None
         found = path_errors(path, [eyes], spots, seed=noise, recipes=recipes)
@@ -397,15 +363,15 @@ def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
 # Figures.
 
 _STYLES = {
-    Recipe.PLANAR: (VERMILION, ":"),
-    Recipe.SMALL_PLANE: (VERMILION, "-"),
-    Recipe.STEREOGRAPHIC: (VERMILION, "--"),
-    Recipe.PARAXIAL: (ORANGE, "-"),
-    Recipe.LOCAL: (PURPLE, "-"),
-    Recipe.FITTED: (SKY, "-"),
-    Recipe.EXACT_SCHEMATIC: (GREEN, "--"),
-    Recipe.AREA_SCHEMATIC: (GREEN, "-"),
-    Recipe.AREA: (BLUE, "-"),
+    Recipe.PLANAR: (page.VERMILION, ":"),
+    Recipe.SMALL_PLANE: (page.VERMILION, "-"),
+    Recipe.STEREOGRAPHIC: (page.VERMILION, "--"),
+    Recipe.PARAXIAL: (page.ORANGE, "-"),
+    Recipe.LOCAL: (page.PURPLE, "-"),
+    Recipe.FITTED: (page.SKY, "-"),
+    Recipe.EXACT_SCHEMATIC: (page.GREEN, "--"),
+    Recipe.AREA_SCHEMATIC: (page.GREEN, "-"),
+    Recipe.AREA: (page.BLUE, "-"),
 }
 """Colour and line; recipes that know the same have one colour."""
 _SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
@@ -418,9 +384,9 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
     def draw(axes: Axes, path: str, tilt: str) -> None:
         low, middle, high = np.quantile(findings.fields[path][findings.random], [0.05, 0.5, 0.95])
         axes.axvspan(low, high, color="#EEEEEE", zorder=0)
-        axes.axvline(middle, color=GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
+        axes.axvline(middle, color=page.GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
         for limit in LIMITS_MM:
-            axes.axhline(limit, color=BLACK, lw=0.8, ls="--")
+            axes.axhline(limit, color=page.BLACK, lw=0.8, ls="--")
         for recipe, (colour, line) in _STYLES.items():
             curve = curves.loc[path, recipe, tilt]
             (drawn,) = axes.plot(findings.eccentricities, curve, ls=line, marker="o", ms=3)
@@ -429,7 +395,7 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
         axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=paths,
         columns=["square", "any"],
@@ -445,9 +411,9 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
 # The page.
 
 
-def report(findings: EyeFindings) -> Report:
+def report(findings: EyeFindings) -> page.Report:
     """The report of a run."""
-    return Report(
+    return page.Report(
         title="How wrong is the distance when the microscope looks through the eye's own optics?",
         answer=_answer(findings),
         lead=f"Exact spots of a cone (k 20, b −5.117 mm) in {findings.population} random eyes of a "
@@ -456,7 +422,7 @@ def report(findings: EyeFindings) -> Report:
         "says what has to be known of the eye. Errors are the largest over the distances and, "
         "where tilted, over tilts of 30° in three directions; the beam's direction is known.",
         first=[
-            Picture(
+            page.Picture(
                 "error",
                 error_figure(findings, [*findings.paths][:1] + [*findings.paths][3:4]),
                 "Fitting one pinhole in the eye and using the spot's area keeps the error small. "
@@ -466,7 +432,7 @@ def report(findings: EyeFindings) -> Report:
                 "0.5 mm. A line ends where fewer than 95 % of the eyes show a whole spot.",
                 data="eye_errors.csv",
             ),
-            Table.of(
+            page.Table.of(
                 _first_path(findings)[::-1],
                 ["recipe", "within_0_1_mm", "within_0_5_mm"],
                 f"c in mm up to which 95 % of the eyes stay within 0.1 and 0.5 mm, through "
@@ -476,9 +442,9 @@ def report(findings: EyeFindings) -> Report:
         ],
         claims=list(_claims(findings)),
         sections=[
-            Section(
+            page.Section(
                 "Error against eccentricity",
-                Picture(
+                page.Picture(
                     "error_others",
                     error_figure(findings, [*findings.paths][1:3] + [*findings.paths][4:]),
                     "The same through the other lenses and eyes.",
@@ -486,9 +452,9 @@ def report(findings: EyeFindings) -> Report:
                 ),
                 _RECIPES,
             ),
-            Section(
+            page.Section(
                 "The pinhole that stands for an eye",
-                Table.of(
+                page.Table.of(
                     findings.pinholes,
                     findings.pinholes.columns,
                     "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
@@ -497,9 +463,9 @@ def report(findings: EyeFindings) -> Report:
                     data="eyes.csv",
                 ),
             ),
-            Section(
+            page.Section(
                 "Why",
-                Table.of(
+                page.Table.of(
                     findings.causes,
                     findings.causes.columns,
                     f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
@@ -520,11 +486,11 @@ def report(findings: EyeFindings) -> Report:
 
 _RECIPES = (
     f"“{Recipe.SMALL_PLANE}” is the paper's; like “{Recipe.PLANAR}” and “{Recipe.STEREOGRAPHIC}” "
-    f"it knows nothing of the eye but a sphere of {NOMINAL_RADIUS_MM:g} mm. "
+    f"it knows nothing of the eye but a sphere of {eye_paths.NOMINAL_RADIUS_MM:g} mm. "
     f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
     "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
     f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
-    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in WITHDRAWALS_C_MM)} mm with nine "
+    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in eye_paths.WITHDRAWALS_C_MM)} mm with nine "
     "frames each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's "
     "normal and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each "
     "touch. "
@@ -535,7 +501,7 @@ _RECIPES = (
 )
 
 
-def _claims(findings: EyeFindings) -> Iterator[Claim]:
+def _claims(findings: EyeFindings) -> Iterator[page.Claim]:
     tilted = where(findings.limits, tilt="any").set_index(["path", "recipe"])
     within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
     for path, field in zip(findings.pinholes.path, findings.pinholes.field, strict=True):
@@ -543,7 +509,7 @@ def _claims(findings: EyeFindings) -> Iterator[Claim]:
             within[path, recipe]
             for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC, Recipe.SMALL_PLANE)
         )
-        yield Claim(
+        yield page.Claim(
             name=f"within {LIMITS_MM[0]:g} mm, {path}",
             sentence=f"Through {path}, 95 % of the eyes stay within {LIMITS_MM[0]:g} mm up to c = "
             f"{area:.1f} mm with a pinhole fitted in the eye and the ellipse's area, up to "
@@ -555,7 +521,7 @@ def _claims(findings: EyeFindings) -> Iterator[Claim]:
     others = eyes[~eyes.eye.str.startswith("random") & (eyes.eye != "navarro")]
     for path, gradient in grouped(others, "path"):
         own, navarros = gradient.fitted_error_mm.max(), gradient.schematic_error_mm.max()
-        yield Claim(
+        yield page.Claim(
             name=f"other schematic eyes, {path}",
             sentence=f"Through {path}, at c = 3 mm, the schematic eyes with a gradient lens (Liou "
             f"and Brennan, Atchison from {min(REFRACTIONS_D):g} to {max(REFRACTIONS_D):g} D) are "
@@ -569,7 +535,7 @@ def _claims(findings: EyeFindings) -> Iterator[Claim]:
         errors = found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0]
         worst[path] = max(np.nanmedian(errors, axis=0).tolist(), key=abs)
     said = "; ".join(f"{error:+.2f} mm, {path}" for path, error in worst.items())
-    yield Claim(
+    yield page.Claim(
         name="small_plane at c = 3",
         sentence=f"At c = 3 mm and a perpendicular beam small_plane errs by {said} (median of the "
         "eyes at the worst distance).",
@@ -577,7 +543,7 @@ def _claims(findings: EyeFindings) -> Iterator[Claim]:
     )
     at_three = where(findings.causes, recipe=Recipe.AREA, c_mm=3.0)
     row = max(rows_of(at_three), key=lambda row: row.share_mm)
-    yield Claim(
+    yield page.Claim(
         name="largest remaining cause",
         sentence="With the fitted pinhole and the area the largest share of what remains at c = 3 "
         f"mm is {row.share_mm:.3f} mm: {row.cause} ({findings.causes_path}).",
@@ -609,9 +575,9 @@ def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> EyeFin
     Exact contours only; nothing is rendered. To repeat a run, start it again with a new folder.
     """
     study = Study("eye", out, quick=quick, seed=seed)
-    random = drawn(_QUICK_EYES if quick else _EYES, study.seed)
+    random = eye_paths.drawn(_QUICK_EYES if quick else _EYES, study.seed)
     distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
-    spots = grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)
+    spots = eye_paths.grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)
     navarro = _stacked([load_eye("navarro", wavelength_nm=_NM)])
     # Eyes of one structure are one group, which is compiled once.
     groups, gradient = [together(navarro, random.eyes())], []

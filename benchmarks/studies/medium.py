@@ -20,23 +20,10 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
+from benchmarks import reporting as page
 from benchmarks.model_error import DISTANCE
 from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, mean, rms, track_stack
-from benchmarks.reporting import (
-    BLUE,
-    GREEN,
-    VERMILION,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    limit_lines,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import number, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
 from estimator import Ranger
@@ -275,14 +262,14 @@ def check(scene: Scene) -> None:
 
 # Figures.
 
-_COLOURS = {Method.AIR_CONE: VERMILION, Method.LENS_CONE: BLUE, Method.LENS: GREEN}
+_COLOURS = {Method.AIR_CONE: page.VERMILION, Method.LENS_CONE: page.BLUE, Method.LENS: page.GREEN}
 
 
 def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Figure:
     """Error of each method against distance: a panel for each light."""
 
     def draw(axes: Axes, _: str, light: str) -> None:
-        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
         cone = curves[light, VITREOUS].cone
         if math.isfinite(cone.ambiguous_from_mm):
             axes.axvspan(cone.ambiguous_from_mm, cone.ambiguous_to_mm, color="#EEEEEE", zorder=0)
@@ -301,14 +288,16 @@ def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame)
                 axes.plot(*points, ls="", marker=shape, ms=4, color=colour, mfc=face)
 
     y = "estimate − truth (mm)"
-    return small_multiples(draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4)
+    return page.small_multiples(
+        draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4
+    )
 
 
 def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
     """Half-maximum radius against distance: a panel for each light."""
 
     def draw(axes: Axes, _: str, light: str) -> None:
-        for medium, colour in ((AIR, VERMILION), (VITREOUS, BLUE)):
+        for medium, colour in ((AIR, page.VERMILION), (VITREOUS, page.BLUE)):
             curve = curves[light, medium]
             inside = (curve.distance >= NEAREST_MM) & (curve.distance <= FARTHEST_MM)
             d, radius = curve.distance[inside], curve.radius[inside]
@@ -317,7 +306,7 @@ def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
             axes.plot(d, (d - cone.b_mm) / cone.k, color=colour, lw=0.9, ls="--")
 
     y = "half-maximum radius (mm)"
-    return small_multiples(
+    return page.small_multiples(
         draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4, sharey=True
     )
 
@@ -330,20 +319,22 @@ def _lights(curves: Mapping[tuple[str, str], Curve]) -> list[str]:
 # The page.
 
 
-def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Report:
+def _report(
+    scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame
+) -> page.Report:
     cones = pd.DataFrame([curve.cone for curve in curves.values()])
     by_method = errors.groupby(["source", "light", "medium", "method"], sort=False)
     summary = by_method.error_mm.agg(spots="size", mean_mm=mean, rms_mm=rms, largest_mm=largest)
     summary = summary.join(by_method.ambiguous.mean()).reset_index()
     indices = ", ".join(f"{medium} {float(optics.MEDIA[medium]):g}" for medium in (AIR, VITREOUS))
-    return Report(
+    return page.Report(
         title="How large is the error of a calibration in air when it is used in vitreous?",
         answer=_answer(scene, errors),
         lead="The cone fitted to a glue lens in air is used in vitreous, and compared with the "
         "lens model for the same spots, which needs no other fit. The control is an ideal cone, "
         "whose light no medium refracts.",
         first=[
-            Picture(
+            page.Picture(
                 "error",
                 _error_figure(curves, errors),
                 "A cone from air is wrong in vitreous; the lens model is not. Lines: computed from "
@@ -355,7 +346,7 @@ def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.Da
                 f"clinically acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
                 data="medium_error.csv",
             ),
-            Table.of(
+            page.Table.of(
                 summary[(summary.source == "rendered") & (summary.light == scene.source.lens)],
                 ["medium", "method", "spots", "rms_mm", "largest_mm"],
                 f"Errors of rendered spots of {scene.source.lens}.",
@@ -364,17 +355,17 @@ def _report(scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.Da
         ],
         claims=list(_claims(curves, errors)),
         sections=[
-            Section("Methods", _METHODS),
-            Section(
+            page.Section("Methods", _METHODS),
+            page.Section(
                 "Why",
-                Picture(
+                page.Picture(
                     "radius",
                     _radius_figure(curves),
                     "Half-maximum radius of each light in each medium, and the cone that a "
                     "regression makes of it (dashed).",
                     data="medium_cones.csv",
                 ),
-                Table.of(
+                page.Table.of(
                     cones,
                     cones.columns,
                     f"Cones d = kR + b of the half-maximum radius over d = {NEAREST_MM:g} to "
@@ -416,14 +407,14 @@ _METHODS = (
 )
 
 
-def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Iterator[Claim]:
+def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Iterator[page.Claim]:
     lenses = [light for light in _lights(curves) if light != CONE]
     computed = errors[errors.source == "analytic"].groupby(["light", "medium", "method"])
     worst = computed.error_mm.agg(largest)
     for lens in lenses:
         air, vitreous = (curves[lens, medium].cone for medium in (AIR, VITREOUS))
         off = worst[lens, VITREOUS, Method.AIR_CONE]
-        yield Claim(
+        yield page.Claim(
             name=f"air to vitreous, {lens}",
             sentence=f"Calibrated in air, the distance in vitreous is off by up to {off:.2f} mm "
             f"(acceptable: {ACCEPTABLE_ERROR_MM:g} mm). In air it is off by up to "
@@ -440,7 +431,7 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
         rows = where(own, method=Method.LENS)
         sure = rows.error_mm[~rows.ambiguous].dropna().abs()
         cone = where(own, method=Method.AIR_CONE).error_mm.abs()
-        yield Claim(
+        yield page.Claim(
             name=f"lens model, {lens}",
             sentence=f"In rendered vitreous the lens model is off by {sure.median():.3f} mm and "
             f"the cone of air by {cone.median():.2f} mm (medians). Of {len(rows)} spots "
@@ -454,7 +445,7 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
         where(control, medium=medium).set_index("d_mm").error_mm for medium in (AIR, VITREOUS)
     )
     differences = (in_vitreous - in_air).dropna()
-    yield Claim(
+    yield page.Claim(
         name="control",
         sentence=f"The ideal cone's rendered distances differ by {largest(differences):.4f} mm at "
         f"most between the media ({len(differences)} pairs of frames of the same seed). No medium "

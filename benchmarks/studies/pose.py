@@ -26,21 +26,9 @@ from scipy.stats import qmc
 
 import optics
 import scenes
+from benchmarks import reporting as page
 from benchmarks.paper import MICROSCOPE_MM, mean, require_roomy_eyeball, rms, write_results
-from benchmarks.reporting import (
-    BLUE,
-    VERMILION,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import listed, number, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration.spots.tool_pose import (
     Tool,
@@ -616,7 +604,7 @@ def scatter(rows: pd.DataFrame) -> pd.Series:
 
 # Figures.
 
-_COLOURS = {1: BLUE, 3: VERMILION}
+_COLOURS = {1: page.BLUE, 3: page.VERMILION}
 _MARKS: dict[str, dict[str, Any]] = {
     "analytic": {"marker": ".", "ms": 4, "alpha": 0.45},
     "rendered": {"marker": "x", "ms": 6},
@@ -646,7 +634,9 @@ def _by_incidence(errors: pd.DataFrame) -> Figure:
         axes.set(yscale="log")
 
     columns = list(_QUANTITIES)
-    return small_multiples(draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7)
+    return page.small_multiples(
+        draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7
+    )
 
 
 # The page.
@@ -661,12 +651,12 @@ _COLUMNS = (
 _FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
 
 
-def _report(errors: pd.DataFrame) -> Report:
+def _report(errors: pd.DataFrame) -> page.Report:
     keys = ["prior", "source", "spots", "z_f_mm"]
     # A summary by prior, source, number of spots and pinhole.
     scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
     rough = where(scatters, prior=AxisPrior.ROUGH)
-    return Report(
+    return page.Report(
         title="How accurately do one spot and three spots give the tool's pose?",
         answer=_answer(errors),
         lead="Tip and axis, five parameters, of an ideal cone: from exact contours with noise of "
@@ -675,7 +665,7 @@ def _report(errors: pd.DataFrame) -> Report:
         f"their tips {_FIBRE_MM:g} mm apart, splayed by {_SPLAY_DEG:g}° and lit one after the "
         "other; the tool's roll is found with its pose.",
         first=[
-            Picture(
+            page.Picture(
                 "incidence",
                 _by_incidence(errors),
                 "A tilted beam tells tip and axis better than a square one. Dots: contours with "
@@ -684,7 +674,7 @@ def _report(errors: pd.DataFrame) -> Report:
                 "solutions. Dotted: the mean errors reported by Zhou et al. (2023).",
                 data=_FILE,
             ),
-            Table.of(
+            page.Table.of(
                 rough,
                 _FIRST,
                 "Root mean square errors and bounds, without mirrored solutions.",
@@ -693,9 +683,9 @@ def _report(errors: pd.DataFrame) -> Report:
         ],
         claims=list(_claims(errors)),
         sections=[
-            Section(
+            page.Section(
                 "The mirror solution",
-                Table.of(
+                page.Table.of(
                     scatters,
                     _COLUMNS,
                     "Root mean square errors with every prior: how often the mirrored solution is "
@@ -724,10 +714,10 @@ def _summary(errors: pd.DataFrame, source: str, spots: int, prior: AxisPrior) ->
     return rows_of(pd.DataFrame([scatter(rows)]))[0]
 
 
-def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
+def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
     for source, (spots, (tip, axis)) in product(SOURCES, REPORTED.items()):
         found = _summary(errors, source, spots, AxisPrior.ROUGH)
-        yield Claim(
+        yield page.Claim(
             name=f"{source}, {NAMES[spots]}, tip",
             sentence=f"The mean error of the tip is {found.tip_mean_mm:.4f} mm (reported by "
             f"others, with another light, eye and camera: {tip:g} mm). Root mean square "
@@ -736,7 +726,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
             value=found.tip_mean_mm,
             high=tip,
         )
-        yield Claim(
+        yield page.Claim(
             name=f"{source}, {NAMES[spots]}, axis",
             sentence=f"The mean error of the axis is {found.axis_mean_deg:.3f}° (reported by "
             f"others: {axis:g}°). Root mean square {found.axis_deg:.3f}°; the bound is "
@@ -748,7 +738,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
     single = where(errors, source="rendered", spots=1, prior=AxisPrior.ROUGH)
     each = pd.DataFrame({deg: scatter(rows) for deg, rows in single.groupby("incidence_deg")}).T
     at = listed(each.index, "g")
-    yield Claim(
+    yield page.Claim(
         name="requirement, tip",
         sentence=f"Single rendered spots give the tip to {found.tip_mm:.4f} mm (required: "
         f"{REQUIRED_TIP_MM:g} mm), root mean square of {found.poses} frames without mirrored ones. "
@@ -758,7 +748,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
         value=found.tip_mm,
         high=REQUIRED_TIP_MM,
     )
-    yield Claim(
+    yield page.Claim(
         name="requirement, axis",
         sentence=f"Single rendered spots give the axis to {found.axis_deg:.3f}° (required: "
         f"{REQUIRED_AXIS_DEG:g}°). At incidences of {at}° it is {listed(each.axis_deg, '.3f')}°, "
@@ -768,7 +758,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
     )
     known = where(errors, source="rendered", spots=1, prior=AxisPrior.KNOWN)
     worst = float(known.groupby("c_mm").distance_error_mm.agg(rms).max())
-    yield Claim(
+    yield page.Claim(
         name="requirement, distance",
         sentence=f"With the axis known the distance is off by {worst:.4f} mm (root mean square) at "
         f"the worst eccentricity up to c = {LARGEST_C_MM:g} mm (required: "
@@ -781,7 +771,7 @@ def _claims(errors: pd.DataFrame) -> Iterator[Claim]:
         _summary(errors, "analytic", spots, prior)
         for spots, prior in ((1, AxisPrior.NONE), (1, AxisPrior.ROUGH), (3, AxisPrior.NONE))
     )
-    yield Claim(
+    yield page.Claim(
         name="mirror",
         sentence=f"Without a prior, one spot gives the mirror solution in {free.mirrored:.1%} of "
         f"the poses, three spots in {three.mirrored:.1%}. With a direction prior of {PRIOR_DEG:g}° "

@@ -25,25 +25,10 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
+from benchmarks import reporting as page
 from benchmarks.model_error import DISTANCE
 from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, track_stack
-from benchmarks.reporting import (
-    BLUE,
-    ORANGE,
-    VERMILION,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    grouped,
-    limit_lines,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import sensor_views
 from benchmarks.studies.sensor_views import (
     CONE,
@@ -434,7 +419,7 @@ class SensorFindings:
 
 # Figures.
 
-_COLOURS = {Sensor.SPOT: BLUE, Sensor.SHADOW: ORANGE, Sensor.STEREO: VERMILION}
+_COLOURS = {Sensor.SPOT: page.BLUE, Sensor.SHADOW: page.ORANGE, Sensor.STEREO: page.VERMILION}
 _MARKS = {Sensor.SPOT: "o", Sensor.SHADOW: "^", Sensor.STEREO: "s"}
 _SMALLEST_MM, _LARGEST_MM = 1e-4, 5.0
 
@@ -447,10 +432,10 @@ def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> F
 
     def draw(axes: Axes, _: str, path: str) -> None:
         if wrong is None:
-            axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--", zorder=2.1)
+            axes.axhline(ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--", zorder=2.1)
             axes.set(yscale="log", ylim=(_SMALLEST_MM, _LARGEST_MM))
         else:
-            limit_lines(axes, ACCEPTABLE_ERROR_MM)
+            page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
         for sensor, colour in _COLOURS.items():
             own = grouped(where(rows, path=path, sensor=sensor), "c_mm")
             for (c, line), style in zip(own, ("-", "--", ":"), strict=False):
@@ -458,7 +443,7 @@ def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> F
                 points = line.d_mm, line[value]
                 axes.plot(*points, style, label=label, ms=3, color=colour, marker=mark)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=[""],
         columns=rows.path.unique().tolist(),
@@ -486,11 +471,11 @@ def reading_figure(findings: SensorFindings) -> Figure:
                 color=colour,
                 label=sensor,
             )
-        axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--")
         axes.set_yscale("log")
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=findings.paths[:2],
         columns=list(dict.fromkeys(findings.readings.wall)),
@@ -511,7 +496,7 @@ def photograph_figure(findings: SensorFindings) -> Figure:
         axes.imshow(np.clip(photograph / findings.scene.camera.full_scale_dn, 0.0, 1.0))
         axes.set_axis_off()
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=findings.paths[:2],
         columns=["left", "centre", "right"],
@@ -525,9 +510,9 @@ def photograph_figure(findings: SensorFindings) -> Figure:
 # The page.
 
 
-def report(findings: SensorFindings) -> Report:
+def report(findings: SensorFindings) -> page.Report:
     """The report of a run."""
-    return Report(
+    return page.Report(
         title="Which is the best sensor of the distance: the spot, the shadow, or a stereo pair?",
         answer=_answer(findings),
         lead="The same distance d, from the instrument's tip to the wall along its axis, is read "
@@ -536,7 +521,7 @@ def report(findings: SensorFindings) -> Report:
         f"microscope ({SCALE_MM_PX:g} mm/px at the pole) at the same places. All three know the "
         "instrument's axis, the wall's shape and their cameras.",
         first=[
-            Picture(
+            page.Picture(
                 "noise",
                 by_path_figure(findings),
                 "The spot is the most precise of the three sensors. Standard deviation of d, for "
@@ -547,13 +532,13 @@ def report(findings: SensorFindings) -> Report:
                 "mark, or the instrument hides its shadow.",
                 data="expected.csv",
             ),
-            Table.of(
+            page.Table.of(
                 where(findings.summaries(), path=findings.paths[0]),
                 ["sensor", "wall", "asked", "read", "median_mm", "largest_mm"],
                 f"Readings from rendered pictures through {findings.paths[0]}.",
                 data="readings.csv",
             ),
-            Picture(
+            page.Picture(
                 "photographs",
                 photograph_figure(findings),
                 "The instrument and its shadow, by the left half of the pair, the central "
@@ -563,10 +548,10 @@ def report(findings: SensorFindings) -> Report:
         ],
         claims=list(_claims(findings)),
         sections=[
-            Section("Methods", _METHODS),
-            Section(
+            page.Section("Methods", _METHODS),
+            page.Section(
                 "What a wrong assumption gives",
-                Picture(
+                page.Picture(
                     "path",
                     by_path_figure(findings, wrong=Wrong.PATH),
                     "Error without noise if the microscope's pinhole is known, but the viewing "
@@ -574,9 +559,9 @@ def report(findings: SensorFindings) -> Report:
                     data="wrong.csv",
                 ),
             ),
-            Section(
+            page.Section(
                 "Read from rendered pictures",
-                Picture(
+                page.Picture(
                     "readings",
                     reading_figure(findings),
                     "Errors of the readings; a missing mark was not read.",
@@ -608,13 +593,13 @@ def _answer(findings: SensorFindings) -> str:
     return f"In rendered pictures the median error of a distance is {listed}."
 
 
-def _claims(findings: SensorFindings) -> Iterator[Claim]:
+def _claims(findings: SensorFindings) -> Iterator[page.Claim]:
     named = ", ".join(Sensor)
     for path in findings.paths:
         sigmas = [findings.sigma(sensor, path) for sensor in Sensor]
         medians, seen = tuple(float(s.median()) for s in sigmas), [len(s) for s in sigmas]
         places = len(where(findings.expected, sensor=Sensor.SPOT, path=path))
-        yield Claim(
+        yield page.Claim(
             name=f"noise, {path}",
             sentence=f"Through {path}, marks of the stated noise give {listed(medians, '.4f')} mm "
             f"({named}; medians over the places in view). In view are {listed(seen, 'd')} of "
@@ -623,14 +608,14 @@ def _claims(findings: SensorFindings) -> Iterator[Claim]:
         )
     for path in findings.paths[1:]:
         worst = tuple(largest(findings.bias(sensor, path, Wrong.PATH)) for sensor in Sensor)
-        yield Claim(
+        yield page.Claim(
             name=f"unknown path, {path}",
             sentence=f"If {path} is taken for a pinhole, the largest errors are "
             f"{listed(worst, '.2f')} mm ({named}).",
             value=worst,
         )
     lamp = largest(where(findings.wrong, wrong=Wrong.LAMP).error_mm)
-    yield Claim(
+    yield page.Claim(
         name="light guide",
         sentence="A light guide 1 mm beside the place where it is thought to be changes the "
         f"shadow's distance by up to {lamp:.2f} mm.",
@@ -639,7 +624,7 @@ def _claims(findings: SensorFindings) -> Iterator[Claim]:
     for sensor in Sensor:
         rows = where(findings.readings, sensor=sensor)
         done = where(rows, outcome=ReadingOutcome.READ).error_mm.abs()
-        yield Claim(
+        yield page.Claim(
             name=f"rendered, {sensor}",
             sentence=f"From rendered pictures the {sensor} was read at {len(done)} of {len(rows)} "
             f"places, with a median error of {done.median():.3f} mm and at most "

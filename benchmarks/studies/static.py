@@ -20,36 +20,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import scenes
+from benchmarks import paper
+from benchmarks import reporting as page
 from benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
-from benchmarks.paper import (
-    ALL_PLANES,
-    LITERAL,
-    PAPERS_PLANES,
-    SUBPIXEL,
-    TABLE_I,
-    TABLE_II,
-    Photographer,
-    Shot,
-    StaticTrial,
-    Way,
-    at_place,
-    paper_trials,
-)
-from benchmarks.reporting import (
-    BLUE,
-    GREY,
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import listed, number, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_eccentricity, fit_lines
 from scenes import Scene, SceneError
@@ -109,9 +83,9 @@ def check(scene: Scene) -> None:
 
 def rendered(
     study: Study, *, textures: int, frames: int
-) -> tuple[dict[Key, Photographer], list[Photographer]]:
+) -> tuple[dict[Key, paper.Photographer], list[paper.Photographer]]:
     """Every trial on the plane, on every wall and with every tilt; and those in the eyeball."""
-    trials = paper_trials(source="lens", quick=True, seed=0)
+    trials = paper.paper_trials(source="lens", quick=True, seed=0)
     planes, spheres = ([t for t in trials if t.kind == kind] for kind in ("plane", "sphere"))
     wanted = {
         f"plane-{trial + 1}-wall-{texture + 1}-tilt-{tilt + 1}": (
@@ -125,18 +99,21 @@ def rendered(
     stacks = study.stacks({name: scene for name, (_, scene) in wanted.items()})
     in_eyeball = {
         place.group.replace(" ", "-"): scenes.changed(
-            study.scene, {**at_place(place, frames=frames), "phantom.kind": "eyeball"}
+            study.scene, {**paper.at_place(place, frames=frames), "phantom.kind": "eyeball"}
         )
         for place in spheres
     }
     others = study.stacks(in_eyeball)
     return (
-        {key: Photographer(scene=scene, stack=stacks[n]) for n, (key, scene) in wanted.items()},
-        [Photographer(scene=scene, stack=others[n]) for n, scene in in_eyeball.items()],
+        {
+            key: paper.Photographer(scene=scene, stack=stacks[n])
+            for n, (key, scene) in wanted.items()
+        },
+        [paper.Photographer(scene=scene, stack=others[n]) for n, scene in in_eyeball.items()],
     )
 
 
-def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
+def plane(scene: Scene, place: paper.StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
     """A trial on the plane; the instrument keeps its direction when the plane tilts under it.
 
     Args:
@@ -149,7 +126,7 @@ def plane(scene: Scene, place: StaticTrial, *, texture: int, tilt: int, frames: 
     return scenes.changed(
         scene,
         {
-            **at_place(place, frames=frames),
+            **paper.at_place(place, frames=frames),
             "phantom.kind": "plane",
             "phantom.pupil_radius_mm": 0.0,
             "phantom.tilt_deg": TILT_DEG * abs(tilt),
@@ -170,7 +147,7 @@ _WITHOUT = {
     "touch": 0.0,
     "tilt": 0,
     "exposure": 1.0,
-    "threshold": Shot().threshold,
+    "threshold": paper.Shot().threshold,
 }
 """What each cause is where it is left out."""
 
@@ -197,20 +174,20 @@ def drawn(shape: tuple[int, int], *, textures: int, seed: int) -> dict[str, np.n
 class Bench:
     """Photographs and measures rendered withdrawals; the pool's workers measure."""
 
-    planes: Mapping[Key, Photographer]
-    spheres: Sequence[Photographer]
+    planes: Mapping[Key, paper.Photographer]
+    spheres: Sequence[paper.Photographer]
     draws: Mapping[str, np.ndarray]
     pool: Executor
 
     def measured(
-        self, causes: Collection[str], *, way: Way = LITERAL, wall: str = "plane"
+        self, causes: Collection[str], *, way: paper.Way = paper.LITERAL, wall: str = "plane"
     ) -> Measured:
         """Measure all runs and trials with some causes; none of them is measured twice.
 
         Metered frames have no threshold and no exposure that could be wrong, and the eyeballs have
         one wall and no tilt.
         """
-        if way is not LITERAL:
+        if way is not paper.LITERAL:
             causes = set(causes) - {"exposure", "threshold"}
         shape = self.draws["noise"].shape
         of = {
@@ -222,9 +199,11 @@ class Bench:
             own = {cause: values[run, trial].item() for cause, values in of.items()}
             on_plane = self.planes[trial, own["texture"], own["tilt"]]
             photographer = on_plane if wall == "plane" else self.spheres[trial]
-            shot = Shot(own["noise"] or None, light=own["exposure"], threshold=own["threshold"])
+            shot = paper.Shot(
+                own["noise"] or None, light=own["exposure"], threshold=own["threshold"]
+            )
             tasks.append((photographer, shot))
-        shots: dict[Photographer, dict[Shot, None]] = {}
+        shots: dict[paper.Photographer, dict[paper.Shot, None]] = {}
         for photographer, shot in tasks:
             shots.setdefault(photographer, {})[shot] = None
         spots = self.pool.map(lambda of: of[0].measure(way, list(of[1])), shots.items())
@@ -244,16 +223,16 @@ _DEFAULTS = ("motion.travel_mm=3.5",)
 _FEWEST_SPOTS = 3
 OWN, POOLED = "each trial", "all trials"
 """Whose mean square error is split: the mean over each trial's own line, or the line of all."""
-_WAYS = (LITERAL.name, SUBPIXEL.name)
+_WAYS = (paper.LITERAL.name, paper.SUBPIXEL.name)
 _QUANTITIES = {
-    "delta_k": Column("δk, mm/px", 4),
-    "b": Column("b, mm", 2),
-    "r_squared": Column("R²", 4),
-    "rmse": Column("RMSE, mm"),
-    "c": Column("c, mm", 2),
-    "standard_deviation": Column("standard deviation, mm"),
-    "mean_absolute_error": Column("mean |error|, mm"),
-    "max_error": Column("largest |error|, mm"),
+    "delta_k": page.Column("δk, mm/px", 4),
+    "b": page.Column("b, mm", 2),
+    "r_squared": page.Column("R²", 4),
+    "rmse": page.Column("RMSE, mm"),
+    "c": page.Column("c, mm", 2),
+    "standard_deviation": page.Column("standard deviation, mm"),
+    "mean_absolute_error": page.Column("mean |error|, mm"),
+    "max_error": page.Column("largest |error|, mm"),
 }
 """The quantities of Tables I and II."""
 
@@ -271,10 +250,10 @@ def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -
     """Tables I and II of every run: way, run, trial, quantity, value."""
     own, pooled = _lines(*spots["plane", way])
     rows: list[tuple[str, int, str, str, float]] = []
-    for quantity in TABLE_I[ALL_PLANES]._fields:
+    for quantity in paper.TABLE_I[paper.ALL_PLANES]._fields:
         columns = np.column_stack([getattr(own, quantity), getattr(pooled, quantity)])
         for run, values in enumerate(columns.tolist()):
-            rows += [(way, run, t, quantity, v) for t, v in zip(TABLE_I, values, strict=True)]
+            rows += [(way, run, t, quantity, v) for t, v in zip(paper.TABLE_I, values, strict=True)]
     spheres = spots["sphere", way]
     for run, trial in np.ndindex(spheres.semi_minor.shape[:2]):
         axis, reading = spheres.semi_minor[run, trial], spheres.readings[run, trial]
@@ -289,8 +268,8 @@ def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -
             scale=scene.microscope.scale_mm_px,
             eye_radius=scene.phantom.radius_mm,
         )
-        name = list(TABLE_II)[trial]
-        rows += [(way, run, name, q, getattr(fit, q)) for q in TABLE_II[name]._fields]
+        name = list(paper.TABLE_II)[trial]
+        rows += [(way, run, name, q, getattr(fit, q)) for q in paper.TABLE_II[name]._fields]
     return pd.DataFrame(rows, columns=["way", "run", "trial", "quantity", "value"])
 
 
@@ -303,7 +282,7 @@ def _spreads(tables: pd.DataFrame) -> pd.DataFrame:
     values = finite.groupby(["way", "trial", "quantity"], sort=False).value
     found = values.agg(runs="size", mean="mean", standard_deviation="std")
     found = found[found.runs >= 2].reset_index()
-    printed: dict[str, Any] = {**TABLE_I, **TABLE_II}
+    printed: dict[str, Any] = {**paper.TABLE_I, **paper.TABLE_II}
     found["paper"] = [getattr(printed[row.trial], row.quantity) for row in rows_of(found)]
     return found
 
@@ -352,17 +331,17 @@ def _trials_figure(spots: Mapping[tuple[str, str], Measured]) -> Figure:
 
     def draw(axes: Axes, wall: str, way: str) -> None:
         measured = spots[wall, way]
-        names = PAPERS_PLANES if wall == "plane" else TABLE_II
+        names = paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II
         for n, (name, colour) in enumerate(zip(names, TRIAL_COLOURS, strict=True)):
             points = measured.semi_minor[:, n].ravel(), measured.readings[:, n].ravel()
             axes.plot(*points, ".", ms=2.5, alpha=0.5, color=colour, label=name)
         if wall == "plane":
             d = np.array([0.0, highest])
-            for line, colour in zip(PAPERS_PLANES.values(), TRIAL_COLOURS, strict=True):
+            for line, colour in zip(paper.PAPERS_PLANES.values(), TRIAL_COLOURS, strict=True):
                 axes.plot((d - line.b) / line.delta_k, d, color=colour, lw=0.8)
         axes.legend(loc="lower right", markerscale=3)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=["plane", "sphere"],
         columns=_WAYS,
@@ -384,14 +363,16 @@ def _causes_figure(causes: pd.DataFrame) -> Figure:
             rows.cause,
             1e3 * rows.part_mm2,
             xerr=1e3 * rows.standard_error_mm2.fillna(0),
-            color=[GREY if cause in (NONE, ALL) else BLUE for cause in rows.cause],
+            color=[page.GREY if cause in (NONE, ALL) else page.BLUE for cause in rows.cause],
             height=0.6,
         )
-        for line in [TABLE_I[ALL_PLANES]] if scope == POOLED else PAPERS_PLANES.values():
-            axes.axvline(1e3 * line.rmse**2, color=GREY, lw=0.8, ls=":")
+        for line in (
+            [paper.TABLE_I[paper.ALL_PLANES]] if scope == POOLED else paper.PAPERS_PLANES.values()
+        ):
+            axes.axvline(1e3 * line.rmse**2, color=page.GREY, lw=0.8, ls=":")
 
     x = "mean square error of the line (10$^{-3}$ mm²)"
-    return small_multiples(
+    return page.small_multiples(
         draw, rows=[""], columns=[OWN, POOLED], x=x, y="", height=3.2, legend_columns=0
     )
 
@@ -404,15 +385,15 @@ def _report(
     spots: Mapping[tuple[str, str], Measured],
     tables: pd.DataFrame,
     causes: pd.DataFrame,
-) -> Report:
+) -> page.Report:
     spreads = _spreads(tables)
     first_run = [
         (trial, way, d, e)
         for (wall, way), measured in spots.items()
-        for n, trial in enumerate(PAPERS_PLANES if wall == "plane" else TABLE_II)
+        for n, trial in enumerate(paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II)
         for e, d in zip(measured.semi_minor[0, n], measured.readings[0, n], strict=True)
     ]
-    return Report(
+    return page.Report(
         title="How much do the paper's Tables I and II scatter, and what causes their error?",
         answer=_answer(causes),
         lead=f"The paper's static experiment was rendered, photographed and fitted {runs} "
@@ -420,7 +401,7 @@ def _report(
         f"The fits use readings from {FROM_MM:g} mm on, because nearer to contact the fibre hides "
         "a large part of the spot.",
         first=[
-            Picture(
+            page.Picture(
                 "static_causes",
                 _causes_figure(causes),
                 "What each cause adds alone to the mean square error, and all together beyond "
@@ -430,15 +411,15 @@ def _report(
             ),
             _beside_the_paper(
                 spreads,
-                {ALL_PLANES: TABLE_I[ALL_PLANES]},
+                {paper.ALL_PLANES: paper.TABLE_I[paper.ALL_PLANES]},
                 "All planes of Table I with all causes, mean ± standard deviation over runs.",
             ),
         ],
         claims=list(_claims(causes)),
         sections=[
-            Section(
+            page.Section(
                 "Tables I and II over many runs",
-                Picture(
+                page.Picture(
                     "static_trials",
                     _trials_figure(spots),
                     "Spots of all runs with all causes, on the planes (top) and in the eyeball "
@@ -447,12 +428,12 @@ def _report(
                 ),
                 _beside_the_paper(
                     spreads,
-                    TABLE_I,
+                    paper.TABLE_I,
                     "Table I with all causes, mean ± standard deviation over runs.",
                 ),
                 _beside_the_paper(
                     spreads,
-                    TABLE_II,
+                    paper.TABLE_II,
                     "Table II with all causes: the small-plane model with each run's own δk and b.",
                 ),
                 "The sizes of the causes are assumptions. A small cause adds an error in "
@@ -478,15 +459,15 @@ def _answer(causes: pd.DataFrame) -> str:
     return (
         f"With all assumed causes a trial's RMSE is {number(rmse[OWN, ALL], 3)} mm and that of all "
         f"planes together {number(rmse[POOLED, ALL], 3)} mm (the paper's: "
-        f"{TABLE_I[ALL_PLANES].rmse:.3f} mm); {most} adds most."
+        f"{paper.TABLE_I[paper.ALL_PLANES].rmse:.3f} mm); {most} adds most."
     )
 
 
-def _claims(causes: pd.DataFrame) -> Iterator[Claim]:
+def _claims(causes: pd.DataFrame) -> Iterator[page.Claim]:
     own, of = (where(causes, scope=scope).set_index("cause") for scope in (OWN, POOLED))
     part, error = 1e3 * of.part_mm2, 1e3 * of.standard_error_mm2
     ordered = list(part[list(CAUSES)].sort_values(ascending=False).index)
-    yield Claim(
+    yield page.Claim(
         name="causes",
         sentence=f"The cause {ordered[0]} adds most to the mean square error of all planes. In "
         f"10⁻³ mm², {', '.join(ordered)} add {listed(part[ordered], '+.2f')} (standard errors over "
@@ -496,9 +477,9 @@ def _claims(causes: pd.DataFrame) -> Iterator[Claim]:
         f"{of.rmse_mm[ALL]:.3f} mm).",
         value=part[ALL],
     )
-    printed = [row.rmse for row in PAPERS_PLANES.values()]
-    low, high, pooled_rmse = min(printed), max(printed), TABLE_I[ALL_PLANES].rmse
-    yield Claim(
+    printed = [row.rmse for row in paper.PAPERS_PLANES.values()]
+    low, high, pooled_rmse = min(printed), max(printed), paper.TABLE_I[paper.ALL_PLANES].rmse
+    yield page.Claim(
         name="the paper's RMSE",
         sentence=f"With all causes a trial's RMSE is {own.rmse_mm[ALL]:.3f} mm (the paper's "
         f"trials: {low:.3f} to {high:.3f} mm). For all planes together it is "
@@ -509,7 +490,9 @@ def _claims(causes: pd.DataFrame) -> Iterator[Claim]:
     )
 
 
-def _beside_the_paper(spreads: pd.DataFrame, printed: Mapping[str, Any], caption: str) -> Table:
+def _beside_the_paper(
+    spreads: pd.DataFrame, printed: Mapping[str, Any], caption: str
+) -> page.Table:
     quantities = next(iter(printed.values()))._fields
     found = spreads.set_index(["way", "trial", "quantity"])
 
@@ -530,8 +513,12 @@ def _beside_the_paper(spreads: pd.DataFrame, printed: Mapping[str, Any], caption
         ("paper", trial, *(text(q, getattr(row, q)) for q in quantities))
         for trial, row in printed.items()
     ]
-    columns = [Column("way"), Column("trial"), *(_QUANTITIES[name] for name in quantities)]
-    return Table(columns, rows, caption, "static_spread.csv")
+    columns = [
+        page.Column("way"),
+        page.Column("trial"),
+        *(_QUANTITIES[name] for name in quantities),
+    ]
+    return page.Table(columns, rows, caption, "static_spread.csv")
 
 
 # The command.
@@ -557,11 +544,11 @@ def static(
         variants = {cause: bench.measured([cause]) for cause in CAUSES}
         variants |= {NONE: bench.measured([]), ALL: bench.measured(CAUSES)}
         spots = {
-            ("plane", LITERAL.name): variants[ALL],
-            ("plane", SUBPIXEL.name): bench.measured(CAUSES, way=SUBPIXEL),
+            ("plane", paper.LITERAL.name): variants[ALL],
+            ("plane", paper.SUBPIXEL.name): bench.measured(CAUSES, way=paper.SUBPIXEL),
             **{
                 ("sphere", way.name): bench.measured(CAUSES, way=way, wall="sphere")
-                for way in (LITERAL, SUBPIXEL)
+                for way in (paper.LITERAL, paper.SUBPIXEL)
             },
         }
     with study.timed("fit"):

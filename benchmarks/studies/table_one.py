@@ -24,36 +24,10 @@ from matplotlib.figure import Figure
 
 import optics
 import scenes
+from benchmarks import paper
+from benchmarks import reporting as page
 from benchmarks.model_error import MEASURED, READING
-from benchmarks.paper import (
-    ALL_PLANES,
-    LITERAL,
-    PAPERS_PLANES,
-    SUBPIXEL,
-    TABLE_I,
-    Criterion,
-    Photographer,
-    PlaneRow,
-    Shot,
-    Way,
-    at_place,
-    paper_trials,
-    plane_rows,
-    reproduction,
-)
-from benchmarks.reporting import (
-    GREY,
-    PALETTE,
-    Claim,
-    Picture,
-    Report,
-    Section,
-    Table,
-    listed,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks.reporting import listed, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_lines
 from estimator import LiteralSettings
@@ -62,7 +36,7 @@ from scenes import Scene, SceneError
 from scenes.world.world import World
 
 
-def even_span(row: PlaneRow) -> float:
+def even_span(row: paper.PlaneRow) -> float:
     """Length of the range over which evenly spaced readings give a line's R² and RMSE, mm."""
     # R² is what the line explains of the readings' variance.
     return math.sqrt(12.0 / (1.0 - row.r_squared)) * row.rmse
@@ -191,14 +165,14 @@ def misses(lines: Lines, *, scale: float | np.ndarray) -> np.ndarray:
 
     A line without noise may be straighter than the paper's.
     """
-    asked = reproduction(TABLE_I)
-    delta_k, b = asked[Criterion.DELTA_K], asked[Criterion.B]
+    asked = paper.reproduction(paper.TABLE_I)
+    delta_k, b = asked[paper.Criterion.DELTA_K], asked[paper.Criterion.B]
     parts = [
         np.abs(lines.delta_k * scale - 0.5 * (delta_k.low + delta_k.high))
         / (0.5 * (delta_k.high - delta_k.low)),
         np.abs(lines.b - 0.5 * (b.low + b.high)) / (0.5 * (b.high - b.low)),
-        (1.0 - lines.r_squared) / (1.0 - asked[Criterion.R_SQUARED].low),
-        lines.rmse / asked[Criterion.RMSE].high,
+        (1.0 - lines.r_squared) / (1.0 - asked[paper.Criterion.R_SQUARED].low),
+        lines.rmse / asked[paper.Criterion.RMSE].high,
     ]
     return np.nan_to_num(np.max(parts, axis=0), nan=np.inf)
 
@@ -226,7 +200,7 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> list[dict[str, Any]]:
         whole = np.isfinite(radius[:, inside]).all(axis=1)
         lines = Lines(*(np.where(whole, value, np.nan) for value in lines))
         with np.errstate(divide="ignore"):
-            own = np.clip(TABLE_I[ALL_PLANES].delta_k / lines.delta_k, *SCALES_MM_PX)
+            own = np.clip(paper.TABLE_I[paper.ALL_PLANES].delta_k / lines.delta_k, *SCALES_MM_PX)
         asked = {ANYWHERE: own}
         if low <= NEAR_CONTACT_MM:
             asked[AT_SCALE] = np.full(LEVELS.size, scale)
@@ -279,10 +253,10 @@ class ConfirmedLens:
     lines: pd.DataFrame
 
     @property
-    def criteria(self) -> dict[Criterion, Claim]:
+    def criteria(self) -> dict[paper.Criterion, page.Claim]:
         """The criteria of Table I in literal mode."""
-        fits = plane_rows(where(self.lines, way=LITERAL.name))
-        return reproduction(fits, name="Table I by the best lens")
+        fits = paper.plane_rows(where(self.lines, way=paper.LITERAL.name))
+        return paper.reproduction(fits, name="Table I by the best lens")
 
     @property
     def reproduces(self) -> bool:
@@ -292,8 +266,8 @@ class ConfirmedLens:
     @property
     def straight(self) -> bool:
         """Whether they are met if the scatter may be smaller than the paper's."""
-        rmse = self.criteria[Criterion.RMSE]
-        others = (c for criterion, c in self.criteria.items() if criterion != Criterion.RMSE)
+        rmse = self.criteria[paper.Criterion.RMSE]
+        others = (c for criterion, c in self.criteria.items() if criterion != paper.Criterion.RMSE)
         return np.max(rmse.value) <= rmse.high and all(claim.holds for claim in others)
 
 
@@ -301,7 +275,7 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
     """Render, track and fit rows of the scan; lens files go into the study's folder."""
     folder = (study.folder / "lenses").absolute()  # stacks name files; a run may resume elsewhere
     folder.mkdir(exist_ok=True)
-    places = paper_trials(source="lens", quick=True, seed=0)
+    places = paper.paper_trials(source="lens", quick=True, seed=0)
     wanted = {}
     for choice in choices:
         family = family_of(choice)
@@ -312,7 +286,7 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
             wanted[choice, place.group] = scenes.changed(
                 study.scene,
                 {
-                    **at_place(place, frames=frames),
+                    **paper.at_place(place, frames=frames),
                     "seed": study.seed + number,
                     "source.kind": "lens",
                     "source.lens": str(lens),
@@ -326,18 +300,21 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
 
     stacks = study.stacks({name(*key): scene for key, scene in wanted.items()})
     photographers = {
-        key: Photographer(scene=scene, stack=stacks[name(*key)]) for key, scene in wanted.items()
+        key: paper.Photographer(scene=scene, stack=stacks[name(*key)])
+        for key, scene in wanted.items()
     }
     return [
-        _confirmed(choice, {trial: photographers[choice, trial] for trial in PAPERS_PLANES})
+        _confirmed(choice, {trial: photographers[choice, trial] for trial in paper.PAPERS_PLANES})
         for choice in choices
     ]
 
 
-def _confirmed(choice: Any, trials: Mapping[str, Photographer]) -> ConfirmedLens:
+def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> ConfirmedLens:
     readings = {trial: p.readings for trial, p in trials.items()}
     measured = {
-        trial: p.measure(LITERAL, [Shot(seed=p.scene.seed, light=light) for light in LIGHTS])
+        trial: p.measure(
+            paper.LITERAL, [paper.Shot(seed=p.scene.seed, light=light) for light in LIGHTS]
+        )
         for trial, p in trials.items()
     }
 
@@ -359,15 +336,16 @@ def _confirmed(choice: Any, trials: Mapping[str, Photographer]) -> ConfirmedLens
     n, start = min(product(range(len(LIGHTS)), starts), key=miss)
     choice = choice._replace(level=choice.level / LIGHTS[n], from_mm=start)
     seen = {
-        LITERAL.name: {trial: each[n] for trial, each in measured.items()},
-        SUBPIXEL.name: {
-            t: p.measure(SUBPIXEL, [Shot(seed=p.scene.seed)])[0] for t, p in trials.items()
+        paper.LITERAL.name: {trial: each[n] for trial, each in measured.items()},
+        paper.SUBPIXEL.name: {
+            t: p.measure(paper.SUBPIXEL, [paper.Shot(seed=p.scene.seed)])[0]
+            for t, p in trials.items()
         },
     }
     rows = []
     for way, spots in seen.items():
-        for trial, of in [*((t, {t: spots[t]}) for t in spots), (ALL_PLANES, spots)]:
-            found = PlaneRow(*map(float, line(of, start)))
+        for trial, of in [*((t, {t: spots[t]}) for t in spots), (paper.ALL_PLANES, spots)]:
+            found = paper.PlaneRow(*map(float, line(of, start)))
             count = sum(
                 np.sum(np.isfinite(e) & (readings[t] > start - 1e-6)) for t, e in of.items()
             )
@@ -446,10 +424,10 @@ def causes(isophotes: Isophotes, choice: Any, scene: Scene) -> pd.DataFrame:
 
     def line(
         d_r: np.ndarray = reading, *, level: float = choice.level, turn: float = 0.0
-    ) -> PlaneRow:
+    ) -> paper.PlaneRow:
         incidence = isophotes.incidence + math.radians(turn)
         radius = isophotes.radius(d_r, level=np.full_like(d_r, level), incidence=incidence)
-        return PlaneRow(*map(float, fit_lines(radius / choice.scale_mm_px, d_r)))
+        return paper.PlaneRow(*map(float, fit_lines(radius / choice.scale_mm_px, d_r)))
 
     own = line()
     height = scene.microscope.pinhole_height_mm + scene.phantom.radius_mm
@@ -468,7 +446,7 @@ def causes(isophotes: Isophotes, choice: Any, scene: Scene) -> pd.DataFrame:
     return _against(own, changed)
 
 
-def light_and_touch(row: PlaneRow, other: PlaneRow) -> tuple[float, float]:
+def light_and_touch(row: paper.PlaneRow, other: paper.PlaneRow) -> tuple[float, float]:
     """The light and the missed touch that explain the difference of two lines of one lens.
 
     Light moves delta k and b in proportion, so that -b/delta k stays; touch moves b alone.
@@ -480,7 +458,7 @@ def light_and_touch(row: PlaneRow, other: PlaneRow) -> tuple[float, float]:
     return ratio, row.b - ratio * other.b
 
 
-def _against(own: PlaneRow, lines: Mapping[str, PlaneRow]) -> pd.DataFrame:
+def _against(own: paper.PlaneRow, lines: Mapping[str, paper.PlaneRow]) -> pd.DataFrame:
     """Content of table_one_causes.csv: lines, and their changes from the own one."""
     columns = ["cause", "delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
     found = pd.DataFrame([(name, *line) for name, line in lines.items()], columns=columns)
@@ -503,34 +481,34 @@ def _figure(
     def misfits(axes: Axes) -> None:
         near = where(scan, asked=AT_SCALE).sort_values("sag_mm")
         apertures = near.groupby("numerical_aperture")
-        for (aperture, own), colour in zip(apertures, PALETTE, strict=False):
+        for (aperture, own), colour in zip(apertures, page.PALETTE, strict=False):
             label = f"NA {aperture:.2f}"
             axes.plot(own.sag_mm, own.miss, marker="o", ms=3, color=colour, label=label)
-        axes.axhline(1.0, color=GREY, lw=0.8, ls=":")
+        axes.axhline(1.0, color=page.GREY, lw=0.8, ls=":")
         axes.set(yscale="log")
         axes.yaxis.set_major_formatter("{x:g}")
 
-    def spots(axes: Axes, way: Way) -> None:
+    def spots(axes: Axes, way: paper.Way) -> None:
         d_r = readings(0.0, FARTHEST_MM)
-        for one, colour in zip(confirmed, PALETTE, strict=False):
+        for one, colour in zip(confirmed, page.PALETTE, strict=False):
             choice, light = one.choice, isophotes[family_of(one.choice)]
             radius = light.half_maximum(d_r)
-            if way is LITERAL:
+            if way is paper.LITERAL:
                 radius = light.radius(d_r, level=np.full_like(d_r, choice.level))
             seen = (d_r <= choice.to_mm) & (radius > 0)
             label = f"NA {choice.numerical_aperture:.2f}, sag {choice.sag_mm:g} mm"
             axes.plot(radius[seen] / choice.scale_mm_px, d_r[seen], color=colour, label=label)
-            for trial in PAPERS_PLANES:
+            for trial in paper.PAPERS_PLANES:
                 axes.plot(*one.spots[way.name, trial], ".", ms=3, color=colour)
-        for row in PAPERS_PLANES.values():
+        for row in paper.PAPERS_PLANES.values():
             d = np.array([0.0, even_span(row)])
-            axes.plot((d - row.b) / row.delta_k, d, color=GREY, lw=2, alpha=0.5, zorder=0)
+            axes.plot((d - row.b) / row.delta_k, d, color=page.GREY, lw=2, alpha=0.5, zorder=0)
         axes.set_xlim(left=0)
 
     panels: dict[str, Callable[[Axes], None]] = {
         "worst violation / tolerance": misfits,
-        f"fixed threshold: {READING}": lambda axes: spots(axes, LITERAL),
-        f"half maximum: {READING}": lambda axes: spots(axes, SUBPIXEL),
+        f"fixed threshold: {READING}": lambda axes: spots(axes, paper.LITERAL),
+        f"half maximum: {READING}": lambda axes: spots(axes, paper.SUBPIXEL),
     }
 
     def draw(axes: Axes, _: str, name: str) -> None:
@@ -538,7 +516,7 @@ def _figure(
         axes.legend(loc="lower right")
 
     first, *_ = panels
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=[""],
         columns=list(panels),
@@ -551,7 +529,7 @@ def _figure(
 
 # The page.
 
-_TRIALS = list(PAPERS_PLANES.values())
+_TRIALS = list(paper.PAPERS_PLANES.values())
 
 _LENS = ["numerical_aperture", "sag_mm"]
 _LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
@@ -563,11 +541,11 @@ def report(
     isophotes: dict[Family, Isophotes],
     scan: pd.DataFrame,
     confirmed: Sequence[ConfirmedLens],
-) -> Report:
+) -> page.Report:
     """The report of a run."""
     lines = pd.concat([one.lines for one in confirmed], ignore_index=True)
     printed = pd.DataFrame(
-        [("paper", name, *row, -row.b / row.delta_k, 0) for name, row in TABLE_I.items()],
+        [("paper", name, *row, -row.b / row.delta_k, 0) for name, row in paper.TABLE_I.items()],
         columns=["way", "trial", *_LINE, "contact_radius_px", "spots"],
     )
     best = confirmed[0].choice
@@ -576,7 +554,7 @@ def report(
     papers = {f"paper, point {n} against point 2": row for n, row in ((1, first), (3, third))}
     nearest = where(scan, asked=AT_SCALE).sort_values("miss", kind="stable")
     fitting, rendered = sum(nearest.miss <= 1), sum(one.reproduces for one in confirmed)
-    return Report(
+    return page.Report(
         title="Which lens gives the paper's Table I, and why do its trials differ?",
         answer=f"{fitting} of {len(isophotes)} lenses give Table I's line by a fixed threshold"
         f"{', so the table does not identify the lens' if fitting > 1 else ''}; {rendered} of "
@@ -585,7 +563,7 @@ def report(
         "distances in closed form, then the best lenses and some that fail on rendered stacks, "
         "tracked by the paper's algorithm and in sub-pixel mode.",
         first=[
-            Picture(
+            page.Picture(
                 "table_one",
                 _figure(isophotes, scan, confirmed),
                 "How near lenses come to Table I. Left: the worst violation of Table I's "
@@ -596,7 +574,7 @@ def report(
                 "that their R² and RMSE imply.",
                 data="table_one_scan.csv",
             ),
-            Table.of(
+            page.Table.of(
                 nearest,
                 [*_LENS, "level", "from_mm", "to_mm", *_LINE, "miss"],
                 "The lenses that come nearest to Table I, in closed form, at the scene's scale. "
@@ -607,18 +585,18 @@ def report(
         ],
         claims=list(_claims(scene, scan, confirmed, changes)),
         sections=[
-            Section(
+            page.Section(
                 "Rendered",
-                Table.of(
+                page.Table.of(
                     pd.concat([lines, printed]),
                     [*_LENS, "way", "trial", *_LINE, "contact_radius_px", "spots"],
                     "Lines through the spots of rendered trials, and the paper's.",
                     data="table_one_rendered.csv",
                 ),
             ),
-            Section(
+            page.Section(
                 "Why trials differ",
-                Table.of(
+                page.Table.of(
                     pd.concat([changes, _against(second, papers)]),
                     ["cause", *_LINE, "contact_radius_px", *_CHANGES],
                     "The best lens's line, in closed form, and how each cause alone changes it.",
@@ -636,13 +614,14 @@ def report(
 
 def _claims(
     scene: Scene, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], changes: pd.DataFrame
-) -> Iterator[Claim]:
+) -> Iterator[page.Claim]:
     yield from confirmed[0].criteria.values()
     for one in confirmed:
         literal, half = (
-            plane_rows(where(one.lines, way=way.name))[ALL_PLANES] for way in (LITERAL, SUBPIXEL)
+            paper.plane_rows(where(one.lines, way=way.name))[paper.ALL_PLANES]
+            for way in (paper.LITERAL, paper.SUBPIXEL)
         )
-        yield Claim(
+        yield page.Claim(
             name=f"lens {family_of(one.choice).name}",
             sentence=f"Rendered, with a threshold of {one.choice.level:.2f} of the peak at 5 mm "
             f"and readings from {one.choice.from_mm:g} to {one.choice.to_mm:g} mm: δk "
@@ -653,7 +632,7 @@ def _claims(
         )
     near, anywhere = (where(scan, asked=way) for way in (AT_SCALE, ANYWHERE))
     fits = near[near.miss <= 1].sort_values(["numerical_aperture", "sag_mm", "level"])
-    yield Claim(
+    yield page.Claim(
         name="lenses",
         sentence=f"{len(fits)} of {len(near)} lenses give Table I's line from contact at "
         f"{scene.microscope.scale_mm_px:g} mm/px: NA {listed(fits.numerical_aperture, '.2f')}, sag "
@@ -669,8 +648,8 @@ def _claims(
     contacts = np.array([-row.b / row.delta_k for row in _TRIALS])
     ratios, touches = np.transpose([light_and_touch(row, second) for row in (first, third)])
     light = changes[changes.cause.str.endswith("light")].contact_radius_change_px.abs().max()
-    rendered = plane_rows(where(confirmed[0].lines, way=LITERAL.name))
-    yield Claim(
+    rendered = paper.plane_rows(where(confirmed[0].lines, way=paper.LITERAL.name))
+    yield page.Claim(
         name="light moves −b/δk less than the paper's trials differ",
         sentence=f"A fifth more or less light moves −b/δk by {light:.1f} px at most; a third of "
         f"the paper's differences is {np.ptp(contacts) / 3:.1f} px. Light, tilt and the picture on "
@@ -679,7 +658,7 @@ def _claims(
         f"{listed(contacts[[0, 2]] - contacts[1], '+.1f')} px in −b/δk, which a missed touch of "
         f"{listed(np.abs(touches), '.2f')} mm explains. The rendered trials of the best lens, at "
         "three places of one picture and touched exactly, have δk of "
-        f"{listed([rendered[trial].delta_k for trial in PAPERS_PLANES], '.4f')} mm/px.",
+        f"{listed([rendered[trial].delta_k for trial in paper.PAPERS_PLANES], '.4f')} mm/px.",
         value=float(light),
         high=float(np.ptp(contacts)) / 3,
     )

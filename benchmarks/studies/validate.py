@@ -26,68 +26,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 import optics
-from benchmarks import model_error
-from benchmarks.model_error import (
-    CHOSEN_DISTANCES_MM,
-    COMPARED,
-    ECCENTRICITY,
-    MEASURED,
-    MODEL_COLOURS,
-    READING,
-    SHOWN,
-    TRIAL_COLOURS,
-    accuracy,
-    geometry_of,
-    largest_errors,
-    limit_eccentricity,
-    measured_errors,
-    model_error_figure,
-    pinhole_title,
-)
-from benchmarks.paper import (
-    ACCEPTABLE_ERROR_MM,
-    ALL_PLANES,
-    ELLIPSE,
-    LITERAL,
-    PINHOLE_HEIGHTS_MM,
-    STRAIGHT,
-    SUBPIXEL,
-    TABLE_I,
-    TABLE_II,
-    TILT_AZIMUTHS_DEG,
-    USED,
-    WAYS,
-    Criterion,
-    PlaneRow,
-    StaticTrial,
-    Way,
-    grid_trials,
-    largest,
-    paper_trials,
-    plane_rows,
-    reproduction,
-    rms,
-    track_stack,
-)
-from benchmarks.reporting import (
-    BLACK,
-    GREY,
-    ORANGE,
-    SKY,
-    VERMILION,
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    grouped,
-    listed,
-    number,
-    rows_of,
-    small_multiples,
-    where,
-)
+from benchmarks import model_error, paper
+from benchmarks import reporting as page
+from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.study import LightSource, OutputFolder, Quick, Study
 from calibration import fit_eccentricity, fit_lines, fit_plane
 from formats.stack import Stack, read_stack
@@ -97,7 +38,7 @@ from scenes import Scene, World
 
 CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)
 """Eccentricities at which the report gives the model errors."""
-_ANALYTIC_HEIGHTS_MM = (*PINHOLE_HEIGHTS_MM, 100.0)
+_ANALYTIC_HEIGHTS_MM = (*paper.PINHOLE_HEIGHTS_MM, 100.0)
 _FEWEST_SPOTS = 6  # fewer do not determine a line and its scatter
 _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # of the parts of the range that are tried
 
@@ -117,14 +58,14 @@ class ValidateFindings:
     """
 
     stacks: Path
-    trials: list[StaticTrial]
+    trials: list[paper.StaticTrial]
     spots: pd.DataFrame
     planes: pd.DataFrame
     spheres: pd.DataFrame
     analytic: pd.DataFrame
     rendered: pd.DataFrame
 
-    def on_plane(self, source: str) -> StaticTrial | None:
+    def on_plane(self, source: str) -> paper.StaticTrial | None:
         """A source's first trial on the plane; None in a run without that source."""
         own = (t for t in self.trials if (t.source, t.kind) == (source, "plane"))
         return next(own, None)
@@ -134,13 +75,13 @@ class ValidateFindings:
         """The sources of the paper's trials."""
         return list(dict.fromkeys(t.source for t in self.trials if t.kind != "grid"))
 
-    def lines(self, source: str, way: Way) -> dict[str, PlaneRow]:
+    def lines(self, source: str, way: paper.Way) -> dict[str, paper.PlaneRow]:
         """Table I of one source and way; empty without a fit."""
-        return plane_rows(where(self.planes, source=source, way=way.name))
+        return paper.plane_rows(where(self.planes, source=source, way=way.name))
 
 
 def fit_tables(
-    trials: Sequence[StaticTrial], spots: pd.DataFrame
+    trials: Sequence[paper.StaticTrial], spots: pd.DataFrame
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Tables I and II for every source and way with enough spots, beside the paper's values.
 
@@ -148,17 +89,17 @@ def fit_tables(
     """
     scenes = {(t.source, t.group): t.scene for t in trials}
     planes, spheres = [], []
-    for source, way in product(("lens", "cone"), WAYS):
+    for source, way in product(("lens", "cone"), paper.WAYS):
         seen = where(spots, used=True, source=source, way=way.name)
         enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
         on_plane = where(enough, kind="plane")
         if on_plane.empty:
             continue
-        for trial, rows in [*grouped(on_plane, "group"), (ALL_PLANES, on_plane)]:
+        for trial, rows in [*grouped(on_plane, "group"), (paper.ALL_PLANES, on_plane)]:
             line = fit_plane(
                 semi_minor_px=rows.semi_minor_px.to_numpy(), distance=rows.d_r_mm.to_numpy()
             )
-            papers = TABLE_I[trial]
+            papers = paper.TABLE_I[trial]
             planes.append(
                 {
                     "source": source,
@@ -180,7 +121,7 @@ def fit_tables(
                 }
             )
         for trial, rows in grouped(where(enough, kind="sphere"), "group"):
-            scene, printed = scenes[source, trial], TABLE_II[trial]
+            scene, printed = scenes[source, trial], paper.TABLE_II[trial]
             fit = fit_eccentricity(
                 semi_minor_px=rows.semi_minor_px.to_numpy(),
                 distance=rows.d_r_mm.to_numpy(),
@@ -225,8 +166,8 @@ def _expected_eccentricity(scene: Scene) -> float:
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
-    geometry = geometry_of(grid_trials(quick=quick, seed=0)[0].scene)
-    tilts = [(0.0, 0.0), *((geometry.incidence, azimuth) for azimuth in TILT_AZIMUTHS_DEG)]
+    geometry = model_error.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
+    tilts = [(0.0, 0.0), *((geometry.incidence, azimuth) for azimuth in paper.TILT_AZIMUTHS_DEG)]
     tables = [
         model_error.analytic_errors(
             geometry._replace(
@@ -243,20 +184,20 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def rendered_errors(trials: Sequence[StaticTrial], spots: pd.DataFrame) -> pd.DataFrame:
+def rendered_errors(trials: Sequence[paper.StaticTrial], spots: pd.DataFrame) -> pd.DataFrame:
     """Errors on measured spots of the grid, each pinhole height and azimuth in one batch."""
     used = spots[spots.used]
-    geometries = {t.name: geometry_of(t.scene) for t in trials if t.kind == "grid"}
+    geometries = {t.name: model_error.geometry_of(t.scene) for t in trials if t.kind == "grid"}
     tables = []
     for geometry in dict.fromkeys(geometries.values()):
         own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-        tables.append(measured_errors(geometry, used[own]))
+        tables.append(model_error.measured_errors(geometry, used[own]))
     return pd.concat(tables, ignore_index=True)
 
 
 def nearest_reproduction(
-    findings: ValidateFindings, *, source: str, way: Way
-) -> tuple[float, float, dict[Criterion, Claim]] | None:
+    findings: ValidateFindings, *, source: str, way: paper.Way
+) -> tuple[float, float, dict[paper.Criterion, page.Claim]] | None:
     """The widest of those parts of the range that meet most criteria of Table I.
 
     The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
@@ -270,20 +211,20 @@ def nearest_reproduction(
     parts = []
     for low, high in product(ends.tolist(), repeat=2):
         inside = planes[planes.d_r_mm.between(low - 1e-6, high + 1e-6, inclusive="neither")]
-        trials = [*grouped(inside, "group"), (ALL_PLANES, inside)]
-        whole = len(trials) == len(TABLE_I) and all(len(rows) >= 3 for _, rows in trials)
+        trials = [*grouped(inside, "group"), (paper.ALL_PLANES, inside)]
+        whole = len(trials) == len(paper.TABLE_I) and all(len(rows) >= 3 for _, rows in trials)
         if high >= low + _SHORTEST_MM and whole:
             fits = {
-                trial: PlaneRow(
+                trial: paper.PlaneRow(
                     *map(float, fit_lines(*rows[["semi_minor_px", "d_r_mm"]].to_numpy().T))
                 )
                 for trial, rows in trials
             }
-            parts.append((low, high, reproduction(fits)))
+            parts.append((low, high, paper.reproduction(fits)))
     return max(parts, key=lambda part: (_met(part[2]), part[1] - part[0]), default=None)
 
 
-def _met(criteria: dict[Criterion, Claim]) -> int:
+def _met(criteria: dict[paper.Criterion, page.Claim]) -> int:
     return sum(bool(claim.holds) for claim in criteria.values())
 
 
@@ -307,7 +248,7 @@ def spot_table(findings: ValidateFindings) -> pd.DataFrame:
     tables = []
     for (name, way), rows in grouped(findings.spots, "trial", "way"):
         trial, e = trials[name], rows.semi_minor_px.where(rows.used).to_numpy()
-        lines = plane_rows(where(findings.planes, source=trial.source, way=way))
+        lines = paper.plane_rows(where(findings.planes, source=trial.source, way=way))
         estimate = np.full(e.shape, math.nan)
         if trial.kind == "plane" and trial.group in lines:
             estimate = lines[trial.group].delta_k * e + lines[trial.group].b
@@ -316,8 +257,8 @@ def spot_table(findings: ValidateFindings) -> pd.DataFrame:
             small_plane = optics.small_plane_distance(
                 semi_minor_px=e,
                 scale=scale,
-                k=lines[ALL_PLANES].delta_k / scale,
-                b=lines[ALL_PLANES].b,
+                k=lines[paper.ALL_PLANES].delta_k / scale,
+                b=lines[paper.ALL_PLANES].b,
                 eccentricity=spheres[key],
                 eye_radius=trial.scene.phantom.radius_mm,
             )
@@ -339,23 +280,25 @@ _SPOT_COLUMNS = (
 
 def square_errors(errors: pd.DataFrame, *, c: float) -> pd.DataFrame:
     """The errors of a beam square to the wall, at one eccentricity and the chosen distances."""
-    chosen = np.isclose(errors.d_mm.to_numpy()[:, None], CHOSEN_DISTANCES_MM).any(axis=1)
+    chosen = np.isclose(errors.d_mm.to_numpy()[:, None], model_error.CHOSEN_DISTANCES_MM).any(
+        axis=1
+    )
     return errors[(errors.incidence_deg == 0) & np.isclose(errors.c_mm, c) & chosen]
 
 
-def _measured_spots(study: Study, trials: list[StaticTrial]) -> pd.DataFrame:
+def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFrame:
     """Spots of every trial in every way whose exposure it has; of the grid in the best way."""
     by_name = {trial.name: trial for trial in trials}
 
     def measure(name: str, stack: Stack) -> pd.DataFrame:
         trial = by_name[name]
-        ways = [way for way in WAYS if way.exposure in trial.scene.exposures.kinds]
+        ways = [way for way in paper.WAYS if way.exposure in trial.scene.exposures.kinds]
         about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
         tables = [
-            track_stack(stack, way, spots_file=study.spots_file(f"{name}-{way.slug}")).assign(
+            paper.track_stack(stack, way, spots_file=study.spots_file(f"{name}-{way.slug}")).assign(
                 **about, way=way.name
             )
-            for way in (ways if trial.kind != "grid" else [SUBPIXEL])
+            for way in (ways if trial.kind != "grid" else [paper.SUBPIXEL])
         ]
         return pd.concat(tables)
 
@@ -369,7 +312,7 @@ def _measured_spots(study: Study, trials: list[StaticTrial]) -> pd.DataFrame:
 def film(findings: ValidateFindings, *, frames: int = 5) -> Figure:
     """Frames of a withdrawal in the eyeball at one scale, with measured and true ellipses."""
     trial = [trial for trial in findings.trials if trial.group == "sphere 1"][-1]
-    rows = where(findings.spots, trial=trial.name, way=SUBPIXEL.name)
+    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
     rows = rows.iloc[np.linspace(0, len(rows) - 1, frames).round().astype(int)]
     half = round(1.5 * rows.half_max_semi_major_px.max())
     stack = read_stack(findings.stacks / trial.name)
@@ -379,8 +322,8 @@ def film(findings: ValidateFindings, *, frames: int = 5) -> Figure:
         left, top = round(row.half_max_x_px) - half, round(row.half_max_y_px) - half
         around = np.pad(stack.image(row), ((2 * half,) * 2, (2 * half,) * 2, (0, 0)))
         tiles.append(around[top + 2 * half :, left + 2 * half :][: 2 * half, : 2 * half])
-        for kind, colour, dashes in (("", SKY, "-"), ("half_max_", ORANGE, "--")):
-            x, y, major, minor, angle = (getattr(row, f"{kind}{name}") for name in ELLIPSE)
+        for kind, colour, dashes in (("", page.SKY, "-"), ("half_max_", page.ORANGE, "--")):
+            x, y, major, minor, angle = (getattr(row, f"{kind}{name}") for name in paper.ELLIPSE)
             centre, style = (x - left + 2 * half * n, y - top), {"color": colour, "ls": dashes}
             turn = math.degrees(angle)
             axes.add_patch(Ellipse(centre, 2 * major, 2 * minor, angle=turn, fill=False, **style))
@@ -395,19 +338,19 @@ def error_by_eccentricity(findings: ValidateFindings, height: float) -> Figure:
     """Largest absolute error over all distances and tilts with one pinhole, logarithmic."""
     figure = Figure(figsize=(5.0, 3.6), layout="constrained")
     axes = figure.subplots()
-    axes.axhline(ACCEPTABLE_ERROR_MM, color=VERMILION, lw=0.8, ls="--")
-    for model, marker in zip(SHOWN, "ovs", strict=True):
+    axes.axhline(paper.ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--")
+    for model, marker in zip(model_error.SHOWN, "ovs", strict=True):
         line, points = (
-            largest_errors(where(errors, model=model, z_f_mm=height))
+            model_error.largest_errors(where(errors, model=model, z_f_mm=height))
             for errors in (findings.analytic, findings.rendered)
         )
-        colour = MODEL_COLOURS[model]
+        colour = model_error.MODEL_COLOURS[model]
         # On exact contours `exact` is right to rounding, too small for a logarithmic axis.
         if model != "exact":
             axes.plot(line, color=colour, lw=1)
         axes.plot(points, color=colour, ls="", marker=marker, ms=4.5, label=model)
-    labels = {"xlabel": ECCENTRICITY, "ylabel": "largest |estimate − $d$| (mm)"}
-    axes.set(yscale="log", ylim=(5e-4, 10.0), title=pinhole_title(height), **labels)
+    labels = {"xlabel": model_error.ECCENTRICITY, "ylabel": "largest |estimate − $d$| (mm)"}
+    axes.set(yscale="log", ylim=(5e-4, 10.0), title=model_error.pinhole_title(height), **labels)
     axes.yaxis.set_major_formatter("{x:g}")
     axes.legend(loc="lower right", ncols=3)
     return figure
@@ -417,32 +360,38 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
     """d_r against e1' on the plane, with each trial's line and the line of all (Table I)."""
 
     def draw(axes: Axes, source: str, way: str) -> None:
-        lines = plane_rows(where(findings.planes, source=source, way=way))
+        lines = paper.plane_rows(where(findings.planes, source=source, way=way))
         if not lines:
             return
 
-        def drawn(line: PlaneRow, e: pd.Series, **style: Any) -> None:
+        def drawn(line: paper.PlaneRow, e: pd.Series, **style: Any) -> None:
             ends = np.array([e.min(), e.max()])
             axes.plot(ends, line.delta_k * ends + line.b, lw=1, **style)
 
-        own = where(spots, outcome=USED, source=source, way=way)
+        own = where(spots, outcome=paper.USED, source=source, way=way)
         own = own[own.group.isin(list(lines))]
         for (trial, rows), colour, marker in zip(
-            grouped(own, "group"), TRIAL_COLOURS, "o^s", strict=False
+            grouped(own, "group"), model_error.TRIAL_COLOURS, "o^s", strict=False
         ):
             e, d = rows.measured_px, rows.d_r_mm
             axes.plot(e, d, ls="", marker=marker, ms=3, mfc="none", color=colour, label=trial)
             drawn(lines[trial], e, color=colour)
-        drawn(lines[ALL_PLANES], own.measured_px, color=BLACK, ls="--", label=ALL_PLANES)
-        papers = TABLE_I[ALL_PLANES], own.measured_px
-        drawn(*papers, color=GREY, ls=":", label="all planes of the paper")
+        drawn(
+            lines[paper.ALL_PLANES],
+            own.measured_px,
+            color=page.BLACK,
+            ls="--",
+            label=paper.ALL_PLANES,
+        )
+        papers = paper.TABLE_I[paper.ALL_PLANES], own.measured_px
+        drawn(*papers, color=page.GREY, ls=":", label="all planes of the paper")
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=findings.sources,
-        columns=[way.name for way in WAYS if way.name in set(findings.planes.way)],
-        x=MEASURED,
-        y=READING,
+        columns=[way.name for way in paper.WAYS if way.name in set(findings.planes.way)],
+        x=model_error.MEASURED,
+        y=model_error.READING,
         legend_columns=5,
         sharex=True,
         sharey="row",
@@ -452,48 +401,48 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
 # The claims: the models' errors first, Table I last.
 
 
-def claims(findings: ValidateFindings) -> Iterator[Claim]:
+def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
     """All claims of a run."""
     analytic = findings.analytic
     for height, here in grouped(where(analytic, model="small_plane"), "z_f_mm"):
         three, five = (square_errors(here, c=c).error_mm for c in CHOSEN_ECCENTRICITIES_MM)
-        yield Claim(
+        yield page.Claim(
             name=f"small_plane, z_F = {height:g} mm",
             sentence=f"The error of the paper's model reaches the acceptable "
-            f"{ACCEPTABLE_ERROR_MM:g} mm at c = "
-            f"{limit_eccentricity(here, ACCEPTABLE_ERROR_MM):.1f} mm (a dash: not up to c = "
-            f"{here.c_mm.max():g} mm) and is {largest(here.error_mm):.3f} mm at most. With the "
+            f"{paper.ACCEPTABLE_ERROR_MM:g} mm at c = "
+            f"{model_error.limit_eccentricity(here, paper.ACCEPTABLE_ERROR_MM):.1f} mm (a dash: not up to c = "
+            f"{here.c_mm.max():g} mm) and is {paper.largest(here.error_mm):.3f} mm at most. With the "
             f"cone known and the beam square to the wall, it is {listed(three, '+.3f')} mm at "
             f"c = 3 mm and {listed(five, '+.3f')} mm at c = 5 mm, for d = "
-            f"{listed(CHOSEN_DISTANCES_MM, 'g')} mm.",
-            value=largest(here.error_mm),
-            high=ACCEPTABLE_ERROR_MM,
+            f"{listed(model_error.CHOSEN_DISTANCES_MM, 'g')} mm.",
+            value=paper.largest(here.error_mm),
+            high=paper.ACCEPTABLE_ERROR_MM,
         )
-    for (model, height), own in grouped(accuracy(findings.rendered), "model", "z_f_mm"):
-        worst = largest(own.max_abs_error_mm)
-        yield Claim(
+    for (model, height), own in grouped(model_error.accuracy(findings.rendered), "model", "z_f_mm"):
+        worst = paper.largest(own.max_abs_error_mm)
+        yield page.Claim(
             name=f"{model} on rendered spots, z_F = {height:g} mm",
             sentence=f"The largest error is {worst:.3f} mm on {own.spots.sum()} spots of the ideal "
-            f"cone in sub-pixel mode (acceptable: {ACCEPTABLE_ERROR_MM:g} mm). Where the beam's "
+            f"cone in sub-pixel mode (acceptable: {paper.ACCEPTABLE_ERROR_MM:g} mm). Where the beam's "
             f"tilt has the azimuth {listed(own.azimuth_deg, 'g')}°, it is "
             f"{listed(own.max_abs_error_mm, '.3f')} mm. (0° tilts the beam towards growing c.)",
             value=worst,
-            high=ACCEPTABLE_ERROR_MM,
+            high=paper.ACCEPTABLE_ERROR_MM,
         )
     yield from _fitted(findings)
     yield from _half_maximum(findings)
     for source in findings.sources:
-        fits, trial = findings.lines(source, LITERAL), findings.on_plane(source)
-        part = nearest_reproduction(findings, source=source, way=LITERAL)
+        fits, trial = findings.lines(source, paper.LITERAL), findings.on_plane(source)
+        part = nearest_reproduction(findings, source=source, way=paper.LITERAL)
         if len(fits) < 2 or trial is None:
             continue
         light = f"lens {trial.scene.source.lens}" if source == "lens" else "ideal cone"
-        yield from reproduction(fits, name=f"Table I by the {light}").values()
+        yield from paper.reproduction(fits, name=f"Table I by the {light}").values()
         if part is not None:
             low, high, criteria = part
             digits = zip(criteria.values(), (".4f", ".2f", ".3f", ".3f"), strict=True)
             slope, b, straight, scatter = (listed(claim.value, spec) for claim, spec in digits)
-            yield Claim(
+            yield page.Claim(
                 name=f"Table I by the {light}, best part of the range",
                 sentence=f"The range d_r = {low:g} to {high:g} mm meets most criteria, "
                 f"{_met(criteria)} of {len(criteria)}: δk {slope} mm/px, b {b} mm, R² {straight} "
@@ -502,27 +451,29 @@ def claims(findings: ValidateFindings) -> Iterator[Claim]:
                 low=len(criteria),
             )
     by_way = findings.spots.groupby("way").used
-    used, frames = ([int(n[way.name]) for way in WAYS] for n in (by_way.sum(), by_way.size()))
-    yield Claim(
+    used, frames = ([int(n[way.name]) for way in paper.WAYS] for n in (by_way.sum(), by_way.size()))
+    yield page.Claim(
         name="frames used",
         sentence=f"The fits use {sum(used)} of {len(findings.spots)} measurements. By way of "
-        f"measuring ({'; '.join(way.name for way in WAYS)}): {listed(used, 'd')} of "
+        f"measuring ({'; '.join(way.name for way in paper.WAYS)}): {listed(used, 'd')} of "
         f"{listed(frames, 'd')}.",
         value=sum(used),
     )
 
 
-def _fitted(findings: ValidateFindings) -> Iterator[Claim]:
+def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
     """What the fits return: a smaller c, and the ideal cone."""
     every = findings.spheres
-    best = where(every, source=findings.sources[-1], way=SUBPIXEL.name) if len(every) else every
+    best = (
+        where(every, source=findings.sources[-1], way=paper.SUBPIXEL.name) if len(every) else every
+    )
     if len(best):
         smaller = int((every.c_fitted_mm < every.c_true_mm).sum())
-        yield Claim(
+        yield page.Claim(
             name="a fitted c is smaller than the true c",
             sentence=f"{smaller} of {len(every)} fits give a smaller c than the true one, which "
             f"hides an error of the model. Fitted as in Table II ({best.source.iloc[0]}, "
-            f"{SUBPIXEL.name}), c is {listed(best.c_fitted_mm, '.2f')} mm, the true c "
+            f"{paper.SUBPIXEL.name}), c is {listed(best.c_fitted_mm, '.2f')} mm, the true c "
             f"{listed(best.c_true_mm, '.2f')} mm; {listed(best.c_expected_mm, '.2f')} mm would "
             "make the paper's cos φ the right factor for this pinhole (z_F = "
             f"{findings.trials[0].scene.microscope.pinhole_height_mm:g} mm). The residuals of "
@@ -530,12 +481,15 @@ def _fitted(findings: ValidateFindings) -> Iterator[Claim]:
             value=smaller,
             low=len(every),
         )
-    fit, trial = findings.lines("cone", SUBPIXEL).get(ALL_PLANES), findings.on_plane("cone")
+    fit, trial = (
+        findings.lines("cone", paper.SUBPIXEL).get(paper.ALL_PLANES),
+        findings.on_plane("cone"),
+    )
     if fit is not None and trial is not None:
         source, contact = trial.scene.source, where(findings.spots, trial=trial.name).d_mm.iloc[0]
         off = 100 * (fit.delta_k / (trial.scene.microscope.scale_mm_px * source.cone_k) - 1)
         b = source.cone_apex_offset_mm
-        yield Claim(
+        yield page.Claim(
             name="the ideal cone is returned",
             sentence=f"In sub-pixel mode the fitted δk of the ideal cone (k {source.cone_k:g}, b "
             f"{b:.3f} mm) has an error of {off:+.2f} %. The fitted b of {fit.b:.3f} mm has an "
@@ -545,7 +499,7 @@ def _fitted(findings: ValidateFindings) -> Iterator[Claim]:
         )
 
 
-def _half_maximum(findings: ValidateFindings) -> Iterator[Claim]:
+def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
     curve = _half_maximum_curve(findings)
     if curve is None:
         return
@@ -553,19 +507,19 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[Claim]:
     first, last = ambiguous_range(d, radius) or (math.nan, math.nan)
     chosen = sorted({0, int(np.argmin(radius)), len(d) - 1})
     edge, threshold = (
-        fits[ALL_PLANES].r_squared if fits else math.nan
-        for fits in (findings.lines("lens", way) for way in (SUBPIXEL, LITERAL))
+        fits[paper.ALL_PLANES].r_squared if fits else math.nan
+        for fits in (findings.lines("lens", way) for way in (paper.SUBPIXEL, paper.LITERAL))
     )
-    seen = where(findings.spots, source="lens", kind="plane", way=SUBPIXEL.name, used=True)
-    bias = rms(seen.semi_minor_px - seen.half_max_semi_minor_px)
+    seen = where(findings.spots, source="lens", kind="plane", way=paper.SUBPIXEL.name, used=True)
+    bias = paper.rms(seen.semi_minor_px - seen.half_max_semi_minor_px)
     length = 0.0 if math.isnan(first) else last - first
-    yield Claim(
+    yield page.Claim(
         name="the lens's half-maximum radius grows with distance",
         sentence=f"One radius belongs to several distances over {length:.2f} mm: from {first:.2f} "
         f"to {last:.2f} mm. The radius is {listed(radius[chosen], '.3f')} mm at d = "
         f"{listed(d[chosen], '.2f')} mm. Sub-pixel mode follows it to {bias:.2f} px (rms). A "
         f"straight line through its readings has R² {edge:.3f}, one through those of the fixed "
-        f"threshold {threshold:.3f} (straight: {STRAIGHT:g} or more).",
+        f"threshold {threshold:.3f} (straight: {paper.STRAIGHT:g} or more).",
         value=length,
         high=0.0,
     )
@@ -576,7 +530,7 @@ def _half_maximum_curve(findings: ValidateFindings) -> tuple[np.ndarray, np.ndar
     trial = findings.on_plane("lens")
     if trial is None:
         return None
-    rows = where(findings.spots, trial=trial.name, way=SUBPIXEL.name)
+    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
     scale = trial.scene.microscope.scale_mm_px
     return rows.d_mm.to_numpy(), rows.half_max_semi_minor_px.to_numpy() * scale
 
@@ -584,7 +538,7 @@ def _half_maximum_curve(findings: ValidateFindings) -> tuple[np.ndarray, np.ndar
 # The page.
 
 
-def report(findings: ValidateFindings) -> Report:
+def report(findings: ValidateFindings) -> page.Report:
     """The report of a run.
 
     Raises:
@@ -592,27 +546,27 @@ def report(findings: ValidateFindings) -> Report:
     """
     spots = spot_table(findings)
     counts = findings.spots.groupby(["trial", "source", "way", "outcome"], sort=False).size()
-    return Report(
+    return page.Report(
         title="How accurate is a distance measured from a spot of light?",
         answer=_answer(findings),
         lead="The static experiment of Zhou et al. 2020 (“Spotlight-based 3D Instrument Guidance "
         "for Retinal Surgery”) on rendered images whose truth is known, and its small-plane model "
         "against the exact geometry.",
         first=[
-            Picture(
+            page.Picture(
                 "film",
                 film(findings),
                 "The tip withdraws from the eyeball phantom. Blue: the measured ellipse. Orange, "
                 "dashed: the true contour at half of the peak.",
                 inline="jpeg",
             ),
-            Picture(
+            page.Picture(
                 "error_by_eccentricity",
-                [error_by_eccentricity(findings, height) for height in PINHOLE_HEIGHTS_MM],
+                [error_by_eccentricity(findings, height) for height in paper.PINHOLE_HEIGHTS_MM],
                 "The paper's model fails with growing c, and sooner under a microscope (right) "
                 "than with its own pinhole on the eyeball's sphere (left). The largest error over "
                 "all distances and tilts, on exact contours (lines) and on spots measured in "
-                f"rendered frames (marks). Dashed: the {ACCEPTABLE_ERROR_MM:g} mm that the paper "
+                f"rendered frames (marks). Dashed: the {paper.ACCEPTABLE_ERROR_MM:g} mm that the paper "
                 "calls acceptable. On exact contours the model exact has no error.",
                 data="model_error.csv",
             ),
@@ -621,18 +575,18 @@ def report(findings: ValidateFindings) -> Report:
         ],
         claims=list(claims(findings)),
         sections=[
-            Section(
+            page.Section(
                 "The models against the exact geometry",
-                Picture(
+                page.Picture(
                     "model_error",
-                    model_error_figure(findings.analytic, findings.rendered),
+                    model_error.model_error_figure(findings.analytic, findings.rendered),
                     "The sign of the error: small_plane makes distances too short. Exact contours "
                     "(lines; dotted: square beam) and spots measured in rendered frames of the "
                     "ideal cone (dots, at the rendered distances). Every model is given the true "
                     "k, b, c and r. The paper puts the pinhole F on the eyeball's sphere in its "
                     "equation for FP, and at the eyeball's centre in the caption of the figure "
                     "that goes with it; a real microscope has z_F near 200 mm. Dashed: "
-                    f"{ACCEPTABLE_ERROR_MM} mm.",
+                    f"{paper.ACCEPTABLE_ERROR_MM} mm.",
                     data="model_error.csv",
                 ),
             ),
@@ -640,7 +594,7 @@ def report(findings: ValidateFindings) -> Report:
         ],
         data={
             "model_error.csv": pd.concat([findings.analytic, findings.rendered]),
-            "rendered_accuracy.csv": accuracy(findings.rendered),
+            "rendered_accuracy.csv": model_error.accuracy(findings.rendered),
             "table_1.csv": findings.planes,
             "table_2.csv": findings.spheres,
             "spots.csv": spots,
@@ -652,31 +606,34 @@ def report(findings: ValidateFindings) -> Report:
 def _reached(findings: ValidateFindings, model: str, height: float) -> float:
     """The c at which a model's error on exact contours reaches the acceptable one, mm, or NaN."""
     own = where(findings.analytic, model=model, z_f_mm=height)
-    return limit_eccentricity(own, ACCEPTABLE_ERROR_MM)
+    return model_error.limit_eccentricity(own, paper.ACCEPTABLE_ERROR_MM)
 
 
 def _answer(findings: ValidateFindings) -> str:
-    low, high = (_reached(findings, "small_plane", height) for height in PINHOLE_HEIGHTS_MM)
+    low, high = (_reached(findings, "small_plane", height) for height in paper.PINHOLE_HEIGHTS_MM)
     exact = findings.rendered.error_mm[findings.rendered.model == "exact"]
     return (
-        f"With the paper's model a distance is off by {ACCEPTABLE_ERROR_MM:g} mm from c = "
+        f"With the paper's model a distance is off by {paper.ACCEPTABLE_ERROR_MM:g} mm from c = "
         f"{number(low, 1)} mm on, and under a real microscope from c = {number(high, 1)} mm on; "
-        f"the exact geometry gives it within {number(largest(exact), 3)} mm on all "
+        f"the exact geometry gives it within {number(paper.largest(exact), 3)} mm on all "
         f"{len(exact)} rendered spots of the ideal cone."
     )
 
 
-def _kept(findings: ValidateFindings) -> Table:
+def _kept(findings: ValidateFindings) -> page.Table:
     """Up to which c each model keeps the acceptable error."""
     most = findings.analytic.c_mm.max()
     rows = []
-    for model in COMPARED:
+    for model in model_error.COMPARED:
         reached = [_reached(findings, model, height) for height in _ANALYTIC_HEIGHTS_MM]
         rows.append((model, *(f"{most:g} +" if math.isnan(c) else number(c, 1) for c in reached)))
-    return Table(
-        [Column("model"), *(Column(f"z_F = {height:g} mm") for height in _ANALYTIC_HEIGHTS_MM)],
+    return page.Table(
+        [
+            page.Column("model"),
+            *(page.Column(f"z_F = {height:g} mm") for height in _ANALYTIC_HEIGHTS_MM),
+        ],
         rows,
-        f"Up to which c (mm) {ACCEPTABLE_ERROR_MM:g} mm is kept at all distances and tilts; + is "
+        f"Up to which c (mm) {paper.ACCEPTABLE_ERROR_MM:g} mm is kept at all distances and tilts; + is "
         "the end of the range.",
         data="model_error.csv",
     )
@@ -696,7 +653,7 @@ def _sentences(findings: ValidateFindings) -> Iterator[str]:
             "determine the distance there."
         )
     source = findings.sources[0]
-    if part := nearest_reproduction(findings, source=source, way=LITERAL):
+    if part := nearest_reproduction(findings, source=source, way=paper.LITERAL):
         low, high, criteria = part
         yield (
             f"The {source} read from {low:g} to {high:g} mm by the paper's fixed threshold meets "
@@ -704,16 +661,16 @@ def _sentences(findings: ValidateFindings) -> Iterator[str]:
         )
 
 
-def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
+def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
     if findings.planes.empty:
-        return Section("The paper's Tables I and II", "Too few spots for any fit.")
+        return page.Section("The paper's Tables I and II", "Too few spots for any fit.")
     about = ["source", "way", "trial"]
     line = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
     fit = ["standard_deviation_mm", "mean_absolute_error_mm", "max_error_mm"]
     beside = [[f"{papers}{name}" for name in of for papers in ("", "paper_")] for of in (line, fit)]
-    return Section(
+    return page.Section(
         "The paper's Tables I and II",
-        Table.of(
+        page.Table.of(
             findings.planes,
             [*about, *beside[0], "contact_radius_px", "spots"],
             "Table I: fits of d_r = δk e₁′ + b on the plane, and the paper's values for its own "
@@ -721,7 +678,7 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
             "value is minus the distance from the virtual apex to the tip.",
             data="table_1.csv",
         ),
-        Picture(
+        page.Picture(
             "plane_fit",
             plane_fit_figure(findings, spots),
             "Reading d_r against the measured semi-minor axis e₁′ on the plane, with each trial's "
@@ -729,7 +686,7 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> Section:
             "tip's rim touches.",
             data="spots.csv",
         ),
-        Table.of(
+        page.Table.of(
             findings.spheres,
             [*about, "c_true_mm", "c_fitted_mm", "c_expected_mm", *beside[1], "at_bound"],
             "Table II: fits of the small-plane model in the eyeball. δk and b come from all "
@@ -759,8 +716,10 @@ def validate(
     options, command = {"source": source}, "eyespot validate"
     study = Study("validate", out, quick=quick, seed=seed, options=options, command=command)
     sources = ("lens", "cone") if source == "both" else (source,)
-    trials = [t for kind in sources for t in paper_trials(source=kind, quick=quick, seed=seed)]
-    trials += grid_trials(quick=quick, seed=seed)
+    trials = [
+        t for kind in sources for t in paper.paper_trials(source=kind, quick=quick, seed=seed)
+    ]
+    trials += paper.grid_trials(quick=quick, seed=seed)
     with ThreadPoolExecutor(max_workers=1) as beside:
         # These take seconds and need no renderer, so they run beside the trials of the ideal cone.
         analytic = beside.submit(lambda: analytic_errors(quick=quick))

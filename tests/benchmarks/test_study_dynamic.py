@@ -21,7 +21,6 @@ from benchmarks.studies.dynamic import (
     LATENCIES_S,
     MOTIONS,
     PARTS,
-    DynamicFindings,
     speed_at,
 )
 from formats.microscope import MicroscopeFile
@@ -63,11 +62,11 @@ def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, late
     d = 2.0 + speed * time
     found = dynamic.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
     # Rounding of numbers near 10 mm.
-    assert found.latency == pytest.approx(-speed * latency, abs=1e-12)
+    assert found["latency"] == pytest.approx(-speed * latency, abs=1e-12)
     # The latest pose of a 200 Hz track is 2.5 ms old there.
-    assert found.stamps == pytest.approx(speed * 0.0025, abs=1e-12)
-    assert found.rest == found.blur == 0.0
-    assert found.error == pytest.approx(found.stamps + found.latency, abs=1e-12)
+    assert found["stamps"] == pytest.approx(speed * 0.0025, abs=1e-12)
+    assert found["rest"] == found["blur"] == 0.0
+    assert found["error"] == pytest.approx(found["stamps"] + found["latency"], abs=1e-12)
 
 
 def test_a_tip_at_rest_has_no_error_of_time():
@@ -79,9 +78,9 @@ def test_a_tip_at_rest_has_no_error_of_time():
 def test_the_parts_sum_to_the_error():
     for estimate, frozen, d, stamped, late in np.random.default_rng(1).uniform(1, 6, (50, 5)):
         found = dynamic.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
-        total = found.rest + found.blur + found.stamps + found.latency
-        assert found.error == pytest.approx(total, abs=1e-12)
-        assert found.error == estimate - late
+        total = sum(found[part] for part in PARTS)
+        assert found["error"] == pytest.approx(total, abs=1e-12)
+        assert found["error"] == estimate - late
 
 
 def test_the_robot_reads_the_distance_along_its_beam():
@@ -210,15 +209,9 @@ def drawn(*, blur: float, late: float) -> pd.DataFrame:
 
 
 def claimed(rows: pd.DataFrame) -> dict[str, Claim]:
-    findings = DynamicFindings(
-        scene=SCENE,
-        exposure_ms=20.0,
-        sources=("cone",),
-        speeds=SPEEDS,
-        errors=rows,
-        spreads=dynamic.spreads(rows, SPEEDS),
-    )
-    return {claim.name: claim for claim in dynamic.report(findings).claims}
+    sizes = dynamic.spreads(rows, SPEEDS)
+    made = dynamic.report(rows, sizes, exposure_ms=20.0, camera_hz=30.0)
+    return {claim.name: claim for claim in made.claims}
 
 
 def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_larger():

@@ -17,21 +17,9 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks import reporting as page
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.reporting import (
-    BLUE,
-    GREY,
-    STYLE,
-    VERMILION,
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    grouped,
-    write_page,
-)
+from benchmarks.reporting import grouped
 from benchmarks.sets.read import Mode, stacks_of
 from benchmarks.sets.score.judging import (
     ALL,
@@ -148,21 +136,21 @@ _QUANTITIES = {
 """Title, unit and format of the ranked quantities."""
 
 _SHOWN = {
-    "rank": Column("rank"),
-    "entry": Column("entry"),
-    "median": Column("median |e|"),
-    "ninth_decile": Column("90 % of |e|"),
-    "rmse": Column("RMSE if found"),
-    "missed": Column("missed"),
-    "false_spots": Column("false spots"),
-    "within_1_sigma": Column("within 1 σ"),
-    "within_196_sigma": Column("within 1.96 σ"),
-    "over_bound": Column("error / bound"),
-    "ms_per_frame": Column("ms per frame"),
+    "rank": page.Column("rank"),
+    "entry": page.Column("entry"),
+    "median": page.Column("median |e|"),
+    "ninth_decile": page.Column("90 % of |e|"),
+    "rmse": page.Column("RMSE if found"),
+    "missed": page.Column("missed"),
+    "false_spots": page.Column("false spots"),
+    "within_1_sigma": page.Column("within 1 σ"),
+    "within_196_sigma": page.Column("within 1.96 σ"),
+    "over_bound": page.Column("error / bound"),
+    "ms_per_frame": page.Column("ms per frame"),
 }
 
 
-def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: str) -> Report:
+def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: str) -> page.Report:
     """The report of a leaderboard.
 
     Raises:
@@ -178,7 +166,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         }
         for entry in entries.values()
     )
-    first: list[Picture | Table] = []
+    first: list[page.Picture | page.Table] = []
     claims, sections, by_condition, ranks = [], [], [], []
     data: dict[str, pd.DataFrame | None] = {}
     for quantity, (title, unit, form) in _QUANTITIES.items():
@@ -190,21 +178,21 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         shown = _shown(total, form)
         best, text = total.iloc[0], shown["median"].iloc[0]
         claims.append(
-            Claim(
+            page.Claim(
                 name=title,
                 sentence=f"{best.entry} has the least median error: {text} {unit}. It misses "
                 f"{100 * best.missed:.1f} % of {best.visible} visible spots.",
                 value=best["median"],
             )
         )
-        picture = Picture(
+        picture = page.Picture(
             f"standings_{quantity}",
             _drawn(total, unit),
             f"{title}: median error of all visible images, and coverage of the stated standard "
             "deviations, each with its 95 % interval.",
             "leaderboard.csv",
         )
-        table = Table.of(
+        table = page.Table.of(
             shown,
             _SHOWN,
             f"{title} ({unit}), on {best.visible} visible images; missed and within are in %, "
@@ -214,11 +202,11 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
             "are as the entries state them, or wall times of this run.",
             data="leaderboard.csv",
         )
-        sections.append(Section(title, table, *([picture] if first else [])))
+        sections.append(page.Section(title, table, *([picture] if first else [])))
         if not first:
             columns = {key: _SHOWN[key] for key in ("rank", "entry", "median", "missed")}
             caption = f"{title} ({unit}), with 95 % intervals; missed in %."
-            first = [picture, Table.of(shown, columns, caption, data="standings.csv")]
+            first = [picture, page.Table.of(shown, columns, caption, data="standings.csv")]
             data["standings.csv"] = shown
         by_condition.append(_by_condition(title, unit, form, ranked))
         ranked.insert(0, "quantity", quantity)
@@ -227,15 +215,17 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         every = pd.concat(ranks, ignore_index=True)
         data["leaderboard.csv"] = every[every.condition == ALL]
         data["leaderboard_by_condition.csv"] = every
-    about = {key: Column(key) for key in ("entry", "command", "versions", "seed")}
-    how = Table.of(made, about, "As the entries state it in entry.json.", data="leaderboard.csv")
-    return Report(
+    about = {key: page.Column(key) for key in ("entry", "command", "versions", "seed")}
+    how = page.Table.of(
+        made, about, "As the entries state it in entry.json.", data="leaderboard.csv"
+    )
+    return page.Report(
         title=f"Leaderboard of {name}",
         answer=claims[0].text if claims else "",
         lead=f"Compared with the true ellipse {result.against}. {_RULE}",
         first=first,
         claims=claims,
-        sections=[*sections, *by_condition, Section("How the entries were made", how)],
+        sections=[*sections, *by_condition, page.Section("How the entries were made", how)],
         data=data | {"score.csv": None},
     )
 
@@ -261,7 +251,7 @@ def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:
     return found[[*_SHOWN, "command", "versions", "seed"]]
 
 
-def _by_condition(title: str, unit: str, form: str, found: pd.DataFrame) -> Section:
+def _by_condition(title: str, unit: str, form: str, found: pd.DataFrame) -> page.Section:
     names = found.entry[found.condition == ALL]
     rows = []
     for (condition, group), placed in grouped(found, "condition", "group"):
@@ -272,10 +262,10 @@ def _by_condition(title: str, unit: str, form: str, found: pd.DataFrame) -> Sect
             for rank, median in zip(of["rank"], of["median"], strict=True)
         ]
         rows.append((about, group, placed.visible.iloc[0], *cells))
-    columns = [Column(text) for text in ("condition", "group", "visible", *names)]
+    columns = [page.Column(text) for text in ("condition", "group", "visible", *names)]
     caption = f"Rank, and in brackets the median error ({unit}), by condition."
-    table = Table(columns, rows, caption, "leaderboard_by_condition.csv")
-    return Section(f"{title}: ranks by condition", table)
+    table = page.Table(columns, rows, caption, "leaderboard_by_condition.csv")
+    return page.Section(f"{title}: ranks by condition", table)
 
 
 def _drawn(total: pd.DataFrame, unit: str) -> Figure:
@@ -296,16 +286,16 @@ def _drawn(total: pd.DataFrame, unit: str) -> Figure:
         axes.plot(middle, places, "o", color=colour, label=label)
         axes.hlines(places, low, high, color=colour)
 
-    points(left, "median", BLUE, "median")
+    points(left, "median", page.BLUE, "median")
     if (total["median"] > 0).any():
         left.set_xscale("log")
     left.set(xlabel=f"median |e| ({unit})", ylim=(len(total) - 0.5, -0.5))
     left.set_yticks(places, [in_figure(name) for name in total.entry])
     for name, ideal, colour, label in (
-        ("within_1_sigma", _ONE, BLUE, "within 1 σ"),
-        ("within_196_sigma", _WIDE, VERMILION, "within 1.96 σ"),
+        ("within_1_sigma", _ONE, page.BLUE, "within 1 σ"),
+        ("within_196_sigma", _WIDE, page.VERMILION, "within 1.96 σ"),
     ):
-        right.axvline(100 * ideal, color=GREY, ls="--", lw=0.8)
+        right.axvline(100 * ideal, color=page.GREY, ls="--", lw=0.8)
         points(right, name, colour, label, scale=100.0)
     right.set(xlabel="errors within the stated σ (%)", xlim=(0, 102))
     right.legend(loc="best")
@@ -381,8 +371,8 @@ def run(
         words += ["--unrelated"] * unrelated
         given_options = [[f"--{name}", value] for name, value in options.items() if value]
         words += [*chain(*given_options), "--against", against]
-        with matplotlib.rc_context(STYLE):
-            write_page(
+        with matplotlib.rc_context(page.STYLE):
+            page.write_page(
                 whole,
                 leaderboard(result, found, name=in_utf8(folder.resolve().name)),
                 command=shlex.join(map(str, words)),
