@@ -77,15 +77,9 @@ class AxisPrior(StrEnum):
     NONE = "none"
     KNOWN = "axis known"
 
-    @property
-    def sigma_rad(self) -> float:
-        """The solver's standard deviation of the prior across the axis, rad."""
-        return {
-            AxisPrior.ROUGH: math.radians(PRIOR_DEG),
-            AxisPrior.NONE: 1e6,
-            AxisPrior.KNOWN: 1e-6,
-        }[self]
 
+SIGMA_RAD = {AxisPrior.ROUGH: math.radians(PRIOR_DEG), AxisPrior.NONE: 1e6, AxisPrior.KNOWN: 1e-6}
+"""The solver's standard deviation of a prior across the axis, rad."""
 
 _MIRRORED_DEG = 2.0
 """An axis farther off than this, and nearer to the mirror image than to the truth, is mirrored."""
@@ -160,7 +154,7 @@ class Estimate(NamedTuple):
 
 
 def pose_error(
-    place: Place, found: Estimate, *, covariance: np.ndarray, **about: Any
+    place: Place, found: Estimate, *, covariance: np.ndarray, noise_px: float, **about: Any
 ) -> dict[str, Any]:
     """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
 
@@ -170,10 +164,10 @@ def pose_error(
 
     Args:
         covariance: the bound, of tip and axis or of the tip only.
-        about: the first columns: source, spots, prior, z_f_mm; and noise_px, of the contour's
-            points.
+        noise_px: of the contour's points.
+        about: the first columns: source, spots, prior, z_f_mm.
     """
-    true, noise_px = np.asarray(place.pose.axis), about.pop("noise_px")
+    true = np.asarray(place.pose.axis)
     return {
         **about,
         "c_mm": place.c_mm,
@@ -263,37 +257,31 @@ def errors(
     noisy = clean + noise[..., None] * np.asarray(contour_normals(clean))
     drawn = np.stack([drawn_prior(np.asarray(place.pose.axis), rng) for place in every])
     truth = np.stack([np.asarray(place.pose.axis) for place in every])
-    return [
-        pose_error(
-            place,
-            found,
-            source="analytic",
-            spots=tool.cones,
-            prior=prior,
-            z_f_mm=float(view.pinhole_height),
-            noise_px=NOISE_PX,
-            covariance=covariance,
-        )
-        for prior, axes, covariances in (
-            (AxisPrior.ROUGH, drawn, bounds),
-            (AxisPrior.NONE, drawn, bounds),
-            (AxisPrior.KNOWN, truth, known),
-        )
-        for place, found, covariance in zip(
-            every, _solved(tool, noisy, axes, prior.sigma_rad, wall, view), covariances, strict=True
-        )
-    ]
+    height = float(view.pinhole_height)
+    rows = []
+    for prior, axes, covariances in (
+        (AxisPrior.ROUGH, drawn, bounds),
+        (AxisPrior.NONE, drawn, bounds),
+        (AxisPrior.KNOWN, truth, known),
+    ):
+        found = _solved(tool, noisy, axes, prior, wall, view)
+        about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
+        for place, one, covariance in zip(every, found, covariances, strict=True):
+            row = pose_error(place, one, covariance=covariance, noise_px=NOISE_PX, **about)
+            rows.append(row)
+    return rows
 
 
 def _solved(
     tool: Tool,
     noisy: np.ndarray,
     axes: np.ndarray,
-    sigma: float,
+    prior: AxisPrior,
     wall: optics.Sphere,
     view: optics.Microscope,
 ) -> list[Estimate]:
     """Estimates at all places; the distance's sigma is NaN for several spots."""
+    sigma = SIGMA_RAD[prior]
     if tool.cones == 1:
         best = _one_by_contour(
             noisy[:, 0], axes, np.asarray(sigma), wall, view, tool.half_angle, tool.apex_offset
@@ -416,8 +404,11 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
         )
 
     def track(name: str, stack: Stack) -> tuple[MicroscopeFile, list[Spot | NoSpot]]:
-        microscope = read_microscope(stack.folder / "microscope.json")
-        return microscope, _spots(stack, study.spots_file(name))
+        # Single frames, since a tracker rejects the jumps from one frame to the next.
+        images, settings = map(stack.image, stack.labels), SubpixelSettings()
+        found = [measured(image, TrackState(), settings)[0] for image in images]
+        write_results(study.spots_file(name), stack.labels, found, mode="subpixel")
+        return read_microscope(stack.folder / "microscope.json"), found
 
     rng = np.random.default_rng([study.seed, 2])
     rows = []
@@ -432,15 +423,6 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
                 if len(found) == tool.cones:
                     rows += _errors(tool, place, found, prior, ranger)
     return rows
-
-
-def _spots(stack: Stack, file: Path) -> list[Spot | NoSpot]:
-    """Spots of single frames, since a tracker rejects the jumps from one frame to the next."""
-    results = [
-        measured(stack.image(label), TrackState(), SubpixelSettings())[0] for label in stack.labels
-    ]
-    write_results(file, stack.labels, results, mode="subpixel")
-    return results
 
 
 def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
@@ -483,14 +465,15 @@ def _errors(
         )
         # With a fixed axis the ranger may end with the cone's apex on the wall; see `fit_tool`.
         if tool.cones == 1 and not known:
-            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=kind.sigma_rad)
+            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=SIGMA_RAD[kind])
             pose = alone.poses[0]
             found = Estimate(pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm)
         else:
-            ellipses = _ellipses_of(seen)
+            x, y, *columns = jnp.array([spot.ellipse for spot in seen]).T
+            ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
             covariances = np.asarray(_mismatch_covariances(ellipses, spread))
-            led = optics.DirectionPrior(jnp.asarray(axis), kind.sigma_rad)
+            led = optics.DirectionPrior(jnp.asarray(axis), SIGMA_RAD[kind])
             fit = fit_tool(tool, ellipses, covariances, surface, view, led)
             # A shift of the tip along the wall does not change the distance, to first order.
             per_mm = place.outward / float(place.outward @ true)
@@ -512,15 +495,6 @@ def _errors(
     return rows
 
 
-def _ellipses_of(spots: list[Spot]) -> optics.Ellipse:
-    return optics.Ellipse(
-        centre=jnp.array([[spot.x_px, spot.y_px] for spot in spots]),
-        semi_major=jnp.array([spot.semi_major_px for spot in spots]),
-        semi_minor=jnp.array([spot.semi_minor_px for spot in spots]),
-        angle=jnp.array([spot.angle_rad for spot in spots]),
-    )
-
-
 @partial(jax.jit, static_argnums=0)
 def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
     lit = tool_beams(tool, pose)
@@ -530,7 +504,6 @@ def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
 _mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
 
 
-SOURCES = ("analytic", "rendered")
 NAMES = {1: "one spot", 3: "three spots"}
 REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
 """Required root mean square errors of rendered spots."""
@@ -644,21 +617,17 @@ def _by_incidence(errors: pd.DataFrame) -> Figure:
 _FILE = "pose_error.csv"
 
 
-_COLUMNS = (
-    "source spots prior z_f_mm poses mirrored tip_mm tip_mean_mm tip_bound_mm tip_all_mm axis_deg "
-    "axis_mean_deg axis_bound_deg distance_mm sigma_distance_mm"
-).split()
-_FIRST = "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split()
-
-
 def _report(errors: pd.DataFrame) -> page.Report:
     keys = ["prior", "source", "spots", "z_f_mm"]
     # A summary by prior, source, number of spots and pinhole.
     scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
-    rough = where(scatters, prior=AxisPrior.ROUGH)
+    one, three = (_summary(errors, "rendered", spots, AxisPrior.ROUGH) for spots in REPORTED)
     return page.Report(
         title="How accurately do one spot and three spots give the tool's pose?",
-        answer=_answer(errors),
+        answer=f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis "
+        f"to {number(one.axis_deg, 3)}°, three spots give them to "
+        f"{number(1e3 * three.tip_mm, 1)} µm and {number(three.axis_deg, 3)}° (root mean square, "
+        f"the direction known to {PRIOR_DEG:g}°).",
         lead="Tip and axis, five parameters, of an ideal cone: from exact contours with noise of "
         f"{NOISE_PX:g} px across each of 128 points over a working volume of 10 × 10 × 5 mm, and "
         "from rendered frames of an even wall. Three spots are three such cones on one rigid tool, "
@@ -675,8 +644,8 @@ def _report(errors: pd.DataFrame) -> page.Report:
                 data=_FILE,
             ),
             page.Table.of(
-                rough,
-                _FIRST,
+                where(scatters, prior=AxisPrior.ROUGH),
+                "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split(),
                 "Root mean square errors and bounds, without mirrored solutions.",
                 data=_FILE,
             ),
@@ -687,25 +656,19 @@ def _report(errors: pd.DataFrame) -> page.Report:
                 "The mirror solution",
                 page.Table.of(
                     scatters,
-                    _COLUMNS,
+                    scatters.columns,
                     "Root mean square errors with every prior: how often the mirrored solution is "
                     "taken, and the tip's error without and with it.",
                     data=_FILE,
                 ),
-                _MIRROR,
+                "A beam that is tilted the other way explains a spot almost as well, at the same "
+                "distance but with another tip. For one spot the two differ only in the contour's "
+                "deviation from an ellipse. This deviation decreases with the incidence, and an "
+                "estimator that reports ellipses does not measure it. For three splayed spots "
+                "their positions distinguish the two solutions.",
             ),
         ],
         data={_FILE: errors},
-    )
-
-
-def _answer(errors: pd.DataFrame) -> str:
-    one, three = (_summary(errors, "rendered", spots, AxisPrior.ROUGH) for spots in REPORTED)
-    return (
-        f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis to "
-        f"{number(one.axis_deg, 3)}°, three spots give them to {number(1e3 * three.tip_mm, 1)} µm "
-        f"and {number(three.axis_deg, 3)}° (root mean square, the direction known to "
-        f"{PRIOR_DEG:g}°)."
     )
 
 
@@ -715,7 +678,7 @@ def _summary(errors: pd.DataFrame, source: str, spots: int, prior: AxisPrior) ->
 
 
 def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
-    for source, (spots, (tip, axis)) in product(SOURCES, REPORTED.items()):
+    for source, (spots, (tip, axis)) in product(("analytic", "rendered"), REPORTED.items()):
         found = _summary(errors, source, spots, AxisPrior.ROUGH)
         yield page.Claim(
             name=f"{source}, {NAMES[spots]}, tip",
@@ -780,14 +743,6 @@ def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
         f"is off by {free.distance_mm:.4f} mm without a prior, mirrored solutions included.",
         value=free.mirrored,
     )
-
-
-_MIRROR = (
-    "A beam that is tilted the other way explains a spot almost as well, at the same distance but "
-    "with another tip. For one spot the two differ only in the contour's deviation from an "
-    "ellipse. This deviation decreases with the incidence, and an estimator that reports ellipses "
-    "does not measure it. For three splayed spots their positions distinguish the two solutions."
-)
 
 
 # The command.
