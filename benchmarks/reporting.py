@@ -6,7 +6,6 @@ import base64
 import io
 import math
 import re
-import string
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -134,31 +133,16 @@ def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
 
 def number(value: float, digits: int = 2) -> str:
     """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
-    return _typeset(value, f".{digits}f")
-
-
-class _Formatter(string.Formatter):
-    """Fills "{tip:.3f}" in by `number`; the members of a sequence are separated by commas."""
-
-    def format_field(self, value: Any, format_spec: str) -> str:
-        if isinstance(value, list | tuple):
-            return ", ".join(self.format_field(item, format_spec) for item in value)
-        if isinstance(value, str):
-            return value
-        return _typeset(value, format_spec)
+    if not math.isfinite(value):
+        return "–"
+    text = format(value, f".{digits}f")
+    is_zero = not any(digit in text for digit in "123456789")
+    return text.lstrip("+-") if is_zero else text.replace("-", "−")
 
 
 def listed(values: float | Iterable[float], spec: str) -> str:
     """Numbers of a sentence, separated by commas."""
     return ", ".join(format(value, spec) for value in np.atleast_1d(np.asarray(values)).tolist())
-
-
-def _typeset(value: float, spec: str) -> str:
-    if not math.isfinite(value):
-        return "–"
-    text = format(value, spec)
-    is_zero = not any(digit in text for digit in "123456789")
-    return text.lstrip("+-") if is_zero else text.replace("-", "−")
 
 
 # Parts of a report.
@@ -170,11 +154,10 @@ class Claim:
 
     Attributes:
         name: subject of the claim, the same in every run.
-        sentence: template for `value` and `numbers`: "The largest error is {value:.2f} mm."
+        sentence: what was found, with its numbers in ASCII; `text` typesets them.
         value: measured value; if there are several, each must lie within the bounds.
         low: least value for which the claim holds.
         high: greatest value for which the claim holds.
-        numbers: further values of the sentence by name: numbers, texts, rows ("{row.field:.2f}").
     """
 
     name: str
@@ -182,7 +165,6 @@ class Claim:
     value: float | tuple[float, ...] = math.nan
     low: float = -math.inf
     high: float = math.inf
-    numbers: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool | None:
@@ -194,24 +176,15 @@ class Claim:
 
     @property
     def text(self) -> str:
-        """The sentence with its numbers."""
-        bounds = {"value": self.value, "low": self.low, "high": self.high}
-        text = self.sentence
-        if "{" in text:
-            text = _Formatter().vformat(self.sentence, (), {**bounds, **self.numbers})
-        text = re.sub(r"[+-]?\b(nan|inf)\b", "–", text)
-        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)  # zero has no sign
+        """The sentence with true minus signs, none for zero, and dashes for NaN and infinity."""
+        text = re.sub(r"[+-]?\b(nan|inf)\b", "–", self.sentence)
+        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
         return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
 
     @property
     def row(self) -> dict[str, Any]:
         """The claim for summary.json."""
-        keys = ("name", "text", "value", "low", "high", "holds")
-        numbers = {
-            name: item._asdict() if hasattr(item, "_asdict") else item
-            for name, item in self.numbers.items()
-        }
-        return {key: getattr(self, key) for key in keys} | {"numbers": numbers}
+        return {key: getattr(self, key) for key in "name text value low high holds".split()}
 
 
 class Column(NamedTuple):

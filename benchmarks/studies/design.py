@@ -249,21 +249,23 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
     x, y = (lambda column: shown[column][2]), "standard deviation of d (µm)"
     figure = small_multiples(draw, rows=[""], columns=list(shown), x=x, y=y)
     scores = tables["drops"].groupby("way").score
+    gain = math.exp(scores.min()["gradient"] - scores.min()["best random"])
     optimum = Claim(
         name="optimum",
-        sentence="The optimum's σ is {value:.2f} of that of the best of "
+        sentence=f"The optimum's σ is {gain:.2f} of that of the best of "
         f"{scores.size()['random']} random drops.",
-        value=math.exp(scores.min()["gradient"] - scores.min()["best random"]),
+        value=gain,
         high=1.0,
     )
     claims, blind = [optimum], tables.get("measured", pd.DataFrame({"lens": [], "mode": []}))
     for (lens, mode), rows in blind.groupby(["lens", "mode"], sort=False):
         found = rows[rows.doubt == ""]
+        ratio = rms(found.error_mm / found.sigma_mm)
         claim = Claim(
             name=f"{lens}, {mode}",
             sentence=f"In {len(found)} of {len(rows)} frames read blind, d is off by "
-            f"{{value:.2f}} times its bound (RMS), {1e3 * rms(found.error_mm):.1f} µm.",
-            value=rms(found.error_mm / found.sigma_mm),
+            f"{ratio:.2f} times its bound (RMS), {1e3 * rms(found.error_mm):.1f} µm.",
+            value=ratio,
             low=0.8 if mode == "pixels" else 0.0,
             high=1.2 if mode == "pixels" else math.inf,
         )

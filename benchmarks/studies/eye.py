@@ -27,7 +27,7 @@ import optics
 from benchmarks import reporting as page
 from benchmarks.model_error import ECCENTRICITY
 from benchmarks.paper import coalitions, shapley_values
-from benchmarks.reporting import grouped, number, rows_of, where
+from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import eye_paths
 from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
 from benchmarks.study import OutputFolder, Quick, Seed, Study
@@ -490,10 +490,9 @@ _RECIPES = (
     f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
     "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
     f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
-    f"from three withdrawals at c = {', '.join(f'{c:g}' for c in eye_paths.WITHDRAWALS_C_MM)} mm with nine "
-    "frames each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's "
-    "normal and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each "
-    "touch. "
+    f"from three withdrawals at c = {listed(eye_paths.WITHDRAWALS_C_MM, 'g')} mm with nine frames "
+    "each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's normal "
+    "and sideways; 0.1 px of noise on the centre and each semi-axis and 0.05 mm on each touch. "
     f"“{Recipe.EXACT_SCHEMATIC}” traces the spot through Navarro's eye onto its retina. "
     f"“{Recipe.AREA_SCHEMATIC}” uses the pinhole and the sphere that this fit finds in Navarro's "
     "eye. The recipes with “area” or “exact” look for the exact spot that has the ellipse's centre "

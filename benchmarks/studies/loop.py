@@ -276,10 +276,14 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
     depends = small_multiples(draw_errors, columns=list(labels), y="error (mm)", **how)
     alone = Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
     speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]
-    error = (
-        "The distance is kept to {value:.3f} mm (RMS). On a phantom 0.1 mm was published in 2021."
-    )
+    said = "The distance is kept to {:.3f} mm (RMS). On a phantom 0.1 mm was published in 2021."
+    claims = [
+        Claim(name=name, sentence=said.format(error), value=error, high=high)
+        for name, high in {"sub-pixel": 0.1, "pixels": 0.1, "literal": math.inf}.items()
+        for error in [by_run.rms_mm[name]]
+    ]
     touch = int((by_run.nearest_mm <= 0).sum())
+    contacts = Claim(name="contacts", sentence=f"{touch} runs touch the wall.", value=touch, high=0)
     return Report(
         title="What distance can a robot keep with this sensor?",
         answer=f"At {speed:g} mm/s along the wall, {SET_MM:g} mm are kept to {outline:.3f} mm "
@@ -292,12 +296,7 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
             Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
             Table.of(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
         ],
-        claims=[
-            Claim(name="contacts", sentence="{value} runs touch the wall.", value=touch, high=0),
-            Claim(name="sub-pixel", sentence=error, value=outline, high=0.1),
-            Claim(name="pixels", sentence=error, value=pixels, high=0.1),
-            Claim(name="literal", sentence=error, value=paper),
-        ],
+        claims=[contacts, *claims],
         sections=[Section("What the error depends on", alone)] if len(errors) > 7 else [],
         data={"runs.csv": errors, "loop.csv": rows},
     )
@@ -332,13 +331,9 @@ def loop(
             every.append(rows.assign(run=name))
             settled = rows[rows.time_s > SETTLED_S]
             error = (settled.d_mm - SET_MM).abs()[~settled.lost & ~settled.near]
-            found = (
-                rms(error),
-                error.quantile(0.95),
-                largest(error),
-                *settled.d_mm.agg(["min", "max"]),
-            )
-            errors.append(dict(zip(COLUMNS, (name, *found), strict=True)) | asdict(run))
+            ends = settled.d_mm.min(), settled.d_mm.max()
+            found = name, rms(error), error.quantile(0.95), largest(error), *ends
+            errors.append(dict(zip(COLUMNS, found, strict=True)) | asdict(run))
             if name == "pixels":
                 film.unlink(missing_ok=True)
                 with overlay_writer(film, rate_hz=run.rate_hz, response=Response()) as draw:
