@@ -9,8 +9,7 @@ DIR/expected.csv     standard deviations of the three by stated noise of their m
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from operator import add, itemgetter
 from typing import Any, NamedTuple
@@ -38,7 +37,6 @@ from benchmarks.studies.sensor_views import (
     PATHS,
     PINHOLE_HEIGHT_MM,
     RADIUS_MM,
-    REACH_PX,
     SCALE_MM_PX,
     WALL_PX,
     InstrumentPlace,
@@ -381,40 +379,16 @@ _RENDERED_D_MM, _QUICK_D_MM = [1.0, 3.0, 5.0], [1.0, 4.0]
 # What the page shows.
 
 
-@dataclass(frozen=True, kw_only=True)
-class SensorFindings:
-    """All results of a run.
+Tables = Mapping[str, pd.DataFrame]
+"""`expected`, `wrong` and `readings`, as in the CSV files."""
 
-    Attributes:
-        scene: the study's; its seed and its camera are used.
-        photographs: of the first wall, by path and distance.
-    """
 
-    scene: Scene
-    expected: pd.DataFrame
-    wrong: pd.DataFrame
-    readings: pd.DataFrame
-    photographs: dict[tuple[str, float], Pictures]
-
-    @property
-    def paths(self) -> list[str]:
-        """Names of the viewing paths."""
-        return list(dict.fromkeys(self.expected.path))
-
-    def sigma(self, sensor: Sensor, path: str) -> pd.Series:
-        """Standard deviations of the places that the sensor can read, mm."""
-        return where(self.expected, sensor=sensor, path=path, outcome=ReadingOutcome.READ).sigma_mm
-
-    def bias(self, sensor: Sensor, path: str, wrong: Wrong) -> pd.Series:
-        """Errors under one wrong assumption at the places that the sensor can read, mm."""
-        return where(self.wrong, sensor=sensor, path=path, wrong=wrong).error_mm
-
-    def summaries(self) -> pd.DataFrame:
-        """The readings by sensor, path and wall."""
-        read = self.readings.error_mm.abs().where(self.readings.outcome == ReadingOutcome.READ)
-        by = read.groupby([self.readings[key] for key in ("sensor", "path", "wall")], sort=False)
-        found = by.agg(asked="size", read="count", median_mm="median", largest_mm="max")
-        return found.reset_index()
+def summaries(readings: pd.DataFrame) -> pd.DataFrame:
+    """The readings by sensor, path and wall."""
+    read = readings.error_mm.abs().where(readings.outcome == ReadingOutcome.READ)
+    by = read.groupby([readings[key] for key in ("sensor", "path", "wall")], sort=False)
+    found = by.agg(asked="size", read="count", median_mm="median", largest_mm="max")
+    return found.reset_index()
 
 
 # Figures.
@@ -424,11 +398,11 @@ _MARKS = {Sensor.SPOT: "o", Sensor.SHADOW: "^", Sensor.STEREO: "s"}
 _SMALLEST_MM, _LARGEST_MM = 1e-4, 5.0
 
 
-def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> Figure:
+def by_path_figure(tables: Tables, *, wrong: Wrong | None = None) -> Figure:
     """Standard deviation against distance, or the error if something is wrong, for each path."""
-    rows, value = findings.expected, "sigma_mm"
+    rows, value = tables["expected"], "sigma_mm"
     if wrong is not None:
-        rows, value = where(findings.wrong, wrong=wrong), "error_mm"
+        rows, value = where(tables["wrong"], wrong=wrong), "error_mm"
 
     def draw(axes: Axes, _: str, path: str) -> None:
         if wrong is None:
@@ -455,9 +429,9 @@ def by_path_figure(findings: SensorFindings, *, wrong: Wrong | None = None) -> F
     )
 
 
-def reading_figure(findings: SensorFindings) -> Figure:
+def reading_figure(readings: pd.DataFrame) -> Figure:
     """|Error| of the rendered readings against distance: rows of paths, columns of walls."""
-    read = where(findings.readings, outcome=ReadingOutcome.READ)
+    read = where(readings, outcome=ReadingOutcome.READ)
 
     def draw(axes: Axes, path: str, wall: str) -> None:
         for sensor, colour in _COLOURS.items():
@@ -477,8 +451,8 @@ def reading_figure(findings: SensorFindings) -> Figure:
 
     return page.small_multiples(
         draw,
-        rows=findings.paths[:2],
-        columns=list(dict.fromkeys(findings.readings.wall)),
+        rows=readings.path.unique()[:2].tolist(),
+        columns=readings.wall.unique().tolist(),
         x=DISTANCE,
         y="|error| (mm)",
         height=2.2,
@@ -487,34 +461,37 @@ def reading_figure(findings: SensorFindings) -> Figure:
     )
 
 
-def photograph_figure(findings: SensorFindings) -> Figure:
-    """What the sensors see: the central image and the left one, a row for each path."""
-    distance = max(d for _, d in findings.photographs)
+def photograph_figure(
+    photographs: Mapping[tuple[str, float], Pictures], full_scale_dn: float
+) -> Figure:
+    """What the sensors see at the largest distance, a row for each of two paths."""
+    distance = max(d for _, d in photographs)
 
     def draw(axes: Axes, path: str, view: str) -> None:
-        photograph = np.asarray(getattr(findings.photographs[path, distance], view), float)
-        axes.imshow(np.clip(photograph / findings.scene.camera.full_scale_dn, 0.0, 1.0))
+        photograph = np.asarray(getattr(photographs[path, distance], view), float)
+        axes.imshow(np.clip(photograph / full_scale_dn, 0.0, 1.0))
         axes.set_axis_off()
 
+    paths = list(dict.fromkeys(path for path, _ in photographs))[:2]
+    views = ["left", "centre", "right"]
     return page.small_multiples(
-        draw,
-        rows=findings.paths[:2],
-        columns=["left", "centre", "right"],
-        x="",
-        y="",
-        height=2.6,
-        legend_columns=0,
+        draw, rows=paths, columns=views, x="", y="", height=2.6, legend_columns=0
     )
 
 
 # The page.
 
 
-def report(findings: SensorFindings) -> page.Report:
-    """The report of a run."""
+def _report(
+    tables: Tables, photographs: Mapping[tuple[str, float], Pictures], full_scale_dn: float
+) -> page.Report:
+    readings = tables["readings"]
+    rows, path = where(readings, outcome=ReadingOutcome.READ), readings.path.iloc[0]
+    sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
+    medians = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
     return page.Report(
         title="Which is the best sensor of the distance: the spot, the shadow, or a stereo pair?",
-        answer=_answer(findings),
+        answer=f"In rendered pictures the median error of a distance is {medians}.",
         lead="The same distance d, from the instrument's tip to the wall along its axis, is read "
         "from the spot of its own light, from the shadow of its tip under a light guide, and from "
         f"a stereo pair with {CONVERGENCE_DEG:g}° between the lines of sight, by the same "
@@ -523,7 +500,7 @@ def report(findings: SensorFindings) -> page.Report:
         first=[
             page.Picture(
                 "noise",
-                by_path_figure(findings),
+                by_path_figure(tables),
                 "The spot is the most precise of the three sensors. Standard deviation of d, for "
                 f"noise of {CONTOUR_PX:g} px for each of 128 points of the spot's edge, "
                 f"{MARK_PX:g} px in x and y for a tip and for a shadow's tip, {WALL_PX:g} px for "
@@ -533,27 +510,35 @@ def report(findings: SensorFindings) -> page.Report:
                 data="expected.csv",
             ),
             page.Table.of(
-                where(findings.summaries(), path=findings.paths[0]),
+                where(summaries(readings), path=path),
                 ["sensor", "wall", "asked", "read", "median_mm", "largest_mm"],
-                f"Readings from rendered pictures through {findings.paths[0]}.",
+                f"Readings from rendered pictures through {path}.",
                 data="readings.csv",
             ),
             page.Picture(
                 "photographs",
-                photograph_figure(findings),
+                photograph_figure(photographs, full_scale_dn),
                 "The instrument and its shadow, by the left half of the pair, the central "
                 "microscope, and the right half.",
                 inline="jpeg",
             ),
         ],
-        claims=list(_claims(findings)),
+        claims=list(_claims(**tables)),
         sections=[
-            page.Section("Methods", _METHODS),
+            page.Section(
+                "Methods",
+                "Spot: the exact spot with the ellipse's centre and area, as `--model area`. "
+                "Shadow: the line of sight of the shadow's tip meets the wall; from there a line "
+                "to the light guide meets the tip's line of sight at the tip. Stereo: two lines of "
+                "sight meet at the tip, two more on the wall below it. The labels say where marks "
+                f"are to within {sensor_views.REACH_PX:g} px and how outlines run; "
+                "docs/sensors.md says how the places are then measured.",
+            ),
             page.Section(
                 "What a wrong assumption gives",
                 page.Picture(
                     "path",
-                    by_path_figure(findings, wrong=Wrong.PATH),
+                    by_path_figure(tables, wrong=Wrong.PATH),
                     "Error without noise if the microscope's pinhole is known, but the viewing "
                     f"lens and the eye in front of it (z_F = {PINHOLE_HEIGHT_MM:g} mm) are not.",
                     data="wrong.csv",
@@ -563,42 +548,25 @@ def report(findings: SensorFindings) -> page.Report:
                 "Read from rendered pictures",
                 page.Picture(
                     "readings",
-                    reading_figure(findings),
+                    reading_figure(readings),
                     "Errors of the readings; a missing mark was not read.",
                     data="readings.csv",
                 ),
             ),
         ],
-        data={
-            "expected.csv": findings.expected,
-            "wrong.csv": findings.wrong,
-            "readings.csv": findings.readings,
-        },
+        data={f"{name}.csv": table for name, table in tables.items()},
     )
 
 
-_METHODS = (
-    "Spot: the exact spot with the ellipse's centre and area, as `--model area`. Shadow: the line "
-    "of sight of the shadow's tip meets the wall; from there a line to the light guide meets the "
-    "tip's line of sight at the tip. Stereo: two lines of sight meet at the tip, two more on the "
-    "wall below it. The labels say where marks are to within "
-    f"{REACH_PX:g} px and how outlines run; docs/sensors.md says how the places are then measured."
-)
-
-
-def _answer(findings: SensorFindings) -> str:
-    rows = where(findings.readings, outcome=ReadingOutcome.READ)
-    sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
-    listed = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
-    return f"In rendered pictures the median error of a distance is {listed}."
-
-
-def _claims(findings: SensorFindings) -> Iterator[page.Claim]:
-    named = ", ".join(Sensor)
-    for path in findings.paths:
-        sigmas = [findings.sigma(sensor, path) for sensor in Sensor]
+def _claims(
+    expected: pd.DataFrame, wrong: pd.DataFrame, readings: pd.DataFrame
+) -> Iterator[page.Claim]:
+    named, paths = ", ".join(Sensor), expected.path.unique().tolist()
+    for path in paths:
+        there = where(expected, path=path, outcome=ReadingOutcome.READ)
+        sigmas = [where(there, sensor=sensor).sigma_mm for sensor in Sensor]
         medians, seen = tuple(float(s.median()) for s in sigmas), [len(s) for s in sigmas]
-        places = len(where(findings.expected, sensor=Sensor.SPOT, path=path))
+        places = len(where(expected, sensor=Sensor.SPOT, path=path))
         yield page.Claim(
             name=f"noise, {path}",
             sentence=f"Through {path}, marks of the stated noise give {listed(medians, '.4f')} mm "
@@ -606,15 +574,16 @@ def _claims(findings: SensorFindings) -> Iterator[page.Claim]:
             f"{places} places.",
             value=medians,
         )
-    for path in findings.paths[1:]:
-        worst = tuple(largest(findings.bias(sensor, path, Wrong.PATH)) for sensor in Sensor)
+    for path in paths[1:]:
+        taken = where(wrong, path=path, wrong=Wrong.PATH)
+        worst = tuple(largest(where(taken, sensor=sensor).error_mm) for sensor in Sensor)
         yield page.Claim(
             name=f"unknown path, {path}",
             sentence=f"If {path} is taken for a pinhole, the largest errors are "
             f"{listed(worst, '.2f')} mm ({named}).",
             value=worst,
         )
-    lamp = largest(where(findings.wrong, wrong=Wrong.LAMP).error_mm)
+    lamp = largest(where(wrong, wrong=Wrong.LAMP).error_mm)
     yield page.Claim(
         name="light guide",
         sentence="A light guide 1 mm beside the place where it is thought to be changes the "
@@ -622,7 +591,7 @@ def _claims(findings: SensorFindings) -> Iterator[page.Claim]:
         value=lamp,
     )
     for sensor in Sensor:
-        rows = where(findings.readings, sensor=sensor)
+        rows = where(readings, sensor=sensor)
         done = where(rows, outcome=ReadingOutcome.READ).error_mm.abs()
         yield page.Claim(
             name=f"rendered, {sensor}",
@@ -636,7 +605,9 @@ def _claims(findings: SensorFindings) -> Iterator[page.Claim]:
 # The command.
 
 
-def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> SensorFindings:
+def sensors(
+    *, out: OutputFolder, quick: Quick = False, seed: Seed = None
+) -> dict[str, pd.DataFrame]:
     """Read one distance from the spot, from the instrument's shadow and from a stereo pair."""
     study = Study("sensors", out, quick=quick, seed=seed)
     paths = [*PATHS][:2] if quick else [*PATHS]
@@ -666,12 +637,10 @@ def sensors(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> Se
         readings = by_spots(study, every)
     with study.timed("render and measure shadows and stereo pairs"):
         others, kept = by_pictures(every)
-    findings = SensorFindings(
-        scene=study.scene,
-        expected=pd.concat(noise, ignore_index=True),
-        wrong=pd.concat(wrong, ignore_index=True),
-        readings=pd.DataFrame(readings + others, columns=READING),
-        photographs=kept,
-    )
-    study.publish(report, findings)
-    return findings
+    tables = {
+        "expected": pd.concat(noise, ignore_index=True),
+        "wrong": pd.concat(wrong, ignore_index=True),
+        "readings": pd.DataFrame(readings + others, columns=READING),
+    }
+    study.publish(_report, tables, kept, study.scene.camera.full_scale_dn)
+    return tables

@@ -8,6 +8,7 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 import optics
+from benchmarks.reporting import where
 from benchmarks.studies import sensor_views, sensors
 from benchmarks.studies.sensor_views import (
     CONVERGENCE_DEG,
@@ -135,7 +136,7 @@ def test_an_outline_is_found_where_it_is_drawn(inside, dark):
 
 @pytest.mark.slow
 def test_a_quick_study_finds_the_spot_best_and_stereo_last(tmp_path):
-    findings = sensors.sensors(out=tmp_path / "sensors", quick=True, seed=1)
+    tables = sensors.sensors(out=tmp_path / "sensors", quick=True, seed=1)
     claims = {
         c["name"]: c for c in json.loads((tmp_path / "sensors/summary.json").read_text())["found"]
     }
@@ -145,8 +146,9 @@ def test_a_quick_study_finds_the_spot_best_and_stereo_last(tmp_path):
     assert spot < 0.01 < shadow < 0.1 < stereo < 0.5
     # The shadow's geometry lies inside the eye, that of the pair outside of it.
     path = "flat contact lens"
-    wrong = {s: findings.bias(s, path, Wrong.PATH).abs().max() for s in Sensor}
+    taken = where(tables["wrong"], path=path, wrong=Wrong.PATH)
+    wrong = taken.error_mm.abs().groupby(taken.sensor).max()
     assert wrong[Sensor.SHADOW] < wrong[Sensor.SPOT] < wrong[Sensor.STEREO]
-    read = findings.readings[findings.readings.sensor == Sensor.SPOT]
+    read = where(tables["readings"], sensor=Sensor.SPOT)
     assert (read.outcome == ReadingOutcome.READ).all()
     assert read.error_mm.abs().max() < 0.02
