@@ -27,13 +27,11 @@ from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from calibration import Prior
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.command.choices import Choices
-from calibration.command.fitting import fit_recordings
 from calibration.pixels.data import Footage, read_footage
 from calibration.pixels.fit import fit_image
 from calibration.recordings import read_recording
 from calibration.solvers import least_squares
-from optics.wall_light.lens import lens_parameters, lens_toml
+from optics.wall_light.lens import lens_parameters
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
@@ -237,74 +235,6 @@ class BeamFit:
         began = time.perf_counter(), time.process_time()
         self.fit = fit_image(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
         self.seconds = time.perf_counter() - began[0], time.process_time() - began[1]
-
-
-@tracks(
-    refused=lambda bench, wall: bench.refused,
-    within_1_sigma=lambda bench, wall: float(np.mean(np.array(bench.z) < 1.0)),
-    within_3_sigma=lambda bench, wall: float(np.mean(np.array(bench.z) < 3.0)),
-    largest_z=lambda bench, wall: float(np.max(bench.z)),
-    seconds=lambda bench, wall: float(np.median(bench.seconds)),
-)
-class UnknownWall:
-    """Random lenses over walls that nobody knows, as `eyespot fit` finds them.
-
-    The fit knows the radii; sag and numerical aperture of its start are those of another lens
-    (full: 34 on each wall).
-    """
-
-    params = (["printed paper", "retina", "photograph"],)
-    param_names = ("wall",)
-    full = False
-
-    def setup(self, wall: str) -> None:
-        """Render and fit; z are errors of sag and numerical aperture over their sigma."""
-        load_mitsuba()
-        self.z, self.seconds, self.refused = [], [], 0
-        lenses = 34 if self.full else 3
-        for seed in range(lenses):
-            rng = np.random.default_rng([38, len(wall), seed])
-            core = rng.uniform(0.18, 0.25)
-            true = {"sag": rng.uniform(0.0, 0.15), "numerical_aperture": rng.uniform(0.09, 0.22)}
-            radii = {"core_radius": core, "aperture_radius": rng.uniform(core, 0.28)}
-            scene: dict[str, Any] = {
-                "seed": seed,
-                "phantom": {"wall": wall, "texture_seed": seed},
-                "source": {"kind": "lens", "medium": str(rng.choice(["air", "vitreous"]))},
-                "spot": {"eccentricity_mm": rng.uniform(0.0, 2.0), "incidence_deg": 15.0},
-                "motion": {"travel_mm": 4.0, "frames": 24},
-                "microscope": {
-                    "width_px": 400,
-                    "height_px": 400,
-                    "scale_mm_px": 0.0134,
-                    "pinhole_height_mm": float(rng.choice([11.5, 200.0])),
-                },
-                "exposures": {"kinds": ["metered"]},
-            }
-            with tempfile.TemporaryDirectory() as folder:
-                drop = _lens_file(Path(folder) / "lens.toml", **true, **radii)
-                start = _lens_file(
-                    Path(folder) / "start.toml", sag=0.05, numerical_aperture=0.14, **radii
-                )
-                scene["source"] |= {"lens": drop}
-                stack = Path(folder) / "stack"
-                render_stack(Scene.model_validate({"schema": 1, **scene}), stack)
-                begin = time.perf_counter()
-                fit = fit_recordings([stack], Choices(model="lens", lens=start))
-            self.seconds.append(time.perf_counter() - begin)
-            if not fit.good:
-                self.refused += 1
-                continue
-            found = fit.parameters
-            off = [(found.value[name] - value) / found.sigma[name] for name, value in true.items()]
-            self.z.append(np.abs(off))
-
-
-def _lens_file(path: Path, *, sag: float, **drop: float) -> str:
-    """The path of a lens file of a drop with its rim on the core's face."""
-    values = {**drop, "sag": sag, "rim_height": 0.0, "glue_index": 1.49}
-    path.write_text(lens_toml(values, provenance="a random drop of the bench"))
-    return str(path)
 
 
 # A lens through its own glass, with Mitsuba behind JAX.
