@@ -220,9 +220,7 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
     """Three withdrawals on the plane and three in the eyeball, with one kind of source.
 
     Args:
-        source: "lens" or "cone".
         quick: 9 frames a trial instead of 61.
-        seed: of camera noise and wall texture.
     """
     frames = 9 if quick else 61
     places: list[tuple[str, TrialKind, float]] = [
@@ -431,11 +429,7 @@ class Shot(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Photographer:
-    """Takes a rendered withdrawal's photographs and measures their spots.
-
-    Attributes:
-        stack: rendered with `exposures.keep_linear`.
-    """
+    """Takes a rendered withdrawal's photographs and measures their spots."""
 
     scene: Scene
     stack: Stack

@@ -77,7 +77,6 @@ def small_multiples(
         title: title of a panel; by default the row and the column.
         x: label of the axis below the last row, the same for all or by column.
         y: label of the axis left of the first column, the same for all or by row.
-        height: height of a panel, inches.
         legend_columns: number of columns of the legend below the panels; 0 for no legend.
         shared: `sharex` and `sharey` of `Figure.subplots`.
     """
@@ -231,7 +230,6 @@ class Table(NamedTuple):
 
     Attributes:
         rows: values, as many as there are columns.
-        data: CSV file with the data.
     """
 
     columns: Sequence[Column]
@@ -275,7 +273,6 @@ class Picture(NamedTuple):
     Attributes:
         figure: or several, which stand one below the other on a narrow screen.
         caption: its message first; "z_F" and "d_r" get their subscripts.
-        data: CSV file with the data.
         inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
     """
 
@@ -374,13 +371,10 @@ def write_page(
     """Write report.html, the report's CSV files, and its figures in figures/.
 
     Args:
-        folder: an existing folder without these files.
         report: the report; its figures use the style of the caller's `rc_context`.
-        command: command line that repeats the run.
         versions: versions of the packages that the results depend on.
         summary_file: file for programs, which the caller writes.
         study: the run, if it is one of a study, and the scene that it starts from.
-        scene_toml: likewise.
     """
     for name, frame in report.data.items():
         if frame is not None:

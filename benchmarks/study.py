@@ -179,14 +179,7 @@ class Study:
         return folder / f"{name}.csv"
 
     def reader(self, stack: Stack, scene: Scene, mode: str, **options: Any) -> Reader:
-        """A reader of a stack's frames that knows the true light of its scene.
-
-        Args:
-            stack: whose microscope file is used.
-            scene: of the stack.
-            mode: "subpixel", "literal" or "pixels".
-            options: others of `eyespot track`.
-        """
+        """A reader of a stack's frames that knows the true light of its scene."""
         calibration = self.folder / f"{stack.folder.name}.json"
         if not calibration.exists():
             write_calibration(calibration, true_calibration(scene))
@@ -205,8 +198,6 @@ class Study:
 
         Args:
             report: function that makes the report; its figures use the common style.
-            of: what it takes.
-            named: likewise.
         """
         with matplotlib.rc_context(STYLE), published(self.folder) as folder:
             self._write(report(*of, **named), folder)
@@ -255,7 +246,6 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
     """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
 
     Args:
-        out: the folder; created if missing.
         command: command of the run, for the message.
 
     Returns:
@@ -300,9 +290,6 @@ def finished_stack(
     scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
 ) -> Stack:
     """The scene's stack, rendered unless an earlier run finished it.
-
-    Args:
-        progress: called once for each frame.
 
     Raises:
         InputError: the folder has a stack of another scene.

@@ -56,7 +56,6 @@ def run_entries(
 
     Args:
         entries: names in `KINDS`; those that cannot run here are left out with a message.
-        splits: of the set; none for all.
 
     Raises:
         InputError: the input is invalid, or `out` exists.

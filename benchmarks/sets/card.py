@@ -167,11 +167,7 @@ _LICENCES = {
 
 
 def write_card(labelled: LabelledSet) -> None:
-    """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables.
-
-    Args:
-        labelled: a set with all its stacks.
-    """
+    """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables."""
     images = list(rows(labelled))
     tables = _tables(labelled, images)
     for split, lines in tables.items():

@@ -97,9 +97,6 @@ class OneCore(WorkerPlugin):
 
     Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores. With one core per
     worker, the threads of different workers do not compete.
-
-    Args:
-        first: index of the first worker's core.
     """
 
     def __init__(self, first: int) -> None:
@@ -204,7 +201,6 @@ class CostEstimate(NamedTuple):
 
     Attributes:
         size_bytes: size on disk without the data card.
-        processor_s: processor time of all cores.
         tried: number of images rendered for the estimate.
     """
 
@@ -280,7 +276,6 @@ def push_set(
 
     Args:
         repository: OWNER/NAME of a dataset repository.
-        private: whether a new repository is private.
         endpoint: address of the Hub (default: that of huggingface_hub).
 
     Returns:

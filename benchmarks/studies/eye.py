@@ -67,7 +67,6 @@ def path_errors(
         eyes: groups of eyes, each with a leading axis; all groups are joined. The first eye is the
             schematic one, which stands for all others where no calibration is made; it is
             calibrated without noise.
-        spots: c x d x tilts.
         seed: of the noise of the calibrations; None for none.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])

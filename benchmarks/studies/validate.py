@@ -49,12 +49,10 @@ class ValidateFindings:
     """All results of a run.
 
     Attributes:
-        stacks: folder of the trials' stacks.
         spots: of every trial in every way (columns trial, source, kind, group, way, and those of
             `paper.spots_of`).
         planes: content of table_1.csv: the fits of each source and way.
         spheres: content of table_2.csv.
-        analytic: model errors on exact contours.
         rendered: the same on measured spots of the ideal cone.
     """
 

@@ -333,9 +333,6 @@ class LearnedEstimator:
 
     It knows the light sources of the set that it was trained on, and no others: its distances are
     theirs.
-
-    Args:
-        trust: from the split `validation`.
     """
 
     def __init__(self, network: SpotNetwork, trust: Trust = UNJUDGED) -> None:

@@ -64,7 +64,6 @@ class Epoch(NamedTuple):
     """A line of the curve.
 
     Attributes:
-        epoch: its number, from 1.
         train: mean loss of its batches, without its weights (`network.loss`).
         validation: the same on the windows of the split `validation`.
         size_error: RMS error of the logarithm of the spot's mean radius, validation.
@@ -97,10 +96,8 @@ def train(
     """Train, or continue from the last epoch that `out` holds.
 
     Args:
-        samples: of the split `train`.
         validation: of the split `validation`; only reported.
         epochs: along which the learning rate falls to 0.
-        stop: the last epoch; None for all.
         seed: of the first weights and the order of the frames.
     """
     with jax.enable_x64(False):

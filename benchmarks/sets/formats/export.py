@@ -29,7 +29,6 @@ def export(
     """Write a set in another format, either completely or not at all.
 
     Args:
-        folder: a set or a stack.
         to: the format; see `benchmarks.sets.formats`.
         out: the file (hdf5) or folder to write; it must not exist.
         progress: called after each image with the total number of images.

@@ -167,7 +167,6 @@ def judge(
     count. An image without a record counts as an image without a spot.
 
     Args:
-        images: images of the set, see `images_of`.
         against: which of the two ellipses is the truth.
 
     Returns:
@@ -348,7 +347,6 @@ def score(
     """Compare estimators' spots with the labels of a set.
 
     Args:
-        images: images of the set, see `images_of`.
         spots: records of each estimator by image name, see `read_set_spots`.
         against: which of the two ellipses is the truth.
     """
@@ -399,7 +397,6 @@ def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame
 
     Args:
         judged: images of each entry, see `judge`.
-        quantity: one of `QUANTITIES`.
 
     Returns:
         Standings on all images, and by condition; conditions with one group are left out. Empty if

@@ -322,7 +322,6 @@ def run(
     """Score spots files, entries of a leaderboard and modes of our estimator on a set.
 
     Args:
-        folder: a set or a stack.
         spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
         entries: folder with entries, see `entries_in`.
         mode: mode of our estimator that measures the images first; "both" are the literal and the

@@ -320,7 +320,6 @@ class ScoredEstimator:
     """An estimator whose spots are scored.
 
     Attributes:
-        name: its name.
         spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
             this run.
         command: the command that wrote the spots; empty if not stated.
