@@ -8,9 +8,7 @@ DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
 
@@ -189,8 +187,11 @@ QUANTILE = 0.95
 """Share of the eyes that a recipe must serve."""
 _NM = 555.0
 _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
+_AT_3_MM = 3  # index of c = 3 mm
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
+_SOME = {"square": slice(1), "any": slice(None)}
+"""Which of the tilts count."""
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 47
 _CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
@@ -242,107 +243,78 @@ def _causes(
     return pd.DataFrame(rows, columns=["recipe", "c_mm", "cause", "share_mm"])
 
 
-# What the page shows.
+# The tables.
 
 
-@dataclass(frozen=True, kw_only=True)
-class EyeFindings:
-    """All results of a run.
+def tables_of(
+    paths: Mapping[str, PathErrors],
+    fields: Mapping[str, np.ndarray],
+    names: Sequence[str],
+    population: int,
+) -> dict[str, pd.DataFrame]:
+    """The tables of the page and of the CSV files.
 
-    Attributes:
-        eccentricities: c, mm.
-        names: of the eyes: Navarro's, the random ones, other schematic ones.
+    - `eye_errors`: median and 95 % of the largest |error| over the random eyes, if 95 % of them
+      show whole spots at that c; `tilt` is "square" for perpendicular beams only, "any" with tilts
+      of 30 degrees, too.
+    - `limits`: c up to which half or 95 % of the eyes stay within each limit, interpolated.
+    - `eyes`: what every eye shows behind every path; the errors are the largest at c = 3 mm over
+      distances and tilts, with the ellipse's area.
+    - `pinholes`: pinholes and fields of each path, over the random eyes.
+
+    Args:
         fields: largest c that each eye's dilated pupil shows, by path, mm.
-        causes: shares of the parts of the eye in one path.
+        names: of the eyes: Navarro's, the random ones, other schematic ones.
+        population: number of random eyes.
     """
-
-    eccentricities: np.ndarray
-    names: list[str]
-    population: int
-    paths: dict[str, PathErrors]
-    fields: dict[str, np.ndarray]
-    causes: pd.DataFrame
-    causes_path: str
-
-    @property
-    def random(self) -> slice:
-        """The random eyes among all."""
-        return slice(1, 1 + self.population)
-
-    @cached_property
-    def summaries(self) -> pd.DataFrame:
-        """Content of eye_errors.csv: median and 95 % of the largest |error| over the random eyes.
-
-        `tilt` is "square" for perpendicular beams only, "any" with tilts of 30 degrees, too; only
-        eyes in which the spots are whole count.
-        """
-        rows = []
-        tilts = {"square": slice(1), "any": slice(None)}
-        for path, recipe, tilt in product(self.paths, Recipe, tilts):
-            errors = np.abs(self.paths[path].errors[recipe][self.random, ..., tilts[tilt]])
+    random, errors, limits, eyes, pinholes = slice(1, 1 + population), [], [], [], []
+    for path, found in paths.items():
+        worst = {}
+        for recipe, tilt in product(Recipe, _SOME):
             # A spot that is not whole at any distance or tilt counts as not seen.
-            largest = errors.max(axis=(2, 3))
-            for c, values in zip(self.eccentricities.tolist(), largest.T, strict=True):
-                seen = values[np.isfinite(values)]
-                # A quantile of the few eyes that show the spot would not be the eyes'.
-                enough = len(seen) > QUANTILE * self.population
-                middle, high = np.quantile(seen, [0.5, QUANTILE]) if enough else (np.nan, np.nan)
-                rows.append((path, recipe, tilt, c, len(seen), middle, high))
-        columns = "path recipe tilt c_mm eyes median_mm p95_mm"
-        return pd.DataFrame(rows, columns=columns.split())
-
-    @cached_property
-    def limits(self) -> pd.DataFrame:
-        """Content of limits.csv: c up to which half or 95 % of the eyes stay within each limit.
-
-        Interpolated between the c of the grid.
-        """
-        keys = ["path", "recipe", "tilt"]
-        rows = [
-            (
-                *key,
-                *(
-                    crossing(self.eccentricities, own[curve].to_numpy(float), limit)
-                    for curve in ("median_mm", "p95_mm")
-                    for limit in LIMITS_MM
-                ),
-            )
-            for key, own in grouped(self.summaries, *keys)
-        ]
-        columns = [
-            f"{part}_{limit}_mm" for part in ("median", "within") for limit in ("0_1", "0_5")
-        ]
-        return pd.DataFrame(rows, columns=keys + columns)
-
-    @cached_property
-    def pinholes(self) -> pd.DataFrame:
-        """Pinholes and fields of each path, over the random eyes."""
-        rows = []
-        for path, found in self.paths.items():
-            kappas, fields = found.kappas[self.random], self.fields[path][self.random]
-            quantiles = np.quantile(fields, [0.05, 0.5, 0.95])
-            known = (path, found.paraxial_kappa, found.kappas[0])
-            rows.append((*known, kappas.mean(), kappas.std(), *quantiles))
-        columns = "path paraxial schematic mean deviation field_low field field_high"
-        return pd.DataFrame(rows, columns=columns.split())
-
-    @cached_property
-    def eyes(self) -> pd.DataFrame:
-        """Content of eyes.csv: what every eye shows behind every path.
-
-        The errors are the largest at c = 3 mm over distances and tilts, with the ellipse's area.
-        """
-        place = int(np.flatnonzero(self.eccentricities == 3.0)[0])
-        tables = []
-        for path, found in self.paths.items():
-            own, schematic = (
-                np.abs(found.errors[recipe][:, place]).max(axis=(1, 2))
-                for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC)
-            )
-            columns = {"path": path, "eye": self.names, "kappa_per_mm": found.kappas}
-            columns |= {"field_mm": self.fields[path], "fitted_error_mm": own}
-            tables.append(pd.DataFrame(columns | {"schematic_error_mm": schematic}))
-        return pd.concat(tables, ignore_index=True)
+            worst[recipe, tilt] = np.abs(found.errors[recipe][..., _SOME[tilt]]).max(axis=(2, 3))
+            by_c = pd.DataFrame(worst[recipe, tilt][random])
+            # A quantile of the few eyes that show the spot would not be the eyes'.
+            enough = by_c.count() > QUANTILE * population
+            curves = {
+                "median_mm": by_c.median().where(enough),
+                "p95_mm": by_c.quantile(QUANTILE).where(enough),
+            }
+            about = {"path": path, "recipe": recipe, "tilt": tilt}
+            of_c = {"c_mm": _ECCENTRICITIES_MM, "eyes": by_c.count(), **curves}
+            errors.append(pd.DataFrame(about | of_c))
+            reached = {
+                f"{part}_{limit:g}_mm".replace(".", "_"): crossing(
+                    _ECCENTRICITIES_MM, curves[curve].to_numpy(), limit
+                )
+                for part, curve in (("median", "median_mm"), ("within", "p95_mm"))
+                for limit in LIMITS_MM
+            }
+            limits.append(about | reached)
+        each = {"kappa_per_mm": found.kappas, "field_mm": fields[path]} | {
+            f"{name}_error_mm": worst[recipe, "any"][:, _AT_3_MM]
+            for name, recipe in (("fitted", Recipe.AREA), ("schematic", Recipe.AREA_SCHEMATIC))
+        }
+        eyes.append(pd.DataFrame({"path": path, "eye": names, **each}))
+        low, middle, high = np.quantile(fields[path][random], [0.05, 0.5, 0.95])
+        pinholes.append(
+            {
+                "path": path,
+                "paraxial": found.paraxial_kappa,
+                "schematic": found.kappas[0],
+                "mean": found.kappas[random].mean(),
+                "deviation": found.kappas[random].std(),
+                "field_low": low,
+                "field": middle,
+                "field_high": high,
+            }
+        )
+    return {
+        "eye_errors": pd.concat(errors, ignore_index=True),
+        "limits": pd.DataFrame(limits),
+        "eyes": pd.concat(eyes, ignore_index=True),
+        "pinholes": pd.DataFrame(pinholes),
+    }
 
 
 def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
@@ -358,6 +330,9 @@ def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
     share = (limit - error[first - 1]) / (error[first] - error[first - 1])
     return float(c[first - 1] + share * (c[first] - c[first - 1]))
 
+
+Tables = Mapping[str, pd.DataFrame]
+"""Of `tables_of`, and `causes`: shares of the parts of the eye behind `_CAUSES_PATH`."""
 
 # Figures.
 
@@ -376,22 +351,23 @@ _STYLES = {
 _SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
 
 
-def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
+def error_figure(tables: Tables, paths: Sequence[str]) -> Figure:
     """95 % of the eyes' largest errors against c: a row for each path, a column for the tilts."""
-    curves = findings.summaries.set_index(["path", "recipe", "tilt"]).p95_mm
+    curves = tables["eye_errors"].set_index(["path", "recipe", "tilt"]).p95_mm
+    pinholes = tables["pinholes"].set_index("path")[["field_low", "field", "field_high"]]
 
     def draw(axes: Axes, path: str, tilt: str) -> None:
-        low, middle, high = np.quantile(findings.fields[path][findings.random], [0.05, 0.5, 0.95])
+        low, middle, high = map(float, pinholes.loc[path])
         axes.axvspan(low, high, color="#EEEEEE", zorder=0)
         axes.axvline(middle, color=page.GREY, lw=0.8, label="largest c that a 7 mm pupil shows")
         for limit in LIMITS_MM:
             axes.axhline(limit, color=page.BLACK, lw=0.8, ls="--")
         for recipe, (colour, line) in _STYLES.items():
             curve = curves.loc[path, recipe, tilt]
-            (drawn,) = axes.plot(findings.eccentricities, curve, ls=line, marker="o", ms=3)
+            (drawn,) = axes.plot(_ECCENTRICITIES_MM, curve, ls=line, marker="o", ms=3)
             drawn.set(color=colour, label=recipe)
         axes.set_yscale("log")
-        axes.set_xlim(-0.2, findings.eccentricities[-1] + 0.2)
+        axes.set_xlim(-0.2, _ECCENTRICITIES_MM[-1] + 0.2)
         axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
 
     return page.small_multiples(
@@ -410,12 +386,17 @@ def error_figure(findings: EyeFindings, paths: Sequence[str]) -> Figure:
 # The page.
 
 
-def report(findings: EyeFindings) -> page.Report:
-    """The report of a run."""
+def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) -> page.Report:
+    """The report; `medians` are the random eyes' of small_plane at c = 3 mm and each distance."""
+    names = tables["pinholes"].path.tolist()
+    first = where(tables["limits"], path=names[0], tilt="any")
+    reached = first.set_index("recipe").within_0_5_mm
     return page.Report(
         title="How wrong is the distance when the microscope looks through the eye's own optics?",
-        answer=_answer(findings),
-        lead=f"Exact spots of a cone (k 20, b −5.117 mm) in {findings.population} random eyes of a "
+        answer=f"Through {names[0]}, 95 % of the eyes stay within 0.5 mm up to c = "
+        f"{number(reached[Recipe.AREA], 1)} mm with a pinhole fitted in the eye and the ellipse's "
+        f"area, and up to c = {number(reached[Recipe.SMALL_PLANE], 1)} mm with the paper's model.",
+        lead=f"Exact spots of a cone (k 20, b −5.117 mm) in {population} random eyes of a "
         "healthy adult population (Rozema et al. 2016) and in schematic eyes, seen by a microscope "
         "through a viewing lens, the cornea and the crystalline or an artificial lens. Each recipe "
         "says what has to be known of the eye. Errors are the largest over the distances and, "
@@ -423,7 +404,7 @@ def report(findings: EyeFindings) -> page.Report:
         first=[
             page.Picture(
                 "error",
-                error_figure(findings, [*findings.paths][:1] + [*findings.paths][3:4]),
+                error_figure(tables, names[:1] + names[3:4]),
                 "Fitting one pinhole in the eye and using the spot's area keeps the error small. "
                 "Largest error of 95 % of the eyes. Left: perpendicular beams; right: tilted, "
                 "too. Grey: the largest c that a pupil of 7 mm shows (5 to 95 % of the eyes); "
@@ -432,20 +413,20 @@ def report(findings: EyeFindings) -> page.Report:
                 data="eye_errors.csv",
             ),
             page.Table.of(
-                _first_path(findings)[::-1],
+                first[::-1],
                 ["recipe", "within_0_1_mm", "within_0_5_mm"],
                 f"c in mm up to which 95 % of the eyes stay within 0.1 and 0.5 mm, through "
-                f"{next(iter(findings.paths))}, tilted beams included.",
+                f"{names[0]}, tilted beams included.",
                 data="limits.csv",
             ),
         ],
-        claims=list(_claims(findings)),
+        claims=list(_claims(tables, medians)),
         sections=[
             page.Section(
                 "Error against eccentricity",
                 page.Picture(
                     "error_others",
-                    error_figure(findings, [*findings.paths][1:3] + [*findings.paths][4:]),
+                    error_figure(tables, names[1:3] + names[4:]),
                     "The same through the other lenses and eyes.",
                     data="eye_errors.csv",
                 ),
@@ -454,8 +435,8 @@ def report(findings: EyeFindings) -> page.Report:
             page.Section(
                 "The pinhole that stands for an eye",
                 page.Table.of(
-                    findings.pinholes,
-                    findings.pinholes.columns,
+                    tables["pinholes"],
+                    tables["pinholes"].columns,
                     "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
                     "of the paraxial pinhole of Navarro's eye, and the largest c that a dilated "
                     "pupil of 7 mm shows. Negative κ: the pinhole lies behind the retina.",
@@ -465,21 +446,16 @@ def report(findings: EyeFindings) -> page.Report:
             page.Section(
                 "Why",
                 page.Table.of(
-                    findings.causes,
-                    findings.causes.columns,
-                    f"Shapley's shares in the error of 95 % of the eyes, {findings.causes_path}, "
+                    tables["causes"],
+                    tables["causes"].columns,
+                    f"Shapley's shares in the error of 95 % of the eyes, {_CAUSES_PATH}, "
                     "tilted beams included. The first row of each block is the error in the mean "
                     "eye without noise, which the shares add to.",
                     data="causes.csv",
                 ),
             ),
         ],
-        data={
-            "eye_errors.csv": findings.summaries,
-            "limits.csv": findings.limits,
-            "eyes.csv": findings.eyes,
-            "causes.csv": findings.causes,
-        },
+        data={f"{name}.csv": table for name, table in tables.items() if name != "pinholes"},
     )
 
 
@@ -499,10 +475,10 @@ _RECIPES = (
 )
 
 
-def _claims(findings: EyeFindings) -> Iterator[page.Claim]:
-    tilted = where(findings.limits, tilt="any").set_index(["path", "recipe"])
+def _claims(tables: Tables, medians: Mapping[str, np.ndarray]) -> Iterator[page.Claim]:
+    tilted = where(tables["limits"], tilt="any").set_index(["path", "recipe"])
     within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
-    for path, field in zip(findings.pinholes.path, findings.pinholes.field, strict=True):
+    for path, field in tables["pinholes"][["path", "field"]].itertuples(index=False):
         area, schematic, small = (
             within[path, recipe]
             for recipe in (Recipe.AREA, Recipe.AREA_SCHEMATIC, Recipe.SMALL_PLANE)
@@ -515,7 +491,7 @@ def _claims(findings: EyeFindings) -> Iterator[page.Claim]:
             f"small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
             value=area,
         )
-    eyes = findings.eyes
+    eyes = tables["eyes"]
     others = eyes[~eyes.eye.str.startswith("random") & (eyes.eye != "navarro")]
     for path, gradient in grouped(others, "path"):
         own, navarros = gradient.fitted_error_mm.max(), gradient.schematic_error_mm.max()
@@ -527,11 +503,7 @@ def _claims(findings: EyeFindings) -> Iterator[page.Claim]:
             f"{navarros:.2f} mm with Navarro's pinhole.",
             value=own,
         )
-    place = int(np.flatnonzero(findings.eccentricities == 3.0)[0])
-    worst = {}
-    for path, found in findings.paths.items():
-        errors = found.errors[Recipe.SMALL_PLANE][findings.random, place, :, 0]
-        worst[path] = max(np.nanmedian(errors, axis=0).tolist(), key=abs)
+    worst = {path: max(errors.tolist(), key=abs) for path, errors in medians.items()}
     said = "; ".join(f"{error:+.2f} mm, {path}" for path, error in worst.items())
     yield page.Claim(
         name="small_plane at c = 3",
@@ -539,35 +511,20 @@ def _claims(findings: EyeFindings) -> Iterator[page.Claim]:
         "eyes at the worst distance).",
         value=tuple(worst.values()),
     )
-    at_three = where(findings.causes, recipe=Recipe.AREA, c_mm=3.0)
+    at_three = where(tables["causes"], recipe=Recipe.AREA, c_mm=3.0)
     row = max(rows_of(at_three), key=lambda row: row.share_mm)
     yield page.Claim(
         name="largest remaining cause",
         sentence="With the fitted pinhole and the area the largest share of what remains at c = 3 "
-        f"mm is {row.share_mm:.3f} mm: {row.cause} ({findings.causes_path}).",
+        f"mm is {row.share_mm:.3f} mm: {row.cause} ({_CAUSES_PATH}).",
         value=row.share_mm,
-    )
-
-
-def _first_path(findings: EyeFindings) -> pd.DataFrame:
-    limits = findings.limits
-    return limits[(limits.path == next(iter(findings.paths))) & (limits.tilt == "any")]
-
-
-def _answer(findings: EyeFindings) -> str:
-    path = next(iter(findings.paths))
-    reached = _first_path(findings).set_index("recipe").within_0_5_mm
-    return (
-        f"Through {path}, 95 % of the eyes stay within 0.5 mm up to c = "
-        f"{number(reached[Recipe.AREA], 1)} mm with a pinhole fitted in the eye and the ellipse's "
-        f"area, and up to c = {number(reached[Recipe.SMALL_PLANE], 1)} mm with the paper's model."
     )
 
 
 # The command.
 
 
-def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> EyeFindings:
+def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> Tables:
     """Look through contact and wide-field lenses into many eyes: the error of each model.
 
     Exact contours only; nothing is rendered. To repeat a run, start it again with a new folder.
@@ -594,14 +551,10 @@ def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> EyeFin
     names = ["navarro", *(f"random {k}" for k in range(count))]
     if gradient:
         names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
-    findings = EyeFindings(
-        eccentricities=_ECCENTRICITIES_MM,
-        names=names,
-        population=count,
-        paths=paths,
-        fields=seen,
-        causes=shares,
-        causes_path=_CAUSES_PATH,
-    )
-    study.publish(report, findings)
-    return findings
+    tables = tables_of(paths, seen, names, count) | {"causes": shares}
+    medians = {
+        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][1 : 1 + count, _AT_3_MM, :, 0], axis=0)
+        for path, found in paths.items()
+    }
+    study.publish(_report, tables, medians, count)
+    return tables
