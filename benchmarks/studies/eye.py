@@ -414,7 +414,11 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
             ),
             page.Table.of(
                 first[::-1],
-                ["recipe", "within_0_1_mm", "within_0_5_mm"],
+                {
+                    "recipe": page.Column("recipe"),
+                    "within_0_1_mm": page.Column("within 0.1 mm", 1),
+                    "within_0_5_mm": page.Column("within 0.5 mm", 1),
+                },
                 f"c in mm up to which 95 % of the eyes stay within 0.1 and 0.5 mm, through "
                 f"{names[0]}, tilted beams included.",
                 data="limits.csv",
