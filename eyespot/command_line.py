@@ -33,7 +33,7 @@ COMMANDS = {
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
         "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
-        "benchmarks.sets.formats.command:export": "Write a set or a stack in another format.",
+        "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
         "benchmarks.sets.score.command:score": "Compare spots with the labels of a set.",
         "benchmarks.predictions.command:preregister": "Predict an experiment before it is done.",
         "benchmarks.predictions.command:adjudicate": "Say which predictions of a plan held.",

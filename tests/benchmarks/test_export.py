@@ -9,7 +9,8 @@ import sys
 import threading
 import tomllib
 import tracemalloc
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
@@ -313,7 +314,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(
 
 @pytest.mark.parametrize("to", FORMATS)
 def test_nothing_is_written_over_and_a_failure_leaves_nothing(
-    drawn: Path, tmp_path: Path, to: Format
+    drawn: Path, tmp_path: Path, to: Format, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "taken").mkdir()
     with pytest.raises(ValueError, match="taken already exists"):
@@ -325,11 +326,16 @@ def test_nothing_is_written_over_and_a_failure_leaves_nothing(
     with pytest.raises(ValueError, match=r"000003\.png differs"):
         export(broken, to=to, out=tmp_path / "out")
 
-    def stop(total: int) -> None:
-        raise KeyboardInterrupt
+    @contextmanager
+    def stopped(what: str, *, total: int | None) -> Iterator[Callable[..., None]]:
+        def stop(**said: str) -> None:
+            raise KeyboardInterrupt
 
+        yield stop
+
+    monkeypatch.setattr("benchmarks.sets.formats.export.progress", stopped)
     with pytest.raises(KeyboardInterrupt):
-        export(drawn, to=to, out=tmp_path / "out", progress=stop)
+        export(drawn, to=to, out=tmp_path / "out")
     assert sorted(tmp_path.iterdir()) == before
 
 

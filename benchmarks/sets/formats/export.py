@@ -1,4 +1,4 @@
-"""Writes a set or a single stack in another format."""
+"""`eyespot export`: writes a set or a single stack in another format."""
 
 from __future__ import annotations
 
@@ -7,11 +7,15 @@ import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from benchmarks.sets.read import SetStack, set_files, stacks_of
+from estimator.run.options import OUT
+from estimator.run.progress_bar import progress
 from formats.inputs import InputError
 from formats.whole_files import require_space, written_whole
+
+if TYPE_CHECKING:
+    from benchmarks.sets.read import SetStack
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
@@ -19,37 +23,27 @@ _EXTRA = {"h5py", "pycocotools"}
 """Packages of the extra `export`."""
 
 
-def export(
-    folder: str | Path,
-    *,
-    to: Format,
-    out: str | Path,
-    progress: Callable[[int], None] = lambda total: None,
-) -> None:
-    """Write a set in another format, either completely or not at all.
+def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
+    """Write a labelled set or a single stack in another format.
 
     Args:
-        to: the format; see `benchmarks.sets.formats`.
-        out: the file (hdf5) or folder to write; it must not exist.
-        progress: called after each image with the total number of images.
-
-    Raises:
-        InputError: `folder` is not a set or stack, a stack is damaged or empty, `out` exists, its
-            disk has too little space, or the format's library is not installed.
-        BeingWrittenError: another process is writing `out`.
-        OSError: `out` cannot be written.
+        folder: Labelled set or stack.
+        to: Format to write; see docs/datasets.md.
+        out: File (hdf5) or folder to write; it must not exist yet.
     """
-    folder, out = Path(folder), Path(out)
-    with written_whole(out) as whole:
+    from benchmarks.sets.read import set_files, stacks_of
+
+    with progress("Exporting", total=None) as advance, written_whole(out) as whole:
         stacks = stacks_of(folder)
         write = _writer(to)
         require_space(out, _least_bytes(stacks))
         images = sum(_checked(entry) for entry in stacks)
         if to != "hdf5":
             whole.mkdir()
-        write(stacks, whole, partial(progress, images))
+        write(stacks, whole, partial(advance, note=f"of {images}"))
         for path in set_files(stacks) if to != "hdf5" else ():
             shutil.copyfile(path, whole / path.name)
+    print(f"Wrote {out}.")
 
 
 def _least_bytes(stacks: Sequence[SetStack]) -> int:
