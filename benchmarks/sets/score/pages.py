@@ -321,18 +321,10 @@ def run(
 ) -> Score:
     """Score spots files, entries of a leaderboard and modes of our estimator on a set.
 
-    Args:
-        spots_files: see `read_set_spots`; the name of a file is the name of the estimator.
-        entries: folder with entries, see `entries_in`.
-        mode: mode of our estimator that measures the images first; "both" are the literal and the
-            sub-pixel mode. None: auto if there is nothing else to score.
-        calibration: of the beam, for auto and pixels; None for each stack's true one.
-        unrelated: let our estimator measure every image by itself.
-        against: which of the two ellipses is the truth.
-        split: the only split to score; None: all splits.
-        out: new folder for report.html with leaderboard.csv and leaderboard_by_condition.csv,
-            score.json, score.csv, figures, and MODE.csv with the measured spots; None: only return
-            the score.
+    The arguments are those of `eyespot score`. The folder `out` gets report.html with
+    leaderboard.csv and leaderboard_by_condition.csv, score.json, score.csv, figures, and MODE.csv
+    with the measured spots; without it, nothing is written. Without anything to score the mode is
+    auto.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
