@@ -2,7 +2,7 @@
 
 The beam is known, as a calibration says it. The robot says the beam's axis with an error of 5
 degrees, one draw a stack, and the tip's relative motion; nothing says the distance. The sub-pixel
-and the literal mode measure the same frames.
+mode measures the same frames.
 
 Stacks are drawn anew from a seed: wall, beam, motion, place, tilt, texture and noise.
 """
@@ -47,8 +47,8 @@ Row = dict[str, Any]
 `doubt` is of the pose, or says why there is none; `memory` is a `WallMemory`. `bound_mm` is the
 Cramér-Rao bound of the distance from the ellipse, where the scene asks for it. The squares of the
 Mahalanobis distances are of the pose's five numbers, of its tip and of its axis. `half_maximum_px`
-is the semi-minor axis of the half-maximum ellipse at the pose, `subpixel_px` and `literal_px` those
-that the two other modes measure, all less the true one.
+is the semi-minor axis of the half-maximum ellipse at the pose, `subpixel_px` the one that sub-pixel
+mode measures, both less the true one.
 """
 
 
@@ -83,29 +83,31 @@ def frame_errors(
     microscope = read_microscope(stack.folder / "microscope.json")
     reader, poses = robot_reader(stack, calibration), told_poses(stack, rng)
     start = stack.labels[0].half_max_x_px, stack.labels[0].half_max_y_px
-    subpixel, literal = (own_reader(m, microscope, click=start) for m in ("subpixel", "literal"))
+    subpixel = own_reader("subpixel", microscope, click=start)
     for number, (frame, labels) in enumerate(
         zip(open_source(stack.folder), stack.labels, strict=True)
     ):
         if alone_every is not None and number % alone_every == 0:
             reader.forget()
             subpixel.forget()
-            literal.look_at(labels.half_max_x_px, labels.half_max_y_px)
         began = time.perf_counter()
         read = reader.read(
             frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
         )
         seconds = time.perf_counter() - began
         pose = read.range.poses[0] if read.range and read.range.poses else None
+        spot, true_px = subpixel.read(frame.image).result, labels.half_max_semi_minor_px
+        at_pose = math.nan  # error of the semi-minor axis that the true beam has at the pose
+        if pose is not None:
+            at_pose = float(half_maximum_px(world, pose.tip_mm[None], pose.axis)[0]) - true_px
         yield {
             "frame": number,
             "d_mm": labels.d_mm,
             "distance_mm": read.distance_mm - labels.d_mm,
             "sigma_mm": read.sigma_distance_mm,
             **_errors_of_pose(pose, labels),
-            "half_maximum_px": _half_maximum_error_px(world, pose, labels),
-            "subpixel_px": _semi_minor_error_px(subpixel.read(frame.image), labels),
-            "literal_px": _semi_minor_error_px(literal.read(frame.image), labels),
+            "half_maximum_px": at_pose,
+            "subpixel_px": spot.semi_minor_px - true_px if spot else math.nan,
             "doubt": doubt_of_pose(read),
             "memory": read.range.wall.value if read.range else "",
             "bound_mm": labels.bound_d_mm,
@@ -168,20 +170,6 @@ def _errors_of_pose(pose: TipPose | None, labels: FrameLabels) -> dict[str, floa
         name: pose.chi_squared(labels.tip_mm, labels.axis, part=part)
         for name, part in squares.items()
     }
-
-
-def _semi_minor_error_px(read: Reading, labels: FrameLabels) -> float:
-    if not read.result:
-        return math.nan
-    return read.result.semi_minor_px - labels.half_max_semi_minor_px
-
-
-def _half_maximum_error_px(world: World, pose: TipPose | None, labels: FrameLabels) -> float:
-    """Error of the semi-minor axis that the true beam's half-maximum ellipse has at a pose."""
-    if pose is None:
-        return math.nan
-    (semi_minor,) = half_maximum_px(world, pose.tip_mm[None], pose.axis)
-    return float(semi_minor) - labels.half_max_semi_minor_px
 
 
 def half_maximum_px(world: World, tips: np.ndarray, axis: np.ndarray) -> np.ndarray:
@@ -356,10 +344,9 @@ def _of_posed(summary: Callable[[pd.DataFrame], float]) -> Callable[..., float]:
     tip_um=_of_posed(lambda posed: 1e3 * rms(posed.tip_mm)),
     axis_deg=_of_posed(lambda posed: rms(posed.axis_deg)),
     axis_stated_deg=_of_posed(lambda posed: rms(posed.sigma_axis_deg)),
-    # Semi-minor axes: of the half-maximum ellipse at the pose, and as the other modes measure it.
+    # Semi-minor axes: of the half-maximum ellipse at the pose, and as sub-pixel mode measures it.
     half_maximum_px=_of_posed(lambda posed: rms(posed.half_maximum_px)),
     subpixel_px=_of_posed(lambda posed: rms(posed.subpixel_px)),
-    literal_px=_of_posed(lambda posed: rms(posed.literal_px)),
     chi_squared_over_5=_of_posed(lambda posed: posed.chi_squared.mean() / 5),
     largest_chi_squared=_of_posed(lambda posed: posed.chi_squared.max()),
 )
