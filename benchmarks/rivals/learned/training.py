@@ -60,21 +60,10 @@ _STEEPEST = 1.0  # norm to which gradients are clipped
 _KEPT, CURVE = "checkpoint.eqx", "curve.csv"
 
 
-class Epoch(NamedTuple):
-    """A line of the curve.
-
-    Attributes:
-        train: mean loss of its batches, without its weights (`network.loss`).
-        validation: the same on the windows of the split `validation`.
-        size_error: RMS error of the logarithm of the spot's mean radius, validation.
-        presence: part of the validation's windows that is rightly called empty or not.
-    """
-
-    epoch: int
-    train: float
-    validation: float
-    size_error: float
-    presence: float
+COLUMNS = "epoch train validation size_error presence".split()
+"""Of curve.csv: mean loss of the epoch's batches without its weights (`network.loss`), the same on
+the split `validation`, the RMS error of the logarithm of the spot's mean radius there, and the part
+of its windows that is rightly called empty or not."""
 
 
 class _TrainingState(NamedTuple):
@@ -91,7 +80,7 @@ def train(
     epochs: int,
     seed: int,
     stop: int | None = None,
-    show: Callable[[Epoch], None] = lambda epoch: None,
+    show: Callable[[dict[Any, float]], None] = lambda epoch: None,
 ) -> SpotNetwork:
     """Train, or continue from the last epoch that `out` holds.
 
@@ -112,14 +101,15 @@ def train(
             changes, optimiser = rule.update(slopes, optimiser, eqx.filter(network, eqx.is_array))
             return eqx.apply_updates(network, changes), optimiser, lost
 
-        curve = read_curve(out / CURVE)[: int(state.epoch)]
+        curve = read_curve(out / CURVE)[: int(state.epoch)].to_dict("records")
         for epoch in range(int(state.epoch), stop or epochs):
             network, optimiser, losses = state.network, state.optimiser, []
             for batch in _batches(samples, epoch, seed):
                 network, optimiser, lost = step(network, optimiser, batch)
                 losses.append(lost)
             state = _TrainingState(network, optimiser, jnp.asarray(epoch + 1))
-            curve.append(Epoch(epoch + 1, float(np.mean(losses)), *_judged(network, validation)))
+            found = epoch + 1, float(np.mean(losses)), *_judged(network, validation)
+            curve.append(dict(zip(COLUMNS, found, strict=True)))
             with written_whole(out / CURVE, replace=True) as partial:
                 pd.DataFrame(curve).to_csv(partial, index=False, lineterminator="\n")
             # The last to be written: a curve with an epoch too many is cut when the run goes on.
@@ -185,12 +175,9 @@ def _judged(network: SpotNetwork, validation: Samples) -> tuple[float, float, fl
     return float(lost), float(np.sqrt(np.mean(off**2))), float(right.mean())
 
 
-def read_curve(path: Path) -> list[Epoch]:
-    """The lines of a curve.csv; none if the file is missing."""
-    if not path.is_file():
-        return []
-    rows = pd.read_csv(path)
-    return [Epoch(*row) for row in rows.itertuples(index=False, name=None)]
+def read_curve(path: Path) -> pd.DataFrame:
+    """A curve.csv; empty if the file is missing."""
+    return pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=COLUMNS)
 
 
 WINDOWS = 8
@@ -351,9 +338,9 @@ def _trained(
         )
     with progress("Training", total=stop) as advance:
 
-        def show(epoch: Epoch) -> None:
-            note = f"loss {epoch.train:.3f}, validation {epoch.validation:.3f}"
-            advance(note=f"{note}, size {100 * epoch.size_error:.2f} %")
+        def show(epoch: dict[Any, float]) -> None:
+            losses = f"loss {epoch['train']:.3f}, validation {epoch['validation']:.3f}"
+            advance(note=f"{losses}, size {100 * epoch['size_error']:.2f} %")
 
         return train(samples, validation, out, epochs=epochs, stop=stop, seed=seed, show=show)
 
