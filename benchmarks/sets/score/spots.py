@@ -320,6 +320,7 @@ class ScoredEstimator:
     """An estimator whose spots are scored.
 
     Attributes:
+        name: in tables and figures.
         spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
             this run.
         command: the command that wrote the spots; empty if not stated.
