@@ -11,7 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from distributed import Client
 
+from benchmarks.rivals import running
 from benchmarks.rivals.entries import KINDS, Entry
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
@@ -42,6 +44,16 @@ ALONE = ("opencv-relative", "skimage-ransac")
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_set(tmp_path_factory.mktemp("drawn") / "set")
+
+
+@pytest.fixture
+def worker_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Dask worker in this process, where everything is compiled already."""
+
+    def hired(count: int) -> Client:
+        return Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0")
+
+    monkeypatch.setattr(running, "local_workers", hired)
 
 
 def microscope() -> MicroscopeFile:
@@ -110,6 +122,7 @@ def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first() -> No
         assert np.allclose([same, other], [wanted, wanted], atol=1e-12)
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     run_entries(
@@ -158,6 +171,7 @@ def test_a_split_that_the_set_lacks_is_named(drawn: Path, tmp_path: Path) -> Non
         )
 
 
+@pytest.mark.usefixtures("worker_here")
 def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
     drawn: Path, tmp_path: Path
 ) -> None:

@@ -30,12 +30,12 @@ def test_all_light_of_a_cone_lies_on_its_cells():
 def test_more_light_helps_until_the_wall_is_what_limits():
     wall = UnknownWallScene(SCENE)
     light = wall.of_cone(DISTANCES)
-    doses = wall.full_dose * np.array([1e-6, 1e-5, 1e-4, 1.0, 1e4, 1e6])
+    doses = wall.full_dose * np.array([1e-6, 1e-5, 1e4, 1e6])
     sigmas = np.stack([wall.sigmas(light, dose) for dose in doses])
     assert (np.diff(sigmas, axis=0) < 0).all()
     # Read noise alone: the error is inversely proportional to the light.
     assert sigmas[0] / sigmas[1] == pytest.approx(10.0, rel=0.05)
-    assert sigmas[4] / sigmas[5] == pytest.approx(1.0, abs=1e-3)
+    assert sigmas[2] / sigmas[3] == pytest.approx(1.0, abs=1e-3)
 
 
 def test_an_outline_says_less_than_all_light():
