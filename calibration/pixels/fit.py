@@ -18,7 +18,7 @@ from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_na
 from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
-from calibration.solvers import covariance_and_lost
+from calibration.solvers import MOST_STEPS, covariance_and_lost
 from calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
     JointPrior,
@@ -303,9 +303,11 @@ class _FitRun(NamedTuple):
         """The best of the fits of some frames from the starts, of which the first may do."""
         tried: list[BeamSolver] = []
         found: list[BeamSolver] = []
-        for left, start in zip(range(len(starts) - 1, -1, -1), starts, strict=True):
+        # A wall that is free can take the shape of the light of a beam that is far off.
+        attempts = [*((start, False) for start in starts), (starts[0], True)]
+        for left, (start, even) in zip(range(len(starts), -1, -1), attempts, strict=True):
             still = np.zeros((len(self.footage.readings), len(STATES)))
-            tried.append(self._guess(Point(dict(start), still), first=True))
+            tried.append(self._guess(Point(dict(start), still), first=True, even=even))
             best = min(tried, key=attrgetter("misfit"))
             if best.misfit > _POOR and (left or found):
                 continue
@@ -315,20 +317,21 @@ class _FitRun(NamedTuple):
                 break
         return min(found, key=attrgetter("misfit"))
 
-    def _guess(self, point: Point, *, first: bool) -> BeamSolver:
-        """A fit of some frames, in wide or in small cells, from a point that may be far off."""
+    def _guess(self, point: Point, *, first: bool, even: bool = False) -> BeamSolver:
+        """A fit of some frames, in wide or in small cells, from a point that may be far off.
+
+        Args:
+            even: whether the wall counts as even until the beam is found.
+        """
         solver = self.solver(point, first=first)
         self._tabulate(solver, coarse=first)
         solver.choose(guess=True)
-        if not first:
-            solver.minimise(_TOLERANCE[True], follow=True)
-            return solver
-        solver.brighten()
-        # A wall that is free can take the shape of the light of a beam that is far off, so that the
-        # beam is found as if the wall were even.
-        free = solver.tau
-        for solver.tau in (EVEN, free):
-            solver.minimise(_TOLERANCE[True], follow=True, most_steps=_COARSE_STEPS)
+        if first:
+            solver.brighten()
+        steps = _COARSE_STEPS if first else MOST_STEPS
+        for tau in (EVEN, solver.tau) if even else (solver.tau,):
+            solver.tau = tau
+            solver.minimise(_TOLERANCE[True], follow=True, most_steps=steps)
         return solver
 
     def whole_fit(self, some: BeamSolver) -> ImageFit:
