@@ -45,14 +45,14 @@ def track(
     rerun: Rerun = None,
     as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
 ) -> None:
-    """Measure the spot in every frame and write a spots file; about 100 frames a second.
+    """Measure the spot in every frame and write a spots file.
 
     Ctrl-C ends the run, or a camera, and keeps the frames measured so far.
 
     Args:
         source: Stack, folder of images, TIFF, video, ROS bag, camera's number, or genicam:NAME.
         out: Spots file to write, .csv or .parquet.
-        unrelated: Measure each image by itself (default: if names do not count up).
+        unrelated: Measure each image alone (default: by names).
         overwrite: Replace OUT if it exists.
         overlay: Draw the spots into a new video (.mp4, .avi) or folder.
         rerun: Record for the viewer rerun (.rrd), or show it there.

@@ -47,7 +47,7 @@ DistanceModel = Literal[
 ]
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    Parameter(help="Which exposure to use if the stack has two (default: metered)."),
+    Parameter(help="paper or metered (default), if it has both.", show_choices=False),
 ]
 _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
     Parameter(group=Group.create_ordered(name))
@@ -124,41 +124,44 @@ class Options(Given):
     the rig's node.
     """
 
-    mode: Literal["auto", "subpixel", "literal", "pixels"] = "auto"
-    """The half-maximum contour, the paper's algorithm, or the pose from all pixels; auto: pixels
-    for a lens if the camera's noise is known and its rate permits, else subpixel."""
+    mode: Annotated[
+        Literal["auto", "subpixel", "literal", "pixels"],
+        Parameter(show_choices=False, show_default=False),
+    ] = "auto"
+    """literal: the paper's algorithm. auto (default): pixels for a lens if the camera's noise is
+    known and its rate permits, else subpixel."""
     settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
     """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
     rate_hz: Annotated[float | None, Field(gt=0), Parameter(parse=False)] = None
     """Frames a second of a camera, for the mode auto (default: the source's)."""
     start: Annotated[tuple[float, float] | None, BeforeValidator(_point), _text("X,Y|auto")] = None
-    """Position of the spot in the first frame, px (default: auto)."""
+    """Where the spot is first, px (default: auto)."""
     calibration: Path | None = None
-    """File of `eyespot fit`; without it there are no distances."""
+    """File of eyespot fit; gives distances."""
     microscope: Annotated[Path | None, _MICROSCOPE] = None
-    """microscope.json, or a camera calibration (default: the stack's)."""
+    """Microscope or camera file (default: the stack's)."""
     pinhole_height_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Pinhole above the eyeball's centre; a camera calibration has none."""
+    """Height above the eye's centre, if no file has it."""
     eye_radius_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Radius of the eyeball; a camera calibration has none."""
-    wall: Annotated[Literal["plane"] | None, _MICROSCOPE] = None
-    """The wall is a plane square to the microscope's axis (default: the file's)."""
+    """Radius of the eyeball, if no file has it."""
+    wall: Annotated[Literal["plane"] | None, _MICROSCOPE, Parameter(show_choices=False)] = None
+    """plane: it is square to the axis (default: file)."""
     full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
-    """Value of the brightest light, such as 4095 (default: the file's)."""
+    """Largest value, e.g. 4095 (default: the file's)."""
     model: Annotated[DistanceModel | None, _CALIBRATION] = None
     """Distance model (default: the calibration's)."""
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
-    """Eccentricity of the spots (default: from their positions)."""
+    """Eccentricity of the spot (default: from its place)."""
     exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None
-    """Exposure time, for the model lens (default: the frame's own)."""
+    """Exposure time for the model lens (default: known)."""
     reference: Annotated[Path | None, _CALIBRATION] = None
-    """Image of the wall with the beam switched off, for the mode pixels."""
+    """Image with the beam off, for the mode pixels."""
     stated: Annotated[Path | None, _CALIBRATION] = None
-    """Uncertainties (TOML) of eye, touch, axis and clocks; see docs/worth.md."""
+    """Uncertainties you state (TOML); see docs/worth.md."""
     eye_from_robot: Annotated[
         Quaternion | None, BeforeValidator(_turn), _text("QX,QY,QZ,QW"), _POSES
     ] = None
-    """Unit quaternion from the poses' frame to the eye's; gives the beam's axis."""
+    """Rotation from the poses' frame to the eye's."""
 
     def of_source(self, source: Source) -> Self:
         """These options with the source's rate, and its microscope file if none is given."""
@@ -330,11 +333,11 @@ class RecordingOptions:
 
     exposure: Exposure = None
     poses: Annotated[Path | None, _POSES] = None
-    """Robot's poses (CSV or ROS bag), on the clock of SOURCE."""
+    """Robot's poses (CSV or bag), on SOURCE's clock."""
     image_topic: Annotated[str | None, _POSES] = None
-    """Image topic of a bag (default: the rig's, or the only one)."""
+    """Image topic of a bag (default: the rig's)."""
     pose_topic: Annotated[str | None, _POSES] = None
-    """Pose topic of a bag or a running ROS (default: as above)."""
+    """Pose topic, bag or ROS (default: the rig's)."""
 
     def source(self, name: str) -> Source:
         """Open a recording, as `open_source`."""
