@@ -96,8 +96,8 @@ def _transfer(
     """The blur's transfer function of the lattice's waves, and its growth with the kurtosis."""
     gaussian = np.exp(-0.5 * variance * squares)
     if kurtosis < 0:
-        way = 2.0 * np.sqrt(variance * squares)  # a disc's variance is a quarter of its radius's
-        other = np.where(way > _TINY, 2.0 * j1(way) / np.maximum(way, _TINY), 1.0)
+        length = 2.0 * np.sqrt(variance * squares)  # a disc's variance is a quarter of its radius's
+        other = np.where(length > _TINY, 2.0 * j1(length) / np.maximum(length, _TINY), 1.0)
         growth = (other - gaussian) / LEAST_KURTOSIS
     else:
         other = (1.0 + variance * squares / 3.0) ** -1.5
@@ -125,7 +125,7 @@ _SWEPT_SLOPES = 0.5
 and the pose for too well known."""
 _POSITIONS_SHARP, _POSITIONS = (3, 6, 12), (3, 6)
 """Numbers of these positions, for light with and without a sharp edge; each is compiled once."""
-_WAYS = (0.0, 0.3, 0.47, 0.7, 1.2, 2.0)
+_LENGTHS = (0.0, 0.3, 0.47, 0.7, 1.2, 2.0)
 """Ways over a cell's side for which numbers of positions differ, for the value or its slopes."""
 _USUAL_REACH_PX = 60.0
 _STILL_SHARP_PX, _STILL_PX = 0.1, 0.5  # way of the light that is not averaged
@@ -275,7 +275,10 @@ class BeamLight:
         """
         from optics.wall_light.pose_light import square_lattice
 
-        corner, right = motion.image_px(window.corner_px), window.side / parts * motion.ways[:, 0]
+        corner, right = (
+            motion.image_px(window.corner_px),
+            window.side / parts * motion.rotation[:, 0],
+        )
         count = parts * COUNT
         return square_lattice(self.camera, self.wall, corner=corner, right=right, count=count)
 
@@ -373,9 +376,9 @@ class BeamLight:
         (point,), (normal,) = self.wall_points(self._middle_px[None])
         pose = self.pose(point + normal, -normal)
         assert pose is not None, "the middle of an image shows the wall"
-        for cells in _WAYS:
-            way = cells * window.side * self.scale_mm_px
-            sweep = Sweep(np.outer(way * NODES, pose.right), np.zeros((NODES.size, 3)))
+        for cells in _LENGTHS:
+            length = cells * window.side * self.scale_mm_px
+            sweep = Sweep(np.outer(length * NODES, pose.right), np.zeros((NODES.size, 3)))
             for blur_px2 in (_LEAST_BLUR_PX2, float(window.side**2)):
                 self.irradiance(
                     window,
@@ -388,13 +391,13 @@ class BeamLight:
 
     def swept_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
-        return self._way_px(pose, np.diff(sweep.tip + pose.distance * sweep.axis, axis=0))
+        return self._length_px(pose, np.diff(sweep.tip + pose.distance * sweep.axis, axis=0))
 
     def _aside_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
         """How far the light's mean place is from that in the middle of an exposure, px."""
-        return self._way_px(pose, np.mean(sweep.tip + pose.distance * sweep.axis, axis=0)[None])
+        return self._length_px(pose, np.mean(sweep.tip + pose.distance * sweep.axis, axis=0)[None])
 
-    def _way_px(self, pose: BeamAtWall, steps: Float[np.ndarray, "n 3"]) -> float:
+    def _length_px(self, pose: BeamAtWall, steps: Float[np.ndarray, "n 3"]) -> float:
         """Way of the light along steps of the spot, px."""
         along = steps @ pose.axis
         across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)

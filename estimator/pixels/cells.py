@@ -33,22 +33,22 @@ class WallMotion(NamedTuple):
         cls, centre: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"], turn: float
     ) -> WallMotion:
         """A turn about a point of the map, and then a shift."""
-        right, down = centre + shift - cls(turn=turn).ways @ centre
+        right, down = centre + shift - cls(turn=turn).rotation @ centre
         return cls(float(right), float(down), turn)
 
     @property
-    def ways(self) -> Float[np.ndarray, "2 2"]:
+    def rotation(self) -> Float[np.ndarray, "2 2"]:
         """Columns: where a step to the right and one down on the map lead in the image."""
         cosine, sine = math.cos(self.turn), math.sin(self.turn)
         return np.array([[cosine, -sine], [sine, cosine]])
 
     def image_px(self, on_map: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Where points of the map are in the image, px."""
-        return on_map @ self.ways.T + (self.right, self.down)
+        return on_map @ self.rotation.T + (self.right, self.down)
 
     def map_px(self, in_image: Float[np.ndarray, "*n 2"]) -> Float[np.ndarray, "*n 2"]:
         """Where points of the image are on the map, px."""
-        return (in_image - (self.right, self.down)) @ self.ways
+        return (in_image - (self.right, self.down)) @ self.rotation
 
     def after(self, first: WallMotion) -> WallMotion:
         """This motion after another one."""
@@ -69,7 +69,7 @@ class WallMotion(NamedTuple):
         shift = self.image_px(np.array(corner, float))
         return cv2.warpAffine(
             image,
-            np.column_stack([self.ways, shift]),
+            np.column_stack([self.rotation, shift]),
             image.shape[1::-1],
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderValue=outside,
@@ -116,7 +116,7 @@ class CellWindow(NamedTuple):
         return cls(left, top, side)
 
     def following(
-        self, centre_px: Float[np.ndarray, "2"], reach_px: float, way_px: Float[np.ndarray, "2"]
+        self, centre_px: Float[np.ndarray, "2"], reach_px: float, moved_px: Float[np.ndarray, "2"]
     ) -> CellWindow:
         """This window as long as it serves for a point that moves, or else one ahead of the point.
 
@@ -131,7 +131,7 @@ class CellWindow(NamedTuple):
         sized = needed < _SIZED * self.side < _SIZED**2 * math.ceil(needed)
         if off < _CENTRED and sized:
             return self
-        ahead = _AHEAD_FRAMES * way_px
+        ahead = _AHEAD_FRAMES * moved_px
         most = _AHEAD * reach_px / max(float(np.abs(ahead).max()), 1e-9)
         fresh = CellWindow.around(centre_px + min(most, 1.0) * ahead, reach_px)
         if not sized:
@@ -173,10 +173,10 @@ def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np
     """Values of a window's cells after it has moved; 0 for new cells."""
     grids = values.reshape(*values.shape[:-1], COUNT, COUNT)
     rolled = np.zeros_like(grids)
-    right, down = (min(max(way, -COUNT), COUNT) for way in (right, down))
+    right, down = (min(max(cells, -COUNT), COUNT) for cells in (right, down))
     (rows, old_rows), (columns, old_columns) = (
-        (slice(max(-way, 0), COUNT - max(way, 0)), slice(max(way, 0), COUNT - max(-way, 0)))
-        for way in (down, right)
+        (slice(max(-cells, 0), COUNT - max(cells, 0)), slice(max(cells, 0), COUNT - max(-cells, 0)))
+        for cells in (down, right)
     )
     rolled[..., rows, columns] = grids[..., old_rows, old_columns]
     return rolled.reshape(values.shape)

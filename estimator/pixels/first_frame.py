@@ -1,6 +1,6 @@
 """Explains a frame by itself, or together with earlier ones that show a part of its wall.
 
-Several explanations of the frames so far may be possible; each is a `Belief`. Behind a lens one
+Several explanations of the frames so far may be possible; each is a `Hypothesis`. Behind a lens one
 radius may belong to several distances, and without the robot's axis a spot may lean to either side.
 So the first frame's distances and directions are scanned, and every one that might become the best
 is fitted. A later frame continues each explanation.
@@ -21,11 +21,11 @@ from estimator.pixels.beam import BeamAtWall, BeamLight, Sweep
 from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
 from estimator.pixels.frame_fit import (
     STEPS,
-    far_moved,
     fit_wherever,
     moved,
+    outliers,
+    remodelled,
     robust_fit,
-    unlike_wall,
 )
 from estimator.pixels.frame_model import (
     SHIFT,
@@ -49,7 +49,7 @@ there is hardly any light. The smaller the cells, the less texture averages out 
 _BESIDE_PX, _BESIDE_EDGE = 6.0, 2.5  # beside it, px, and in widths of the edge
 
 
-class Look(NamedTuple):
+class Observation(NamedTuple):
     """A frame, and what the robot says of it.
 
     Attributes:
@@ -81,7 +81,7 @@ _STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as 
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class Hypothesis:
     """One explanation of the frames so far.
 
     Attributes:
@@ -89,9 +89,9 @@ class Belief:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
         learnt_px2: `lit_px2` when the texture was learnt.
-        surprise: mean square of the newest frame's cells less what all else says of them, in
-            variances; see `frame_fit.Surprise`.
-        lost: whether the newest frame shows another wall than the earlier ones or the reference.
+        mean_square: of the newest frame's residuals; see `frame_fit.MeanSquare`.
+        other_wall: whether the newest frame shows another wall than the earlier ones or the
+            reference.
         step: motion of the wall in the image since the frame before.
         shake_before_px: `shake_px` of the frame before.
     """
@@ -100,8 +100,8 @@ class Belief:
     kept: list[tuple[FrameState, Linear]]
     solution: PoseSolution
     learnt_px2: float
-    surprise: float = 1.0
-    lost: bool = False
+    mean_square: float = 1.0
+    other_wall: bool = False
     step: WallMotion = STILL
     shake_before_px: float = 0.0
 
@@ -111,9 +111,9 @@ class Belief:
         return self.solution.frames[-1]
 
     @cached_property
-    def unlikelihood(self) -> float:
-        """-2 log likelihood of all frames; a cell that is not trusted has a price, too."""
-        return self.solver.unlikelihood_of(self.solution)
+    def deviance(self) -> float:
+        """-2 log likelihood of all frames; an outlier has its price, too."""
+        return self.solver.deviance_of(self.solution)
 
     @cached_property
     def sigmas(self) -> Float[np.ndarray, "5"]:
@@ -126,20 +126,20 @@ class Belief:
         return float(np.trace(self.solution.newest_states(SHIFT)))
 
     @property
-    def way_px(self) -> float:
+    def moved_px(self) -> float:
         """How far the wall has moved in the image since the frame before.
 
-        Less what errors of the shifts, of this frame and of that one, look like: a wall of which
-        little is seen would move on, and ever farther, by its errors.
+        Less the errors of both frames' shifts, by which a wall of which little is seen would seem
+        to move on, ever farther.
         """
         middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
-        way = self.step.image_px(middle) - middle
-        return math.sqrt(max(float(way @ way) - 2.0 * self.shift_variance_px2, 0.0))
+        along_wall = self.step.image_px(middle) - middle
+        return math.sqrt(max(float(along_wall @ along_wall) - 2.0 * self.shift_variance_px2, 0.0))
 
     @property
     def shake_px(self) -> float:
         """How far the image may jump from frame to frame, as it did of late."""
-        return max(min(self.way_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
+        return max(min(self.moved_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
 
     @property
     def shift_sigma_px(self) -> float:
@@ -150,7 +150,7 @@ class Belief:
     def expected_motion(self) -> WallMotion:
         """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
         motion = self.newest.cells.motion
-        return self.step.after(motion) if self.way_px > _MOVES_ON_PX else motion
+        return self.step.after(motion) if self.moved_px > _MOVES_ON_PX else motion
 
     @property
     def outline(self) -> Outline:
@@ -182,7 +182,7 @@ class Belief:
             _DRIFTED_PX, _SURELY * math.sqrt(variance)
         )
 
-    def differs(self, other: Belief) -> bool:
+    def differs(self, other: Hypothesis) -> bool:
         """Whether the newest pose is another one."""
         mine, its = self.newest.pose, other.newest.pose
         turned = mine.axis - its.axis
@@ -196,16 +196,16 @@ def lit_px2(solver: PoseSolver, solution: PoseSolution) -> float:
     return float(np.count_nonzero(np.any(seen, axis=0))) * solver.window.side**2
 
 
-def distinct(beliefs: list[Belief]) -> list[Belief]:
+def distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The best explanation, and others that are different and nearly as good."""
-    if len(beliefs) < 2:  # a likelihood takes some milliseconds
-        return beliefs
-    best, *others = sorted(beliefs, key=lambda one: one.unlikelihood)
+    if len(hypotheses) < 2:  # a likelihood takes some milliseconds
+        return hypotheses
+    best, *others = sorted(hypotheses, key=lambda one: one.deviance)
     kept = [best]
-    for belief in others:
-        near = belief.unlikelihood - best.unlikelihood < _UNDECIDED
-        if near and all(belief.differs(other) for other in kept):
-            kept.append(belief)
+    for hypothesis in others:
+        near = hypothesis.deviance - best.deviance < _UNDECIDED
+        if near and all(hypothesis.differs(other) for other in kept):
+            kept.append(hypothesis)
     return kept
 
 
@@ -309,12 +309,12 @@ def _tilted(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
     yield -normal
     ratio = spot.semi_major_px / spot.semi_minor_px
     if ratio > _ROUND:
-        way = points[1] - points[0]
-        way -= (way @ normal) * normal
-        way /= np.linalg.norm(way)
+        along_wall = points[1] - points[0]
+        along_wall -= (along_wall @ normal) * normal
+        along_wall /= np.linalg.norm(along_wall)
         tilt = min(np.arccos(1.0 / ratio), np.radians(_STEEPEST))
         for side in (-1.0, 1.0):
-            yield -np.cos(tilt) * normal + side * np.sin(tilt) * way
+            yield -np.cos(tilt) * normal + side * np.sin(tilt) * along_wall
 
 
 _STEPS_FIRST = 14
@@ -323,8 +323,8 @@ _AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly not
 _CLEAR = 3.0
 """Least light of the beam over the ambient one, from which the mixture of colours is chosen. Where
 a lamp's reflection is as bright, the mixture that is even may lack the beam's colour."""
-_SURPRISE = 1.5
-"""Square of a first frame's surprise, above which its wall is not that of the reference."""
+_OTHER_WALL = 1.5
+"""Mean square of a first frame's residuals, above which its wall is not that of the reference."""
 _AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
 
 
@@ -332,16 +332,20 @@ class FirstFrame(NamedTuple):
     """What a frame by itself says.
 
     Attributes:
-        beliefs: the best explanation and others that are nearly as good; none if there is none.
+        hypotheses: the best explanation and others that are nearly as good; none if there is none.
         mix: the mixture of channels in which they hold.
     """
 
-    beliefs: list[Belief]
+    hypotheses: list[Hypothesis]
     mix: Mix
 
 
 def explained_alone(
-    beam: BeamLight, noise: CameraNoise, reference: Reference | None, look: Look, spot: Outline
+    beam: BeamLight,
+    noise: CameraNoise,
+    reference: Reference | None,
+    observation: Observation,
+    spot: Outline,
 ) -> FirstFrame:
     """Explain a frame by itself.
 
@@ -353,7 +357,7 @@ def explained_alone(
         known = None if reference is None else reference.seen_in(mix).known
         return PoseSolver(beam, window, texture, known)
 
-    picture, direction, sweep, robot = look
+    picture, direction, sweep, robot = observation
     window = CellWindow.around(np.array([spot.x_px, spot.y_px]), reach_px(spot, sharp=beam.sharp))
     mix = picture.plain_mix(spot)
     cells = picture.cells(mix)
@@ -371,12 +375,12 @@ def explained_alone(
     found = [robust_fit(solver, [], start, own, steps=_STEPS_FIRST)[0] for start in starts]
     if not found:
         return FirstFrame([], mix)
-    best = min(found, key=solver.unlikelihood_of)
+    best = min(found, key=solver.deviance_of)
     mirrored = mirrored_start(solver, best.frames[0], own)
     if mirrored is not None:
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
     # Again with this wall's texture, in the channels in which it has the least.
-    usable = picture.usable & ~window.pixels(unlike_wall(solver, best), picture.usable.shape)
+    usable = picture.usable & ~window.pixels(outliers(solver, best), picture.usable.shape)
     picture = replace(picture, usable=usable)
     clear = contrast(solver.model.light(best.frames[0], best.own), best.frames[0]) > _CLEAR
     if clear and not (noise.coarse_colours or picture.saturated.any()):
@@ -385,25 +389,25 @@ def explained_alone(
     found = [
         solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
     ]
-    best = min(found, key=solver.unlikelihood_of)
+    best = min(found, key=solver.deviance_of)
     if np.count_nonzero(best.linear[0].weight) < _FEWEST:
         return FirstFrame([], mix)
     solver = solver_for(mix, learnt_texture(solver, best))
     again = [robust_fit(solver, [], one.frames[0], own) for one in found]
     # A pose may explain the light by chance, but not against the robot.
-    as_told = [one for one in again if one[0].frames[0].axis_off < _AGAINST]
-    beliefs = [
-        Belief(
+    consistent = [one for one in again if one[0].frames[0].axis_off < _AGAINST]
+    hypotheses = [
+        Hypothesis(
             solver=solver,
             kept=[(one.frames[0], one.linear[0])],
             solution=one,
             learnt_px2=lit_px2(solver, one),
-            surprise=surprise.square,
-            lost=surprise.square > _SURPRISE,
+            mean_square=mean_square.value,
+            other_wall=mean_square.value > _OTHER_WALL,
         )
-        for one, surprise in as_told or again
+        for one, mean_square in consistent or again
     ]
-    return FirstFrame(distinct(beliefs), mix)
+    return FirstFrame(distinct(hypotheses), mix)
 
 
 def learnt_texture(solver: PoseSolver, solution: PoseSolution) -> TextureVariances:
@@ -428,58 +432,68 @@ _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame ma
 
 
 def explained_with(
-    belief: Belief, look: Look, mix: Mix, spot: Outline, last_px: np.ndarray, *, shake_px: float
-) -> Belief | None:
+    hypothesis: Hypothesis,
+    observation: Observation,
+    mix: Mix,
+    spot: Outline,
+    last_px: np.ndarray,
+    *,
+    shake_px: float,
+) -> Hypothesis | None:
     """An explanation of the frames so far, continued by the next one.
 
     Args:
-        look: the next frame.
+        observation: the next frame.
         mix: the mixture of channels.
         last_px: where the spot was.
         shake_px: least standard deviation of the image's shake along each side.
 
     Returns:
-        It, or None if the beam would light nothing that is seen.
+        The continued hypothesis; None if no visible cell would be lit.
     """
 
     def cells(motion: WallMotion) -> CellLight:
-        return look.picture.cells(mix, motion)
+        return observation.picture.cells(mix, motion)
 
-    solver, kept, own = belief.solver, belief.kept, belief.solution.own
-    motion = belief.expected_motion
+    solver, kept, own = hypothesis.solver, hypothesis.kept, hypothesis.solution.own
+    motion = hypothesis.expected_motion
     centre = np.array([spot.x_px, spot.y_px])
-    on_map, before = motion.map_px(centre), belief.newest.cells.motion.map_px(last_px)
+    on_map, before = motion.map_px(centre), hypothesis.newest.cells.motion.map_px(last_px)
     reach = reach_px(spot, sharp=solver.beam.sharp)
     window = solver.window.following(on_map, reach, on_map - before)
     if window == solver.window:
-        solver = solver.with_map(belief.solution.texture_map)
+        solver = solver.with_map(hypothesis.solution.texture_map)
     else:
         solver, kept = moved(solver, window, kept, own)
     point = solver.beam.wall_points(centre[None])[0][0]
-    start = _start(belief.newest, solver, cells(motion), point, own, look.sweep)
+    start = _start(hypothesis.newest, solver, cells(motion), point, own, observation.sweep)
     if start is None:
         return None
     start = replace(
         start,
-        shift_sigma=math.hypot(belief.shift_sigma_px, math.sqrt(2.0) * shake_px),
+        shift_sigma=math.hypot(hypothesis.shift_sigma_px, math.sqrt(2.0) * shake_px),
         # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
-        robot=None if belief.drifted(0.0) else look.robot,
+        robot=None if hypothesis.drifted(0.0) else observation.robot,
     )
-    found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
-    learnt_px2, seen_px2 = belief.learnt_px2, lit_px2(solver, found)
-    if seen_px2 > _MORE_WALL * learnt_px2 and not lost:
+    found, mean_square, other_wall, kept = _fitted(
+        solver, kept, start, own, cells, hypothesis.mean_square
+    )
+    learnt_px2, seen_px2 = hypothesis.learnt_px2, lit_px2(solver, found)
+    if seen_px2 > _MORE_WALL * learnt_px2 and not other_wall:
         solver, learnt_px2 = solver.of_texture(learnt_texture(solver, found)), seen_px2
         start, own = found.frames[-1], found.own
-        found, surprise, lost, kept = _fitted(solver, kept, start, own, cells, belief.surprise)
-    return Belief(
+        found, mean_square, other_wall, kept = _fitted(
+            solver, kept, start, own, cells, hypothesis.mean_square
+        )
+    return Hypothesis(
         solver=solver,
         kept=_kept(solver, found, kept),
         solution=found,
         learnt_px2=learnt_px2,
-        surprise=surprise,
-        lost=lost,
-        step=found.frames[-1].cells.motion.since(belief.newest.cells.motion),
-        shake_before_px=belief.shake_px,
+        mean_square=mean_square,
+        other_wall=other_wall,
+        step=found.frames[-1].cells.motion.since(hypothesis.newest.cells.motion),
+        shake_before_px=hypothesis.shake_px,
     )
 
 
@@ -493,12 +507,12 @@ def _fitted(
 ) -> tuple[PoseSolution, float, bool, list[tuple[FrameState, Linear]]]:
     """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
     for _ in range(_ANEW):
-        found, surprise, lost = fit_wherever(solver, kept, start, own, cells, usual=usual)
-        fresh = far_moved(solver, kept, found)
-        if fresh is None or lost:
+        found, mean_square, other_wall = fit_wherever(solver, kept, start, own, cells, usual=usual)
+        fresh = remodelled(solver, kept, found)
+        if fresh is None or other_wall:
             break
         kept, start, own = fresh, found.frames[-1], found.own
-    return found, surprise, lost, kept
+    return found, mean_square, other_wall, kept
 
 
 def _start(

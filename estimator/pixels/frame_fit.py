@@ -1,8 +1,8 @@
 """Fits the newest frame. Cells with other light have little weight, and the wall may have moved.
 
 A frame may be noisier than the microscope file says: by JPEG, by a Bayer pattern, or by a line that
-comes into the light in the middle of cells. So where a frame surprises, it and the earlier ones
-have less weight. The wall is another one only if that explains the frame better.
+comes into the light in the middle of cells. So where a frame's residuals grow, it and the earlier
+ones have less weight. The wall is another one only if that explains the frame better.
 
 A frame's light less its model is the wall's log reflectance there, but for what a small change of
 the pose or of the ambient light makes of it. So that change is fitted at every shift and turn of
@@ -62,12 +62,12 @@ def registered(
     shape = COUNT, COUNT
 
     def misfit(moved: Float[np.ndarray, "3"], order: int) -> float:
-        ways = WallMotion(turn=float(moved[2])).ways
-        columns, rows = ways.T @ (_CELLS[:, used] - moved[:2, None]) + _MIDDLE
+        rotation = WallMotion(turn=float(moved[2])).rotation
+        columns, rows = rotation.T @ (_CELLS[:, used] - moved[:2, None]) + _MIDDLE
         at = np.stack([rows, columns])
         value = map_coordinates(known.reshape(shape), at, order=order, cval=0.0)
-        doubt = map_coordinates(variance.reshape(shape), at, order=1, cval=unknown)
-        weight = 1.0 / (noise + doubt)
+        map_variance = map_coordinates(variance.reshape(shape), at, order=1, cval=unknown)
+        weight = 1.0 / (noise + map_variance)
         off, weighted = residual - value, slopes * weight
         pull = weighted @ off
         explained = pull @ np.linalg.pinv(weighted @ slopes.T, hermitian=True) @ pull
@@ -92,9 +92,9 @@ def _whole_cells() -> Iterator[Float[np.ndarray, "3"]]:
 
 STEPS = 8
 _STEPS_AGAIN = 4
-_FAR = 4.0  # a cell this far from what all else says of it, in standard deviations, has other light
-_UNUSUAL = 4.0  # standard deviations of a surprise
-_GROWN = 1.2  # growth of a surprise's square that asks where the wall is
+_OUTLIER = 4.0  # standard deviations from which a cell is an outlier: a tool, a shadow, a glint
+_SIGNIFICANT = 4.0  # standard deviations of a mean square
+_GROWN = 1.2  # growth of the mean square from which the wall is looked for elsewhere
 _SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
 _THREADS = 2
 _SEEN = 0.01  # share of a frame's light that is worth a new model
@@ -113,27 +113,27 @@ _START_PX, _START_ALONG = 4.0, 0.08
 some degrees off, and of the distance, relative, by the grid of the starts."""
 
 
-class Surprise(NamedTuple):
-    """How far cells of the newest frame are from what all else says of them.
+class MeanSquare(NamedTuple):
+    """Mean square of the newest frame's residuals against all other data, in standard deviations.
 
     Attributes:
-        square: mean square, in variances.
-        sigmas: how far that is from 1, in its standard deviations.
+        value: 1 where the model is right.
+        sigmas: standard deviations from 1.
     """
 
-    square: float
+    value: float
     sigmas: float
 
     @classmethod
-    def of(cls, far: Float[np.ndarray, "n"]) -> Surprise:
-        """Of distances in standard deviations."""
-        square = float(np.mean(np.square(far))) if far.size else 1.0
-        return cls(square, (square - 1.0) * math.sqrt(0.5 * far.size))
+    def of(cls, deviations: Float[np.ndarray, "n"]) -> MeanSquare:
+        """Of residuals in standard deviations."""
+        value = float(np.mean(np.square(deviations))) if deviations.size else 1.0
+        return cls(value, (value - 1.0) * math.sqrt(0.5 * deviations.size))
 
     @property
-    def unusual(self) -> bool:
-        """Whether chance alone would hardly do that."""
-        return self.sigmas > _UNUSUAL
+    def significant(self) -> bool:
+        """Whether it is too large for chance."""
+        return self.sigmas > _SIGNIFICANT
 
 
 def robust_fit(
@@ -143,53 +143,53 @@ def robust_fit(
     own: Float[np.ndarray, "q"],
     *,
     steps: int = STEPS,
-) -> tuple[PoseSolution, Surprise]:
-    """A solution in which cells with other light have little weight, and the surprise."""
+) -> tuple[PoseSolution, MeanSquare]:
+    """A solution in which outliers have little weight, and the mean square of its residuals."""
     line = solver.model.linear(frame, own)
-    trust = _trust(_unlike_at_start(solver, frame, own, line))
+    trust = _trust(_off_wall_at_start(solver, frame, own, line))
     solution = solver.solve(kept, frame, own, steps=steps, trust=trust, line=line)
-    line, strange, far = _distances(solver, solution, trust)
-    looked_at = solution.linear[-1].weight > 0
-    if kept:  # what comes into the light is new, not a surprise
+    line, left_out, deviations = _distances(solver, solution, trust)
+    tested = solution.linear[-1].weight > 0
+    if kept:  # what comes into the light is new, no outlier
         before = np.sum([line.weight for _, line in kept], axis=0)
-        looked_at &= before * solver.texture.variance > 1.0
-    surprise = Surprise.of(np.minimum(strange, _FAR)[looked_at])
-    # Where the wall has moved, the surprise is an error of its place, not noise.
-    others = Surprise.of(strange[looked_at & (far < _FAR)])
+        tested &= before * solver.texture.variance > 1.0
+    mean_square = MeanSquare.of(np.minimum(left_out, _OUTLIER)[tested])
+    # Where the wall has moved, the residuals are errors of its place, not noise.
+    others = MeanSquare.of(left_out[tested & (deviations < _OUTLIER)])
     still = frame.cells.motion == STILL
-    noise = others.square if others.unusual and still else 1.0
+    noise = others.value if others.significant and still else 1.0
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_ROUNDS):
-        last, trust = trust, _trust(far) / noise
+        last, trust = trust, _trust(deviations) / noise
         if np.abs(trust - last).max() < _SETTLED:
             break
         start, own = solution.frames[-1], solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
-        line, _, far = _distances(solver, solution, trust)
-    return solution, surprise
+        line, _, deviations = _distances(solver, solution, trust)
+    return solution, mean_square
 
 
 def _distances(
     solver: PoseSolver, solution: PoseSolution, trust: Float[np.ndarray, "n"]
 ) -> tuple[Linear, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """The newest frame's model with all trust, and how far its cells are from what all else says.
+    """The newest frame's model with all trust, and its residuals in standard deviations.
 
-    In standard deviations; second also from any wall, where that is farther.
+    First those against all other data, then the larger of these and those against any wall.
     """
     line = solution.linear[-1]
     line = line._replace(weight=line.weight / trust)
-    strange = np.abs(solution.strange(len(solution.linear) - 1, trust))
-    return line, strange, np.maximum(strange, _grown(_unlike(solver, line)))
+    left_out = np.abs(solution.left_out(len(solution.linear) - 1, trust))
+    return line, left_out, np.maximum(left_out, _grown(_off_wall(solver, line)))
 
 
 def modelled(
     solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray, "q"]
 ) -> list[tuple[FrameState, Linear]]:
-    """Frames with their models, in which cells that are unlike the wall have little weight."""
+    """Frames with their models, in which outliers from the wall's texture have little weight."""
 
     def model(frame: FrameState) -> tuple[FrameState, Linear]:
         line = solver.model.linear(frame, own)
-        return frame, line._replace(weight=line.weight * _trust(_grown(_unlike(solver, line))))
+        return frame, line._replace(weight=line.weight * _trust(_grown(_off_wall(solver, line))))
 
     # JAX, and NumPy with whole arrays, let another thread work.
     with ThreadPoolExecutor(_THREADS) as pool:
@@ -223,69 +223,71 @@ def moved(
     return solver, kept
 
 
-def far_moved(
+def remodelled(
     solver: PoseSolver, kept: list[tuple[FrameState, Linear]], solution: PoseSolution
 ) -> list[tuple[FrameState, Linear]] | None:
     """Kept frames, with new models of those that a solution moves too far for theirs.
 
     None if there are none.
     """
-    far = [
+    too_far = [
         k
         for k, ((before, _), after) in enumerate(zip(kept, solution.frames, strict=False))
         if abs(after.pose.distance / before.pose.distance - 1.0) > _LINEAR
         or np.linalg.norm(after.pose.axis - before.pose.axis) > _LINEAR
     ]
-    if not far:
+    if not too_far:
         return None
     kept = kept.copy()
-    fresh = modelled(solver, [solution.frames[k] for k in far], solution.own)
-    for k, one in zip(far, fresh, strict=True):
+    fresh = modelled(solver, [solution.frames[k] for k in too_far], solution.own)
+    for k, one in zip(too_far, fresh, strict=True):
         kept[k] = one
     return kept
 
 
-def unlike_wall(solver: PoseSolver, solution: PoseSolution) -> Bool[np.ndarray, "n"]:
-    """Cells of a first frame's solution that are unlike the wall: hidden, or in other light."""
-    return _grown(_unlike(solver, solver.model.linear(solution.frames[-1], solution.own))) > _FAR
+def outliers(solver: PoseSolver, solution: PoseSolution) -> Bool[np.ndarray, "n"]:
+    """Outliers of a first frame from the wall's texture: hidden, or in other light."""
+    return (
+        _grown(_off_wall(solver, solver.model.linear(solution.frames[-1], solution.own))) > _OUTLIER
+    )
 
 
-def _trust(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """The weight of Geman and McClure: a cell's pull falls with the cube of its distance."""
-    return (_FAR / np.maximum(far, _FAR)) ** 4
+def _trust(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """The weight of Geman and McClure: a cell's pull falls with the cube of its residual."""
+    return (_OUTLIER / np.maximum(deviations, _OUTLIER)) ** 4
 
 
-def _unlike_at_start(
+def _off_wall_at_start(
     solver: PoseSolver, frame: FrameState, own: Float[np.ndarray, "q"], line: Linear
 ) -> Float[np.ndarray, "n"]:
-    """As `_unlike`, at a pose from which a fit starts, near which any pose may be right."""
-    if not _large(_unlike(solver, line)).any():
+    """As `_off_wall`, at a pose from which a fit starts, near which any pose may be right."""
+    if not _large(_off_wall(solver, line)).any():
         return np.zeros(line.weight.size)
     place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
     shifts = np.diag([place, place, along])
     changes = solver.model.changes(frame, own, [*shifts, *-shifts])
     least, most = np.min(changes, axis=0), np.max(changes, axis=0)
     residual = line.residual - np.clip(line.residual, least, most)
-    return _grown(_unlike(solver, line._replace(residual=residual)))
+    return _grown(_off_wall(solver, line._replace(residual=residual)))
 
 
-def _grown(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Distances of cells, in which those at the border of something large are as far as it is.
+def _grown(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+    """Deviations, in which the neighbours of a large outlier are outliers as well.
 
-    They show a part of it, and where it hides the edge of the light, it passes for that edge.
+    Each shows a part of it, and where it hides the edge of the light, it passes for that edge.
     """
-    return np.maximum(far, cv2.dilate(_large(far), _AROUND, anchor=(1, 1)).ravel())
+    return np.maximum(deviations, cv2.dilate(_large(deviations), _AROUND, anchor=(1, 1)).ravel())
 
 
-def _large(far: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count"]:
-    """Distances of blocks of cells that are all far; 0 elsewhere."""
-    grid = far.reshape(COUNT, COUNT)
+def _large(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count"]:
+    """Deviations of blocks of cells that are all outliers; 0 elsewhere."""
+    grid = deviations.reshape(COUNT, COUNT)
     least = cv2.erode(grid, _BLOCK, borderType=cv2.BORDER_REPLICATE)
-    return np.where(least > _FAR, least, 0.0)
+    return np.where(least > _OUTLIER, least, 0.0)
 
 
-def _unlike(solver: PoseSolver, line: Linear) -> Float[np.ndarray, "n"]:
-    """How far cells are from any place of such a wall, in standard deviations.
+def _off_wall(solver: PoseSolver, line: Linear) -> Float[np.ndarray, "n"]:
+    """Residuals against any place of such a wall, in standard deviations.
 
     What hides a part of the wall, or a light on it, is as even as a wall is. So its cells are as
     their neighbours say, but too dark or too bright.
@@ -312,25 +314,25 @@ def fit_wherever(
         frame: the newest one, where its wall is expected.
         own: changes of the beam's own parameters.
         cells: the newest frame's light after a motion of the wall.
-        usual: the square of the surprise of the frame before. No other place is looked for where
-            that has hardly grown, because each search takes as long as two frames.
+        usual: the mean square of the frame before. No other place is looked for where it has hardly
+            grown, because each search takes as long as two frames.
 
     Returns:
-        The solution, the square of its surprise, and whether the wall is lost: the frame is more
-        likely by itself than with the earlier ones.
+        The solution, the mean square of its residuals, and whether it is another wall: the frame is
+        more likely by itself than with the earlier ones.
     """
-    solution, surprise = robust_fit(solver, kept, frame, own)
-    lost = False
-    if surprise.unusual and surprise.square > _GROWN * usual:
+    solution, mean_square = robust_fit(solver, kept, frame, own)
+    other_wall = False
+    if mean_square.significant and mean_square.value > _GROWN * usual:
         alone, _ = robust_fit(solver.with_map(None), [], frame, own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
             again, less = robust_fit(solver, kept, moved, own)
-            if _unlikelihood(solver, again) < _unlikelihood(solver, solution) - _SURE:
-                solution, surprise = again, less
-        lost = _unlikelihood(solver, solution) > _unlikelihood(solver, alone) + _SURE
+            if _deviance(solver, again) < _deviance(solver, solution) - _SURE:
+                solution, mean_square = again, less
+        other_wall = _deviance(solver, solution) > _deviance(solver, alone) + _SURE
     newest = solution.frames[-1]
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
@@ -339,11 +341,11 @@ def fit_wherever(
         line = solver.model.linear(newest, solution.own)
         line = line._replace(weight=solution.linear[-1].weight)
         solution.frames[-1], solution.linear[-1] = newest, line
-    return solution, surprise.square, lost
+    return solution, mean_square.value, other_wall
 
 
-def _unlikelihood(solver: PoseSolver, solution: PoseSolution) -> float:
+def _deviance(solver: PoseSolver, solution: PoseSolution) -> float:
     """-2 log likelihood of the newest frame, given the earlier ones."""
     *earlier, _ = zip(solution.frames, solution.linear, strict=True)
-    before = solver.unlikelihood(earlier, solution.own) if earlier else 0.0
-    return solver.unlikelihood_of(solution) - before
+    before = solver.deviance(earlier, solution.own) if earlier else 0.0
+    return solver.deviance_of(solution) - before

@@ -59,11 +59,11 @@ class RobotPose(NamedTuple):
 
 
 class RobotMotion(NamedTuple):
-    """What the robot says of two frames, less what is believed of them.
+    """The robot's motion between two frames, less that of the hypothesis.
 
     Attributes:
         rest: of the change of the tip, mm, and of two turns of the axis, rad.
-        slopes: derivatives of what is believed by the later pose.
+        slopes: derivatives of the hypothesis by the later pose.
         precision: 1 over the variances of `rest`.
     """
 
@@ -99,15 +99,15 @@ def motion_between(
     (pose_0, robot_0), (pose, robot) = first, later
     if robot_0 is None or robot is None:
         return None
-    told, (turn, angle) = robot.tip - robot_0.tip, _turn(robot_0.axis, robot.axis)
+    motions, (turn, angle) = robot.tip - robot_0.tip, _turn(robot_0.axis, robot.axis)
     across = np.stack([pose.first, pose.second])
     rest = np.concatenate(
-        [told - (pose.tip - pose_0.tip), across @ (turn @ pose_0.axis - pose.axis)]
+        [motions - (pose.tip - pose_0.tip), across @ (turn @ pose_0.axis - pose.axis)]
     )
     first_slopes = np.zeros((POSE, POSE))
     first_slopes[:3] = -pose_0.slopes[:3]
     first_slopes[3:, 3:] = -across @ turn @ np.stack([pose_0.first, pose_0.second], axis=-1)
-    place = math.hypot(robot.sigma, robot_0.sigma, _TURNED * float(np.linalg.norm(told)))
+    place = math.hypot(robot.sigma, robot_0.sigma, _TURNED * float(np.linalg.norm(motions)))
     return RobotMotion(
         rest=rest,
         slopes=pose.slopes,
@@ -125,7 +125,7 @@ def _turn(first: np.ndarray, later: np.ndarray) -> tuple[Float[np.ndarray, "3 3"
     return np.eye(3) + cross + cross @ cross / (1.0 + cosine), angle
 
 
-_BLOOM_PX, BLOOM_DOUBT_PX = 0.45, 0.1
+_BLOOM_PX, BLOOM_SIGMA_PX = 0.45, 0.1
 """How far the edge of a saturated spot is outside of the spot's, px, and its standard deviation. An
 edge cuts 1.27 pixels per pixel of its length, in the mean over all directions. Light of r full
 scales fills each of them of which it covers 1/r, so that the edge is 0.64 (1 - 1/r) too far
@@ -202,8 +202,12 @@ def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
     """
     spot, grid = lit.reshape(COUNT, COUNT), light.reshape(COUNT, COUNT)
     edge, beside = (binary_dilation(spot, iterations=cells) for cells in (1, 3))
-    near, far = grid[beside & ~edge], grid[~beside]
-    return float(np.median(near) / max(np.median(far), _LEAST)) if near.size and far.size else 1.0
+    near, deviations = grid[beside & ~edge], grid[~beside]
+    return (
+        float(np.median(near) / max(np.median(deviations), _LEAST))
+        if near.size and deviations.size
+        else 1.0
+    )
 
 
 LENGTHS_MM = (0.08, 0.25, 1.0)
@@ -213,7 +217,7 @@ _USUAL = (0.02, 0.05, 0.07)
 _ANY, _ALIKE = 2.0 * math.log(30.0), 2.0 * math.log(10.0)
 """Standard deviations of a variance's logarithm before a frame was seen, of all parts together and
 of each part by itself. Two thirds of all walls have a contrast within a factor of 30 of what is
-usual, so that a sheet of paper is no surprise, and parts within a factor of ten of each other: a
+usual, so that a sheet of paper is expected, and parts within a factor of ten of each other: a
 print has no grain, and a photograph's grain is all that it has in small."""
 _RANK = 1e-9  # of the largest derivative
 _WITHIN = 0.52
@@ -246,8 +250,8 @@ class TextureVariances:
 
     def variogram(self, apart_mm: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"]:
         """Variance of the difference of two points that are some way apart."""
-        unlike = 1.0 - _alike(np.asarray(apart_mm))
-        return np.asarray(2.0 * np.tensordot(self.variances, unlike, axes=1))
+        decorrelated = 1.0 - _alike(np.asarray(apart_mm))
+        return np.asarray(2.0 * np.tensordot(self.variances, decorrelated, axes=1))
 
     @property
     def variance(self) -> float:
@@ -280,7 +284,7 @@ def texture_of(
     both = np.column_stack([fitted[:, sizes > _RANK * sizes[0]], residual[chosen]])
     precision = np.linalg.inv(_ANY**2 + _ALIKE**2 * np.eye(len(kernels)))
 
-    def unlikelihood(off: Float[np.ndarray, "parts"]) -> float:
+    def deviance(off: Float[np.ndarray, "parts"]) -> float:
         """-2 log of the probability of variances, by their logarithms over the usual ones."""
         covariance = np.tensordot(np.square(_USUAL) * np.exp(off), kernels, axes=1) + noise
         factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
@@ -291,14 +295,14 @@ def texture_of(
         return float(2.0 * determinants + np.exp(2.0 * sizes[-1]) + off @ precision @ off)
 
     parts = np.eye(len(kernels))
-    start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=unlikelihood)
+    start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=deviance)
     near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
-    off = minimize(unlikelihood, start, method="Nelder-Mead", options=near).x
-    return TextureVariances(np.square(_USUAL) * _mean_exponential(unlikelihood, off))
+    off = minimize(deviance, start, method="Nelder-Mead", options=near).x
+    return TextureVariances(np.square(_USUAL) * _mean_exponential(deviance, off))
 
 
 def _mean_exponential(
-    unlikelihood: Callable[[np.ndarray], float], likeliest: Float[np.ndarray, "n"]
+    deviance: Callable[[np.ndarray], float], likeliest: Float[np.ndarray, "n"]
 ) -> Float[np.ndarray, "n"]:
     """Mean of the exponentials of some numbers, by -2 log of their probability.
 
@@ -307,19 +311,19 @@ def _mean_exponential(
     larger than it.
     """
     steps = _STEP * np.eye(len(likeliest))
-    here = unlikelihood(likeliest)
-    there = np.array([unlikelihood(likeliest + step) for step in steps])
-    back = np.array([unlikelihood(likeliest - step) for step in steps])
+    here = deviance(likeliest)
+    there = np.array([deviance(likeliest + step) for step in steps])
+    back = np.array([deviance(likeliest - step) for step in steps])
     curvature = np.diag(there + back - 2.0 * here)
     for j, k in zip(*np.triu_indices(len(steps), 1), strict=True):
-        both = unlikelihood(likeliest + steps[j] + steps[k])
+        both = deviance(likeliest + steps[j] + steps[k])
         curvature[j, k] = curvature[k, j] = both - there[j] - there[k] + here
     precisions, axes = np.linalg.eigh(0.5 * curvature / _STEP**2)
     mean = np.exp(likeliest)
     for precision, axis in zip(precisions, axes.T, strict=True):
-        ways = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)
-        likely = -0.5 * np.array([unlikelihood(likeliest + way) for way in ways])
-        mean *= np.exp(logsumexp(likely[:, None] + ways, axis=0) - logsumexp(likely))
+        steps = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)
+        log_weights = -0.5 * np.array([deviance(likeliest + step) for step in steps])
+        mean *= np.exp(logsumexp(log_weights[:, None] + steps, axis=0) - logsumexp(log_weights))
     return mean
 
 
@@ -335,8 +339,8 @@ def _kernels(count: int, side_mm: float) -> Float[np.ndarray, "parts n n"]:
 def _alike(apart_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "parts *n"]:
     """Correlation of points that are some way apart, by each part."""
     grain, *smooth = LENGTHS_MM
-    ways = [math.sqrt(3.0) * apart_mm / length for length in smooth]
-    return np.stack([np.exp(-apart_mm / grain), *((1.0 + way) * np.exp(-way) for way in ways)])
+    steps = [math.sqrt(3.0) * apart_mm / length for length in smooth]
+    return np.stack([np.exp(-apart_mm / grain), *((1.0 + step) * np.exp(-step) for step in steps)])
 
 
 GAIN, AMBIENT, SHADE, BLUR, TAILS = POSE, POSE + 1, slice(POSE + 2, POSE + 7), POSE + 7, POSE + 8
@@ -351,8 +355,8 @@ _BLUR_PX2 = 2.0
 """Half width of the Cauchy distribution of the blur's variance. Most images are in focus, at NA
 0.05 within 0.4 mm. Nobody knows how far the others are out of focus."""
 _SATURATED_PX2 = 0.02
-"""Standard deviation of that variance where the spot is saturated: its blur cannot be told from its
-size there, and counts as part of what makes it look larger (`covered`)."""
+"""Standard deviation of that variance where the spot is saturated: its blur cannot be separated from
+its size there, and counts as part of what makes it look larger (`covered`)."""
 _KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
 
 
@@ -385,7 +389,7 @@ class Linear(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FrameState:
-    """A frame with what is believed of it.
+    """A frame and its states.
 
     Attributes:
         pose: tip and axis.

@@ -123,8 +123,8 @@ class PoseSolution:
         at = OWN * (len(self.linear) - 1)
         return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
 
-    def strange(self, k: int, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """How far cells of frame k are from what the other data say, in standard deviations.
+    def left_out(self, k: int, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Residuals of frame k's cells against the other data, in standard deviations.
 
         Args:
             k: number of the frame.
@@ -237,12 +237,12 @@ class PoseSolver:
         frames = [*(state for state, _ in kept), frame]
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
         blur = OWN * newest + BLUR
-        gone, damping, converged = np.zeros(size), _DAMPING, False
+        change, damping, converged = np.zeros(size), _DAMPING, False
         lines = [line for _, line in kept]
         line = self.model.linear(frame, own) if line is None else line
         lines.append(line if trust is None else line._replace(weight=line.weight * trust))
-        told = _motions(frames)
-        hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
+        motions = _motions(frames)
+        hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
         information = _Information(hessian)
         small = _ROUGH if frame.saturated else _SMALL
         for _ in range(steps):
@@ -256,7 +256,7 @@ class PoseSolver:
                 # So near, the model is linear.
                 lines = [_shifted(line, step, k, size) for k, line in enumerate(lines)]
                 cost -= float(2.0 * step @ gradient - step @ hessian @ step)
-                frame, own, gone = moved, own + step[size - len(own) :], gone + step
+                frame, own, change = moved, own + step[size - len(own) :], change + step
                 frames[-1], converged = frame, True
                 break
             trial = None
@@ -266,11 +266,11 @@ class PoseSolver:
                 trial = [_shifted(line, step, k, size) for k, line in enumerate(lines[:-1])]
                 fresh = self.model.linear(moved, new_own, trust=trust)
                 trial.append(fresh._replace(weight=lines[-1].weight))
-                here = gone + step
+                here = change + step
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
                 then = [*frames[:-1], moved]
-                new_told = [*told[:-1], *_motions([frames[0], moved])] if kept else told
-                new_cost = self._cost(then, trial, new_told, new_own, here, factor)
+                new_motions = [*motions[:-1], *_motions([frames[0], moved])] if kept else motions
+                new_cost = self._cost(then, trial, new_motions, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
                 if distance < small:
                     converged = True  # at the minimum, within what the derivatives are good for
@@ -280,15 +280,15 @@ class PoseSolver:
                     break
                 continue
             assert moved is not None
-            frame, own, gone = moved, new_own, here
+            frame, own, change = moved, new_own, here
             damping *= 0.1
-            frames[-1], lines, told = frame, [*trial[:-1], fresh], new_told
-            hessian, gradient, cost, factor = self._system(frames, lines, told, own, gone)
+            frames[-1], lines, motions = frame, [*trial[:-1], fresh], new_motions
+            hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
             information = _Information(hessian)
             converged = distance < small
         for k in range(newest):
             before = frames[k]
-            frames[k] = self._moved(before, gone[OWN * k : OWN * (k + 1)]) or before
+            frames[k] = self._moved(before, change[OWN * k : OWN * (k + 1)]) or before
         return PoseSolution(
             frames=frames,
             linear=lines,
@@ -300,23 +300,19 @@ class PoseSolver:
             converged=converged,
         )
 
-    def unlikelihood(
-        self, kept: list[tuple[FrameState, Linear]], own: Float[np.ndarray, "q"]
-    ) -> float:
+    def deviance(self, kept: list[tuple[FrameState, Linear]], own: Float[np.ndarray, "q"]) -> float:
         """-2 log likelihood of frames at their states, whatever the wall's texture is."""
         frames, lines = [state for state, _ in kept], [line for _, line in kept]
         factor = self._factor(lines)
-        gone = np.zeros(OWN * len(kept) + len(own))
-        cost = self._cost(frames, lines, _motions(frames), own, gone, factor)
-        return self._unlikelihood(cost, lines, factor)
+        change = np.zeros(OWN * len(kept) + len(own))
+        cost = self._cost(frames, lines, _motions(frames), own, change, factor)
+        return self._deviance(cost, lines, factor)
 
-    def unlikelihood_of(self, solution: PoseSolution) -> float:
+    def deviance_of(self, solution: PoseSolution) -> float:
         """The same of all frames of a solution."""
-        return self._unlikelihood(solution.cost, solution.linear, solution.factor)
+        return self._deviance(solution.cost, solution.linear, solution.factor)
 
-    def _unlikelihood(
-        self, cost: float, lines: list[Linear], factor: tuple[np.ndarray, bool]
-    ) -> float:
+    def _deviance(self, cost: float, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> float:
         # The determinant of the data's covariance, by that of the map's precision.
         noise = -sum(float(np.sum(np.log(line.weight[line.weight > 0]))) for line in lines)
         return cost + noise + _log_determinant(factor) - self._prior_log_determinant
@@ -329,12 +325,12 @@ class PoseSolver:
         self,
         frames: list[FrameState],
         lines: list[Linear],
-        told: list[RobotMotion | None],
+        motions: list[RobotMotion | None],
         own: np.ndarray,
-        gone: np.ndarray,
+        change: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
         """Hessian of all states, gradient downhill, cost, and the factor of the map's precision."""
-        size = gone.size
+        size = change.size
         factor = self._factor(lines)
         cross = np.zeros((size, COUNT**2))
         hessian, gradient = np.zeros((size, size)), np.zeros(size)
@@ -349,8 +345,8 @@ class PoseSolver:
             precision, pull = prior_of(frame)
             mine = slice(OWN * k, OWN * (k + 1))
             hessian[mine, mine] += precision
-            gradient[mine] += pull - precision @ gone[mine]
-        for k, motion in _motions_after(told, gone):
+            gradient[mine] += pull - precision @ change[mine]
+        for k, motion in _motions_after(motions, change):
             slopes = np.concatenate([motion.first_slopes, motion.slopes], axis=1)
             weighted = slopes.T * motion.weight
             at = np.r_[:POSE, OWN * k : OWN * k + POSE]
@@ -361,7 +357,7 @@ class PoseSolver:
         last = np.arange(size - len(own), size)
         hessian[last, last] += 1.0
         gradient[last] -= own
-        return hessian, gradient, self._cost(frames, lines, told, own, gone, factor), factor
+        return hessian, gradient, self._cost(frames, lines, motions, own, change, factor), factor
 
     def _map(self, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
         """Log reflectance of the cells by frames."""
@@ -381,19 +377,19 @@ class PoseSolver:
         self,
         frames: list[FrameState],
         lines: list[Linear],
-        told: list[RobotMotion | None],
+        motions: list[RobotMotion | None],
         own: np.ndarray,
-        gone: np.ndarray,
+        change: np.ndarray,
         factor: tuple[np.ndarray, bool],
     ) -> float:
         weighted = self._weighted(lines)
         cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
         cost -= float(weighted @ solved(factor, weighted))
         for k, frame in enumerate(frames):
-            here = gone[OWN * k : OWN * (k + 1)]
+            here = change[OWN * k : OWN * (k + 1)]
             precision, pull = prior_of(frame)
             cost += float(here @ precision @ here - 2.0 * pull @ here) + prior_cost(frame)
-        cost += sum(motion.cost for _, motion in _motions_after(told, gone))
+        cost += sum(motion.cost for _, motion in _motions_after(motions, change))
         return float(cost + own @ own)
 
     def _moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
@@ -436,15 +432,15 @@ class _Information:
         size = 1.0 / np.sqrt(np.maximum(own, _RIDGE * own.max()))
         values, vectors = np.linalg.eigh(size[:, None] * hessian * size)
         self._values = np.maximum(values, 0.0) + _RIDGE
-        self._ways = size[:, None] * vectors
+        self._axes = size[:, None] * vectors
 
     def solved(self, values: Float[np.ndarray, "s"], damping: float) -> Float[np.ndarray, "s"]:
         """The inverse times values, with a damping that is added to each state's information."""
-        return self._ways @ ((values @ self._ways) / (self._values + damping))
+        return self._axes @ ((values @ self._axes) / (self._values + damping))
 
     def inverse(self) -> Float[np.ndarray, "s s"]:
         """The inverse."""
-        return (self._ways / self._values) @ self._ways.T
+        return (self._axes / self._values) @ self._axes.T
 
 
 def _step_within(
@@ -477,9 +473,9 @@ def _motions(frames: list[FrameState]) -> list[RobotMotion | None]:
 
 
 def _motions_after(
-    told: list[RobotMotion | None], gone: np.ndarray
+    motions: list[RobotMotion | None], change: np.ndarray
 ) -> Iterator[tuple[int, RobotMotion]]:
     """What the robot says, by the frame's number, after changes of the states."""
-    for k, motion in enumerate(told, 1):
+    for k, motion in enumerate(motions, 1):
         if motion is not None:
-            yield k, motion.after(gone[OWN * k : OWN * k + POSE], gone[:POSE])
+            yield k, motion.after(change[OWN * k : OWN * k + POSE], change[:POSE])

@@ -21,7 +21,13 @@ from threadpoolctl import ThreadpoolController
 from estimator.distance.cone import calibrated_view
 from estimator.distance.range import Range, WallMemory
 from estimator.pixels.beam import POSE, BeamLight, Sweep
-from estimator.pixels.first_frame import Belief, Look, distinct, explained_alone, explained_with
+from estimator.pixels.first_frame import (
+    Hypothesis,
+    Observation,
+    distinct,
+    explained_alone,
+    explained_with,
+)
 from estimator.pixels.frame_fit import farthest_px
 from estimator.pixels.frame_model import Direction, RobotPose
 from estimator.pixels.picture import FramePixels, Mix, Reference
@@ -55,7 +61,7 @@ class PoseTracker:
     ) -> None:
         self.beam, self.noise, self._shake_px = beam, noise, shake_px
         self._reference = reference
-        self._beliefs: list[Belief] = []
+        self._hypotheses: list[Hypothesis] = []
         self._last: Outline | None = None  # in the last frame with a pose
         self._mix: Mix | None = None
         self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
@@ -64,9 +70,9 @@ class PoseTracker:
 
     def forget(self) -> None:
         """Start anew with the next frame, on a wall that is not known."""
-        if self._beliefs:
-            self._drift = self._drift + self._beliefs[0].drift(self._beliefs[0].newest)
-        self._beliefs = []
+        if self._hypotheses:
+            self._drift = self._drift + self._hypotheses[0].drift(self._hypotheses[0].newest)
+        self._hypotheses = []
 
     def read(
         self,
@@ -85,79 +91,81 @@ class PoseTracker:
             sweep: motion during the exposure, from the robot; None if unknown.
             robot: where the robot says the tool is; None if it does not.
         """
-        look = Look(FramePixels.of(image, self.noise), direction, sweep, robot)
+        observation = Observation(FramePixels.of(image, self.noise), direction, sweep, robot)
         if any(outline.measured for outline in outlines):
-            return self._read_spot(look, outlines[0])
-        return self._read_unmeasured(look, outlines)
+            return self._read_spot(observation, outlines[0])
+        return self._read_unmeasured(observation, outlines)
 
-    def _read_spot(self, look: Look, outline: Outline) -> Range:
+    def _read_spot(self, observation: Observation, outline: Outline) -> Range:
         """The pose of a measured spot."""
-        look = self._shown(look, outline)
+        observation = self._shown(observation, outline)
         flag: Reason | None = Reason.NOT_CONVERGED
         wall = WallMemory.NEW
-        if self._beliefs:
-            flag, wall = self._followed(look, outline)
+        if self._hypotheses:
+            flag, wall = self._followed(observation, outline)
         if flag is not None:
             # Where the past does not explain the frame, it may be wrong.
-            wall = WallMemory.DROPPED if self._beliefs else WallMemory.NEW
-            if self._beliefs:
+            wall = WallMemory.DROPPED if self._hypotheses else WallMemory.NEW
+            if self._hypotheses:
                 self._reference = None  # nor does it
             self.forget()
-            flag = self._begun(look, outline)
+            flag = self._begun(observation, outline)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
-                if flag is not None or self._beliefs[0].lost:
+                if flag is not None or self._hypotheses[0].other_wall:
                     self._reference, wall = None, WallMemory.DROPPED
-                    flag = self._begun(look, outline)
+                    flag = self._begun(observation, outline)
         if flag is not None:
             self.forget()
             return _missing(flag, wall)
         return self._range(wall, outline)
 
-    def _read_unmeasured(self, look: Look, outlines: Sequence[Outline]) -> Range:
+    def _read_unmeasured(self, observation: Observation, outlines: Sequence[Outline]) -> Range:
         """The pose of a spot that was not measured, if earlier frames explain the light."""
-        before = self._beliefs
+        before = self._hypotheses
         if not before or self._last is None:
             return _missing(Reason.NOT_CONVERGED, WallMemory.NEW)
         outline = _like(self._last, outlines)
-        flag, wall = self._followed(self._shown(look, outline), outline)
+        flag, wall = self._followed(self._shown(observation, outline), outline)
         if flag is None:
             return self._range(wall, outline)
-        self._beliefs = before
+        self._hypotheses = before
         return _missing(flag, wall)
 
-    def _shown(self, look: Look, outline: Outline) -> Look:
-        """The frame without what hides the spot, where that can be told."""
+    def _shown(self, observation: Observation, outline: Outline) -> Observation:
+        """The frame without what hides the spot, where its edge is sharp."""
         if not self.beam.sharp:
-            return look
-        return look._replace(picture=look.picture.with_sharp(outline))
+            return observation
+        return observation._replace(picture=observation.picture.with_sharp(outline))
 
-    def _followed(self, look: Look, outline: Outline) -> tuple[Reason | None, WallMemory]:
-        """Explain a frame by the earlier ones: why that failed, if so, and what the wall did."""
-        followed = self._follow(look, outline)
+    def _followed(
+        self, observation: Observation, outline: Outline
+    ) -> tuple[Reason | None, WallMemory]:
+        """Fit a frame with the earlier ones: why that failed, or None, and the wall's state."""
+        followed = self._follow(observation, outline)
         if not followed:
             return Reason.NOT_CONVERGED, WallMemory.DROPPED
-        self._beliefs = followed
+        self._hypotheses = followed
         best = followed[0]
         wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
         flag = flag_of(best, outline)
-        if flag is None and best.lost:
+        if flag is None and best.other_wall:
             flag = Reason.MISFIT  # of the wall that was learnt
         return flag, wall
 
-    def _begun(self, look: Look, outline: Outline) -> Reason | None:
-        """Explain a frame by itself: why that failed, if so."""
-        self._beliefs, self._mix = explained_alone(
-            self.beam, self.noise, self._reference, look, outline
+    def _begun(self, observation: Observation, outline: Outline) -> Reason | None:
+        """Fit a frame by itself: why that failed; None if it did not."""
+        self._hypotheses, self._mix = explained_alone(
+            self.beam, self.noise, self._reference, observation, outline
         )
-        flag = flag_of(self._beliefs[0] if self._beliefs else None, outline)
+        flag = flag_of(self._hypotheses[0] if self._hypotheses else None, outline)
         if flag is None:
-            best = self._beliefs[0]
+            best = self._hypotheses[0]
             self._shaken = shake_covariance(best.solver, best.solution)
         return flag
 
     def _range(self, wall: WallMemory, outline: Outline) -> Range:
-        best, *others = self._beliefs
+        best, *others = self._hypotheses
         self._last = outline if outline.measured else best.outline
         if wall is WallMemory.DROPPED:
             self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
@@ -171,15 +179,17 @@ class PoseTracker:
             unknown_px=self._unknown_px,
         )
 
-    def _follow(self, look: Look, spot: Outline) -> list[Belief]:
+    def _follow(self, observation: Observation, spot: Outline) -> list[Hypothesis]:
         """Explanations of a frame together with earlier ones."""
         assert self._mix is not None and self._last is not None
         last_px = np.array([self._last.x_px, self._last.y_px])
         followed = [
-            explained_with(belief, look, self._mix, spot, last_px, shake_px=self._shake_px)
-            for belief in self._beliefs
+            explained_with(
+                hypothesis, observation, self._mix, spot, last_px, shake_px=self._shake_px
+            )
+            for hypothesis in self._hypotheses
         ]
-        return distinct([belief for belief in followed if belief is not None])
+        return distinct([hypothesis for hypothesis in followed if hypothesis is not None])
 
 
 def _missing(flag: Reason, wall: WallMemory) -> Range:
@@ -189,15 +199,15 @@ def _missing(flag: Reason, wall: WallMemory) -> Range:
 def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
     """The outline that may be the last one's, or else that itself."""
 
-    def way(outline: Outline) -> float:
+    def apart(outline: Outline) -> float:
         return math.hypot(outline.x_px - last.x_px, outline.y_px - last.y_px)
 
     def alike(outline: Outline) -> bool:
         size = outline.semi_major_px * outline.semi_minor_px
         ratio = size / (last.semi_major_px * last.semi_minor_px)
-        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and way(outline) < last.semi_major_px
+        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and apart(outline) < last.semi_major_px
 
-    return min(filter(alike, outlines), key=way, default=last._replace(measured=False))
+    return min(filter(alike, outlines), key=apart, default=last._replace(measured=False))
 
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0

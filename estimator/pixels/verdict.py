@@ -32,9 +32,9 @@ from jaxtyping import Float
 from estimator.distance.range import Range, TipPose, WallMemory
 from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT, SIDES, WallMotion
-from estimator.pixels.first_frame import Belief
+from estimator.pixels.first_frame import Hypothesis
 from estimator.pixels.frame_model import (
-    BLOOM_DOUBT_PX,
+    BLOOM_SIGMA_PX,
     BLUR,
     FrameState,
     TextureVariances,
@@ -117,8 +117,8 @@ def _even_part(
     """How the log light of a frame's cells changes by a change of its pose and by its opposite."""
     model = solver.model
     light = []
-    for way in (change, np.zeros(POSE), -change):
-        pose = solver.beam.pose(*frame.pose.moved(way))
+    for shift in (change, np.zeros(POSE), -change):
+        pose = solver.beam.pose(*frame.pose.moved(shift))
         if pose is None:
             return np.zeros(COUNT**2)
         lattice = model.lattice(frame.cells.motion)
@@ -132,7 +132,7 @@ _PULL_SHARE = 0.3
 """Error of the pull, over its size: it is a linear forecast. On rendered drifts of up to 1.3 mm
 shifts and turns were within 10 to 30 % of it, mostly."""
 _TURN_PER_MM = 0.3  # most turn by a drift, rad/mm; the wall's slope changes by 0.09
-_PER_WAY = 0.03  # error of the distance's pull, over the drift
+_PER_DRIFT = 0.03  # error of the distance's pull, over the drift
 
 
 def drift_covariance(
@@ -145,22 +145,24 @@ def drift_covariance(
         drifts_px: shift of the image in each frame since the microscope file was right.
     """
     pull = _pulled(solver, solution, drifts_px)
-    way = float(np.linalg.norm(pull[:2]))
+    shift = float(np.linalg.norm(pull[:2]))
     # Where the light hardly says anything, a linear forecast has no bound of its own.
-    pull[2] = np.clip(pull[2], -way, way)
-    pull[3:] *= min(1.0, _TURN_PER_MM * way / max(float(np.linalg.norm(pull[3:])), 1e-12))
+    pull[2] = np.clip(pull[2], -shift, shift)
+    pull[3:] *= min(1.0, _TURN_PER_MM * shift / max(float(np.linalg.norm(pull[3:])), 1e-12))
     turn = np.linalg.norm(pull[3:])
-    distance = np.hypot(pull[2], _PER_WAY / _PULL_SHARE * way)
-    return np.outer(pull, pull) + np.diag([way, way, distance, turn, turn]) ** 2 * _PULL_SHARE**2
+    distance = np.hypot(pull[2], _PER_DRIFT / _PULL_SHARE * shift)
+    return (
+        np.outer(pull, pull) + np.diag([shift, shift, distance, turn, turn]) ** 2 * _PULL_SHARE**2
+    )
 
 
 def shake_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What a shake of the view by a pixel along each side does to all poses on a map, per px².
 
     Args:
-        solution: of the map's first frame, which nobody knows the shake of.
+        solution: of the map's first frame, whose shake is not known.
     """
-    shaken = [drift_covariance(solver, solution, [way]) for way in np.eye(2)]
+    shaken = [drift_covariance(solver, solution, [shift]) for shift in np.eye(2)]
     return np.sum(shaken, axis=0)
 
 
@@ -169,13 +171,13 @@ def _pulled(
 ) -> Float[np.ndarray, "5"]:
     """How far the newest pose would be off."""
     model, beam, own = solver.model, solver.beam, solution.own
-    changes, way = [], np.zeros(3)
+    changes, shift = [], np.zeros(3)
     for frame, drift in zip(solution.frames, drifts_px, strict=True):
         length, motion = float(np.linalg.norm(drift)), frame.cells.motion
         part = _STEP_PX / max(length, _STEP_PX)
         middle = motion.image_px(solver.window.middle_px)
         (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
-        way = (there - here) / part
+        shift = (there - here) / part
         other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
         if other is None:
             return np.zeros(POSE)
@@ -188,7 +190,7 @@ def _pulled(
         changes.append((seen - fitted) / part)
     pull = solution.answer(changes)[:POSE]
     newest = solution.frames[-1].pose
-    pull[:2] -= way @ np.stack([newest.right, newest.down], axis=-1)
+    pull[:2] -= shift @ np.stack([newest.right, newest.down], axis=-1)
     return pull
 
 
@@ -197,10 +199,9 @@ _SHIFT_SHARE = 2.0
 """Error of the shift, over the shift. On rendered cones out of focus by 2 and 3 mm at NA 0.04 the
 distance was off by up to 0.5 of what the whole shift makes of it in first frames, by up to 1.1 on
 printed paper and by 1.5 to 2.6 on a retina in the frames that follow."""
-_ONE_WAY, _MOST_PX2 = 0.7, 4.0
-"""How much wider a blur is along one direction, over its variance, and up to which variance, px²:
-where the view moves during the exposure, by the whole of it. A motion by seven pixels has 4 px²; a
-wider blur is that of a camera out of focus."""
+_ALONG_ONE, _MOST_PX2 = 0.7, 4.0
+"""Largest anisotropy of the blur, over its variance, px². Up to 4 px² it may be the view's motion
+along one direction, by seven pixels during the exposure; more is defocus, which is round."""
 
 
 def edge_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
@@ -229,7 +230,7 @@ def _changes(solver: PoseSolver, solution: PoseSolution, k: int) -> Float[np.nda
     radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
     light = np.exp(solver.model.log_light(frame, light))
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
-    shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_DOUBT_PX * frame.saturated
+    shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_SIGMA_PX * frame.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
     angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
     aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
@@ -237,8 +238,8 @@ def _changes(solver: PoseSolver, solution: PoseSolution, k: int) -> Float[np.nda
     oval = np.stack([np.cos(2 * angle), np.sin(2 * angle)])
     to_a_side = aside * np.stack([np.cos(angle), np.sin(angle)])
     shifts = np.concatenate([shift * np.ones((1, angle.size)), shift * oval, to_a_side])
-    one_way = _ONE_WAY * min(frame.blur_px2, _MOST_PX2)
-    return np.concatenate([outwards * shifts, one_way * by_blur * oval])
+    along_one = _ALONG_ONE * min(frame.blur_px2, _MOST_PX2)
+    return np.concatenate([outwards * shifts, along_one * by_blur * oval])
 
 
 def _growth(texture: TextureVariances, radius_px: float, scale_mm_px: float) -> float:
@@ -274,23 +275,23 @@ the light during the exposure, over that way. Of rendered frames of known pose: 
 place is right to 0.004 px, under the haze of a varnished one to 0.05 px."""
 
 
-def flag_of(belief: Belief | None, outline: Outline) -> Reason | None:
+def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     """Why the newest frame is not explained; None if it is.
 
     Args:
-        belief: the best explanation; None if there is none.
+        hypothesis: the best explanation; None if there is none.
     """
-    if belief is None or not belief.solution.converged:
+    if hypothesis is None or not hypothesis.solution.converged:
         return Reason.NOT_CONVERGED
-    nearest, farthest = belief.solver.beam.within_mm
-    if not nearest < belief.newest.pose.distance < farthest:
+    nearest, farthest = hypothesis.solver.beam.within_mm
+    if not nearest < hypothesis.newest.pose.distance < farthest:
         return Reason.OUT_OF_RANGE
-    best, sharp = belief.solution, belief.solver.beam.sharp
-    widened = belief.newest.pose.distance + belief.solver.beam.apex_mm
+    best, sharp = hypothesis.solution, hypothesis.solver.beam.sharp
+    widened = hypothesis.newest.pose.distance + hypothesis.solver.beam.apex_mm
     if math.sqrt(best.shown_covariance[2, 2]) > _VAGUE[sharp] * widened:
         return Reason.NOT_CONVERGED
-    newest, window = belief.newest, belief.solver.window
-    by_beam = belief.solver.model.light(newest, best.own)
+    newest, window = hypothesis.newest, hypothesis.solver.window
+    by_beam = hypothesis.solver.model.light(newest, best.own)
     spot = lit(by_beam)
     size = float(np.count_nonzero(spot)) * window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
@@ -308,7 +309,7 @@ def flag_of(belief: Belief | None, outline: Outline) -> Reason | None:
 
 
 def range_of(
-    belief: Belief,
+    hypothesis: Hypothesis,
     others_mm: tuple[float, ...],
     wall: WallMemory,
     *,
@@ -320,7 +321,7 @@ def range_of(
     """What is stated of the newest frame's pose.
 
     Args:
-        belief: the best explanation.
+        hypothesis: the best explanation.
         others_mm: distances of other explanations.
         wall: what was known of the wall.
         shake_px: least standard deviation of the image's shake along each side.
@@ -328,10 +329,10 @@ def range_of(
         drift_px: of the view before the wall's map was begun.
         unknown_px: what it may have drifted without anybody seeing it.
     """
-    solver, solution = belief.solver, belief.solution
-    # Where the view was in the first frame, if it shakes, nobody knows.
-    shake = max(belief.shake_px, shake_px)
-    newest = belief.newest
+    solver, solution = hypothesis.solver, hypothesis.solution
+    # If the view shakes, its place in the first frame is not known.
+    shake = max(hypothesis.shake_px, shake_px)
+    newest = hypothesis.newest
     swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
     place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept)
     place_and_distance = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
@@ -339,9 +340,9 @@ def range_of(
     covariance += edge_covariance(solver, solution) + ambient_covariance(solver, solution)
     covariance += bend_covariance(solver, solution, covariance)
     covariance += shake**2 * shaken
-    drifts = [drift_px + belief.drift(frame) for frame in solution.frames]
-    for way in unknown_px * np.eye(2) if unknown_px else ():
-        covariance += drift_covariance(solver, solution, [way for _ in drifts])
+    drifts = [drift_px + hypothesis.drift(frame) for frame in solution.frames]
+    for shift in unknown_px * np.eye(2) if unknown_px else ():
+        covariance += drift_covariance(solver, solution, [shift for _ in drifts])
     if np.any(drifts):
         covariance += drift_covariance(solver, solution, drifts)
     pose = solution.frames[-1].pose
