@@ -134,11 +134,12 @@ def tracked(
 def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwrite: bool) -> None:
     """Find out before the run what would fail after it."""
     from estimator.run.overlay import check_overlay_path
-    from estimator.viewer import check_recording_path
     from formats.inputs import in_utf8
     from formats.whole_files import refuse_existing
 
     if rerun is not None:
+        from estimator.viewer import check_recording_path
+
         check_recording_path(rerun)
     if out.suffix.lower() not in (".csv", ".parquet"):
         raise InputError(f"{out}: a spots file is named .csv or .parquet; got {out.suffix!r}.")
@@ -161,12 +162,12 @@ def _shown(
     target: str | None, frames: Source, options: Options
 ) -> Iterator[Callable[[Frame, Reading], None] | None]:
     """Records every frame with its reading and, of a stack, its labels; None for no recording."""
-    from estimator.viewer import recording_of
-    from formats.stack import read_stack
-
     if target is None:
         yield None
         return
+    from estimator.viewer import recording_of
+    from formats.stack import read_stack
+
     folder = Path(frames.name)
     labelled = read_stack(folder).labels if (folder / "stack.toml").is_file() else ()
     truth = {labels.file_name: labels for labels in labelled}
