@@ -333,9 +333,13 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     Raises:
         InputError: Parquet without pyarrow installed.
     """
-    write = _write_parquet if is_parquet(path) else _write_csv
     with written_whole(Path(path), replace=True) as partial:
-        write(partial, records)
+        lines = partial.with_name("lines.csv") if is_parquet(path) else partial
+        with lines.open("w", encoding="utf-8", newline="") as file:
+            file.write(csv_line(None))
+            file.writelines(map(csv_line, records))
+        if is_parquet(path):
+            parquet_of_csv(lines, partial)
 
 
 def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
@@ -414,18 +418,6 @@ def parquet_of_csv(lines: Path, path: Path) -> None:
     ):
         for part in parts:
             file.write_batch(part)
-
-
-def _write_csv(path: Path, records: Iterable[SpotRecord]) -> None:
-    with path.open("w", encoding="utf-8", newline="") as file:
-        file.write(csv_line(None))
-        file.writelines(map(csv_line, records))
-
-
-def _write_parquet(path: Path, records: Iterable[SpotRecord]) -> None:
-    lines = path.with_name("lines.csv")
-    _write_csv(lines, records)
-    parquet_of_csv(lines, path)
 
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:

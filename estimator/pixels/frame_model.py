@@ -355,8 +355,8 @@ _BLUR_PX2 = 2.0
 """Half width of the Cauchy distribution of the blur's variance. Most images are in focus, at NA
 0.05 within 0.4 mm. Nobody knows how far the others are out of focus."""
 _SATURATED_PX2 = 0.02
-"""Standard deviation of that variance where the spot is saturated: its blur cannot be separated from
-its size there, and counts as part of what makes it look larger (`covered`)."""
+"""Standard deviation of that variance where the spot is saturated: its blur cannot be separated
+from its size there, and counts as part of what makes it look larger (`covered`)."""
 _KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
 
 
