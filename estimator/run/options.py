@@ -47,7 +47,7 @@ DistanceModel = Literal[
 ]
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    Parameter(help="paper or metered (default), if it has both.", show_choices=False),
+    Parameter(help="Take paper or metered (default), if it has both.", show_choices=False),
 ]
 _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
     Parameter(group=Group.create_ordered(name))
@@ -128,8 +128,8 @@ class Options(Given):
         Literal["auto", "subpixel", "literal", "pixels"],
         Parameter(show_choices=False, show_default=False),
     ] = "auto"
-    """literal: the paper's algorithm. auto (default): pixels for a lens if the camera's noise is
-    known and its rate permits, else subpixel."""
+    """The default, auto, takes pixels for a lens if the camera's noise is known and its rate
+    permits, else subpixel; literal is the paper's."""
     settings: Annotated[dict[str, float | str], Parameter(parse=False)] = {}
     """Values that differ from the defaults of `SubpixelSettings` or `LiteralSettings`."""
     rate_hz: Annotated[float | None, Field(gt=0), Parameter(parse=False)] = None
@@ -145,7 +145,7 @@ class Options(Given):
     eye_radius_mm: Annotated[float | None, _MICROSCOPE] = None
     """Radius of the eyeball, if no file has it."""
     wall: Annotated[Literal["plane"] | None, _MICROSCOPE, Parameter(show_choices=False)] = None
-    """plane: it is square to the axis (default: file)."""
+    """Can be plane, square to the axis (default: file)."""
     full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
     """Largest value, e.g. 4095 (default: the file's)."""
     model: Annotated[DistanceModel | None, _CALIBRATION] = None
