@@ -86,12 +86,11 @@ def labels_of(index: int, **known: Any) -> FrameLabels:
 def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -> Path:
     """A stack whose images show what their labels say, but for spots that are hidden."""
     rng = np.random.default_rng(seed)
+    described = load_scene(None, [f"seed={seed}", "source.kind=cone"])
     with StackWriter(folder) as writer:
         kinematics = np.array([[n / 20 - 0.1, 1, 2, n / 20, 0, 0, -1] for n in range(20)])
         writer.describe(
-            stack={
-                "scene": load_scene(None, [f"seed={seed}"]).model_dump(mode="json", by_alias=True)
-            },
+            stack={"scene": described.model_dump(mode="json", by_alias=True)},
             microscope=MICROSCOPE,
             kinematics=kinematics,
         )

@@ -384,11 +384,10 @@ def test_two_lines_for_an_image_are_refused(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ([], "nothing to score"),
         (["missing.csv"], "no such spots file"),
         (["a/x.csv", "b/x.csv"], "two estimators have the name x"),
         (["--mode", "subpixel", "--out", "."], "already exists"),
-        (["--mode", "subpixel", "--calibration", "x.json"], "no effect without --mode pixels"),
+        (["--mode", "subpixel", "--calibration", "x.json"], "no effect without --mode auto"),
     ],
 )
 def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:

@@ -337,10 +337,6 @@ def run(
     modes = modes if mode == "both" else (mode,) if mode else ()
     given = [entry_of(path) for path in spots_files] + (entries_in(entries) if entries else [])
     names = Counter([*(entry.name for entry in given), *modes])
-    if not names:
-        raise InputError(
-            "nothing to score. Give spots files, entries, or --mode to measure the images."
-        )
     if twice := [name for name, count in names.items() if count > 1]:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
     if calibration is not None and mode not in ("auto", "pixels"):
