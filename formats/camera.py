@@ -243,7 +243,6 @@ class LightMeter:
             values: the window's, `window.of(frame, stride)`.
             window: their place in a checked frame.
             channel: 0, 1, 2 or GREY.
-            full_scale: of the frame.
             stride: px of the frame per value.
         """
         light = self._channel(values, channel, full_scale)
@@ -260,7 +259,6 @@ class LightMeter:
             window: of a checked frame.
             channel: 0, 1, 2 or GREY.
             clips: value at which each channel is clipped.
-            full_scale: of the frame.
         """
         light = self.response.light(np.array(clips, np.float32), full_scale).tolist()
         grey = (

@@ -67,7 +67,6 @@ def in_file(name: object, kind: type[InputError] = InputError) -> Iterator[None]
 
     Args:
         name: of the file, with the line if there is one.
-        kind: of the error.
     """
     try:
         yield
@@ -241,7 +240,6 @@ def validated(model: type[_Model], content: object, *, remedy: str) -> _Model:
     """Content that fulfils a model.
 
     Args:
-        model: what the file must be.
         content: mappings, lists and plain values, as a reader of JSON or TOML returns them.
         remedy: sentence that ends the message of an error.
 
@@ -331,7 +329,6 @@ def csv_rows(
     """The rows of a CSV file with a header, each with its place for messages.
 
     Args:
-        path: of the file.
         check: refuses a header with an InputError.
 
     Raises:

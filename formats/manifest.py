@@ -46,7 +46,6 @@ def write_manifest(
     """Write manifest.json, or replace it.
 
     Args:
-        folder: the folder.
         schema: schema of the folder's files.
         known: files that need not be read again.
     """
@@ -63,7 +62,6 @@ def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
     """The files that manifest.json lists.
 
     Args:
-        folder: the folder.
         remedy: what to do if the manifest is damaged.
 
     Raises:
@@ -79,12 +77,7 @@ def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
 
 
 def differences(folder: Path, listed: Mapping[str, Fingerprint]) -> Iterator[str]:
-    """What is missing, changed or unexpected in a folder; links are not followed.
-
-    Args:
-        folder: the folder.
-        listed: what its manifest lists.
-    """
+    """What is missing, changed or unexpected in a folder; links are not followed."""
     found = dict(_entries(folder))
     for name, kind in sorted(found.items()):
         if kind != "file":

@@ -359,7 +359,6 @@ def read_microscope(
     """Read a microscope from a stack's microscope.json or from a camera calibration.
 
     Args:
-        path: of the file.
         pinhole_height_mm: z_F above the eyeball's centre, for calibrations, which lack it.
         eye_radius_mm: r, for calibrations, which lack it.
         plane_normal: of a plane wall, for files that lack it, such as calibrations; None: the

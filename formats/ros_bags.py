@@ -76,8 +76,6 @@ def topic_in(
     """Choose a topic of a bag.
 
     Args:
-        reader: of the open bag.
-        path: of the bag, for messages.
         name: of the topic; None takes the usual one, or else the only one of these kinds.
         kinds: message types that the topic may have.
         usual: name of the rig's topic.

@@ -401,7 +401,6 @@ def parquet_of_csv(lines: Path, path: Path) -> None:
 
     Args:
         lines: spots file, CSV.
-        path: of the Parquet file.
     """
     pa, csv_reader = pyarrow(), importlib.import_module("pyarrow.csv")
     kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}

@@ -452,7 +452,6 @@ class StackWriter:
 
         Args:
             stack: everything that determines images and labels: the scene, versions.
-            microscope: the camera.
             kinematics: n x 7, time (s), tip (mm) and axis that the robot reported.
         """
         texts = {
@@ -489,7 +488,6 @@ class StackWriter:
 
         Args:
             image: 8 or 16 bits.
-            labels: its true values.
             mask: 0 or 255.
             linear: radiance behind the image, to be kept with it.
         """

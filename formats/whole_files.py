@@ -180,7 +180,6 @@ def give_name(made: Path, path: Path, *, replace: bool = False) -> None:
 
     Args:
         made: where it is, on the same disk.
-        path: its name.
         replace: replace a file of this name.
 
     Raises:
@@ -246,7 +245,6 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
 
     Args:
         where: of the damage: the file, and the frame where there is one.
-        remedy: what to do about it.
     """
     try:
         yield

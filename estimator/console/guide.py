@@ -80,7 +80,6 @@ class Guide:
 
     Args:
         session: whose frames and poses are recorded.
-        folder: of the recordings and calibrations.
         microscope: file of the session's microscope.
     """
 

@@ -44,7 +44,6 @@ def serve(
     """Serve the page until Ctrl-C.
 
     Args:
-        host: address to listen on.
         token: that the page asks for; None for none.
         poses: as of `Session`.
 

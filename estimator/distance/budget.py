@@ -215,7 +215,6 @@ class Budgets:
     """Makes the budgets of the distances of one ranger, in two milliseconds each.
 
     Args:
-        ranger: that computed the distances.
         stated: uncertainties of what neither spot nor calibration contains.
     """
 
@@ -248,10 +247,7 @@ class Budgets:
         """The budget of a distance; None if there is no distance, or nothing explains the spot.
 
         Args:
-            spot: that was measured.
-            found: its distance.
             axis: of the beam, by the robot: unit vector from the tip towards the wall, eye frame.
-            motion: of the tool.
         """
         if math.isnan(found.distance_mm):
             return None

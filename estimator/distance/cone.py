@@ -29,7 +29,6 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     with.
 
     Args:
-        microscope: as the file describes it.
         values: of the calibration: `scale`, `eye_radius` and `inverse_working_distance`, if it has
             them, replace the microscope's.
 

@@ -53,7 +53,6 @@ def blurred(
     Args:
         values: of the cells of a square lattice.
         variance: of the blur along each side, in squares of a cell's side.
-        kurtosis: excess kurtosis of the blur.
     """
     lattice = _waves(math.isqrt(values.shape[-1]))
     transfer, _ = _transfer(lattice.squares, variance, kurtosis)
@@ -223,7 +222,6 @@ class BeamLight:
 
     Args:
         source: the beam's light, see `optics.wall_light.cells.CellBeam`.
-        microscope: the camera and the wall.
         spread: turns independent numbers of variance 1 into errors of the beam's own parameters.
         sharp: whether the light ends at an edge.
         apex_mm: how far behind the tip the light begins to widen.

@@ -235,7 +235,6 @@ def scanned_starts(
     Args:
         solver: of the frame's window.
         own: changes of the beam's own parameters.
-        directions: axes of the beam.
     """
     found: list[tuple[float, FrameState]] = []
     spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
@@ -443,9 +442,6 @@ def explained_with(
     """An explanation of the frames so far, continued by the next one.
 
     Args:
-        observation: the next frame.
-        mix: the mixture of channels.
-        last_px: where the spot was.
         shake_px: least standard deviation of the image's shake along each side.
 
     Returns:

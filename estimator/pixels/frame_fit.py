@@ -310,7 +310,6 @@ def fit_wherever(
     """As `robust_fit`, wherever the wall is now.
 
     Args:
-        kept: earlier frames with their models.
         frame: the newest one, where its wall is expected.
         own: changes of the beam's own parameters.
         cells: the newest frame's light after a motion of the wall.

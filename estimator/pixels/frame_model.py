@@ -195,11 +195,7 @@ def _brightest_near(light: Float[np.ndarray, "n"]) -> np.ndarray:
 
 
 def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
-    """Light beside a spot over that farther away, in which no tool and no vessel counts.
-
-    Args:
-        lit: cells of the spot.
-    """
+    """Light beside a spot over that farther away, in which no tool and no vessel counts."""
     spot, grid = lit.reshape(COUNT, COUNT), light.reshape(COUNT, COUNT)
     edge, beside = (binary_dilation(spot, iterations=cells) for cells in (1, 3))
     near, deviations = grid[beside & ~edge], grid[~beside]
@@ -273,7 +269,6 @@ def texture_of(
         residual: log light less its model, of count x count cells.
         weight: 1 over the variances of the residuals by the camera; 0 for cells that are not used.
         slopes: derivatives of the model by what was fitted to these residuals.
-        count: cells along each side.
         side_mm: of a cell on the wall.
     """
     chosen = np.flatnonzero(weight > 0)

@@ -127,7 +127,6 @@ class PoseSolution:
         """Residuals of frame k's cells against the other data, in standard deviations.
 
         Args:
-            k: number of the frame.
             trust: factors on the weights of its cells, which are not taken for noise.
         """
         line = self.linear[k]
@@ -230,7 +229,6 @@ class PoseSolver:
         Args:
             kept: earlier frames with their models, which change little and stay linear.
             own: changes of the beam's own parameters, see `BeamLight`.
-            steps: most iterations.
             trust: factors on the weights of the newest frame's cells.
             line: its model, with all trust, where it is known already.
         """

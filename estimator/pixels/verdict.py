@@ -321,8 +321,6 @@ def range_of(
     """What is stated of the newest frame's pose.
 
     Args:
-        hypothesis: the best explanation.
-        others_mm: distances of other explanations.
         wall: what was known of the wall.
         shake_px: least standard deviation of the image's shake along each side.
         shaken: what a shake does to the pose, per px².

@@ -181,11 +181,7 @@ def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
 
 
 def silence_message(said: str, image: Any) -> Any:
-    """A status for images that have stopped.
-
-    Args:
-        image: the last one that arrived.
-    """
+    """A status for images that have stopped."""
     return _status("STALE", said, {}, _header(image))
 
 

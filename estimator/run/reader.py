@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -200,11 +199,6 @@ class Mode(ABC, Generic[S, R]):
 class _OutlineMode(Mode[S, Ranger | None]):
     """The distance from the spot's outline, by one of the models."""
 
-    @cached_property
-    def _budgets(self) -> Budgets:
-        assert self._ranger is not None
-        return Budgets(self._ranger, self._stated)
-
     def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
         if self._ranger is None or isinstance(result, NoSpot):
             return None, None
@@ -216,8 +210,8 @@ class _OutlineMode(Mode[S, Ranger | None]):
             frame=frame,
             exposure_s=None if math.isnan(context.exposure_s) else context.exposure_s,
         )
-        budget = self._budgets.of(result, found, axis=axis, motion=self._motion(context))
-        return found, budget
+        budgets = Budgets(self._ranger, self._stated)
+        return found, budgets.of(result, found, axis=axis, motion=self._motion(context))
 
 
 class LiteralMode(_OutlineMode[LiteralSettings]):
