@@ -2,9 +2,7 @@
 
 The wall is learnt while it is looked at: a few earlier frames are kept, and the newest one is
 fitted together with them (`solver`). The first is among them as long as its spot is not small
-beside the newest, because a chain of frames that forgets its beginning drifts. `PixelRanger` makes
-the tracker from a calibration and a microscope file, and states distances with the calibration's
-errors.
+beside the newest, because a chain of frames that forgets its beginning drifts.
 """
 
 from __future__ import annotations
@@ -33,7 +31,6 @@ from estimator.pixels.frame_model import Direction, RobotPose
 from estimator.pixels.picture import FramePixels, Mix, Reference
 from estimator.pixels.verdict import flag_of, range_of, shake_covariance
 from formats.calibration import LENS_PARAMETERS, Calibration
-from formats.camera import CameraNoise
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
 from formats.spots import Outline, Reason
@@ -41,173 +38,6 @@ from formats.stated import USUAL_SHAKE_PX
 from formats.whole_files import cache_file, kept_arrays
 
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
-
-
-class PoseTracker:
-    """Follows the pose of one beam.
-
-    Args:
-        reference: the wall without the spot; None if there is no image of it.
-        shake_px: least standard deviation of the image's shake along each side, px.
-    """
-
-    def __init__(
-        self,
-        beam: BeamLight,
-        noise: CameraNoise,
-        reference: Reference | None = None,
-        *,
-        shake_px: float = 0.0,
-    ) -> None:
-        self.beam, self.noise, self._shake_px = beam, noise, shake_px
-        self._reference = reference
-        self._hypotheses: list[Hypothesis] = []
-        self._last: Outline | None = None  # in the last frame with a pose
-        self._mix: Mix | None = None
-        self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
-        self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
-        self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
-
-    def forget(self) -> None:
-        """Start anew with the next frame, on a wall that is not known."""
-        if self._hypotheses:
-            self._drift = self._drift + self._hypotheses[0].drift(self._hypotheses[0].newest)
-        self._hypotheses = []
-
-    def read(
-        self,
-        image: np.ndarray,
-        outlines: Sequence[Outline],
-        direction: Direction | None = None,
-        sweep: Sweep | None = None,
-        robot: RobotPose | None = None,
-    ) -> Range:
-        """The pose in the next frame, or why there is none.
-
-        Args:
-            image: H x W x 3.
-            outlines: where the spot is, see `detector.outlines_of`.
-            direction: of the beam, from the robot.
-            sweep: motion during the exposure, from the robot; None if unknown.
-            robot: where the robot says the tool is; None if it does not.
-        """
-        observation = Observation(FramePixels.of(image, self.noise), direction, sweep, robot)
-        if any(outline.measured for outline in outlines):
-            return self._read_spot(observation, outlines[0])
-        return self._read_unmeasured(observation, outlines)
-
-    def _read_spot(self, observation: Observation, outline: Outline) -> Range:
-        """The pose of a measured spot."""
-        observation = self._shown(observation, outline)
-        flag: Reason | None = Reason.NOT_CONVERGED
-        wall = WallMemory.NEW
-        if self._hypotheses:
-            flag, wall = self._followed(observation, outline)
-        if flag is not None:
-            # Where the past does not explain the frame, it may be wrong.
-            wall = WallMemory.DROPPED if self._hypotheses else WallMemory.NEW
-            if self._hypotheses:
-                self._reference = None  # nor does it
-            self.forget()
-            flag = self._begun(observation, outline)
-            if self._reference is not None:
-                wall = WallMemory.KNOWN
-                if flag is not None or self._hypotheses[0].other_wall:
-                    self._reference, wall = None, WallMemory.DROPPED
-                    flag = self._begun(observation, outline)
-        if flag is not None:
-            self.forget()
-            return _missing(flag, wall)
-        return self._range(wall, outline)
-
-    def _read_unmeasured(self, observation: Observation, outlines: Sequence[Outline]) -> Range:
-        """The pose of a spot that was not measured, if earlier frames explain the light."""
-        before = self._hypotheses
-        if not before or self._last is None:
-            return _missing(Reason.NOT_CONVERGED, WallMemory.NEW)
-        outline = _like(self._last, outlines)
-        flag, wall = self._followed(self._shown(observation, outline), outline)
-        if flag is None:
-            return self._range(wall, outline)
-        self._hypotheses = before
-        return _missing(flag, wall)
-
-    def _shown(self, observation: Observation, outline: Outline) -> Observation:
-        """The frame without what hides the spot, where its edge is sharp."""
-        if not self.beam.sharp:
-            return observation
-        return observation._replace(picture=observation.picture.with_sharp(outline))
-
-    def _followed(
-        self, observation: Observation, outline: Outline
-    ) -> tuple[Reason | None, WallMemory]:
-        """Fit a frame with the earlier ones: why that failed, or None, and the wall's state."""
-        followed = self._follow(observation, outline)
-        if not followed:
-            return Reason.NOT_CONVERGED, WallMemory.DROPPED
-        self._hypotheses = followed
-        best = followed[0]
-        wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
-        flag = flag_of(best, outline)
-        if flag is None and best.other_wall:
-            flag = Reason.MISFIT  # of the wall that was learnt
-        return flag, wall
-
-    def _begun(self, observation: Observation, outline: Outline) -> Reason | None:
-        """Fit a frame by itself: why that failed; None if it did not."""
-        self._hypotheses, self._mix = explained_alone(
-            self.beam, self.noise, self._reference, observation, outline
-        )
-        flag = flag_of(self._hypotheses[0] if self._hypotheses else None, outline)
-        if flag is None:
-            best = self._hypotheses[0]
-            self._shaken = shake_covariance(best.solver, best.solution)
-        return flag
-
-    def _range(self, wall: WallMemory, outline: Outline) -> Range:
-        best, *others = self._hypotheses
-        self._last = outline if outline.measured else best.outline
-        if wall is WallMemory.DROPPED:
-            self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
-        return range_of(
-            best,
-            tuple(float(one.newest.pose.distance) for one in others),
-            wall,
-            shake_px=self._shake_px,
-            shaken=self._shaken,
-            drift_px=self._drift,
-            unknown_px=self._unknown_px,
-        )
-
-    def _follow(self, observation: Observation, spot: Outline) -> list[Hypothesis]:
-        """Explanations of a frame together with earlier ones."""
-        assert self._mix is not None and self._last is not None
-        last_px = np.array([self._last.x_px, self._last.y_px])
-        followed = [
-            explained_with(
-                hypothesis, observation, self._mix, spot, last_px, shake_px=self._shake_px
-            )
-            for hypothesis in self._hypotheses
-        ]
-        return distinct([hypothesis for hypothesis in followed if hypothesis is not None])
-
-
-def _missing(flag: Reason, wall: WallMemory) -> Range:
-    return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
-
-
-def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
-    """The outline that may be the last one's, or else that itself."""
-
-    def apart(outline: Outline) -> float:
-        return math.hypot(outline.x_px - last.x_px, outline.y_px - last.y_px)
-
-    def alike(outline: Outline) -> bool:
-        size = outline.semi_major_px * outline.semi_minor_px
-        ratio = size / (last.semi_major_px * last.semi_minor_px)
-        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and apart(outline) < last.semi_major_px
-
-    return min(filter(alike, outlines), key=apart, default=last._replace(measured=False))
 
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0
@@ -259,7 +89,7 @@ class PixelRanger:
         lens = calibration.model == "lens"
         source, spread = _lens(calibration, view) if lens else _cone(calibration)
         self._libraries = ThreadpoolController()
-        beam = BeamLight(
+        self._beam = BeamLight(
             source,
             view,
             spread,
@@ -267,17 +97,22 @@ class PixelRanger:
             apex_mm=0.0 if lens else -calibration.values["b"],
             within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
         )
-        beam.compile()
-        self._tracker = PoseTracker(
-            beam,
-            microscope.noise,
-            None if reference is None else Reference(reference, microscope.noise),
-            shake_px=shake_px,
-        )
+        self._beam.compile()
+        self._noise, self._shake_px = microscope.noise, shake_px
+        self._reference = None if reference is None else Reference(reference, self._noise)
+        self._hypotheses: list[Hypothesis] = []
+        self._last: Outline | None = None  # in the last frame with a pose
+        self._mix: Mix | None = None
+        self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
+        self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
+        self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
 
     def forget(self) -> None:
-        """Fit the next frame by itself."""
-        self._tracker.forget()
+        """Fit the next frame by itself, on a wall that is not known."""
+        if self._hypotheses:
+            first = self._hypotheses[0]
+            self._drift = self._drift + first.drift(first.newest)
+        self._hypotheses = []
 
     def distance(
         self,
@@ -289,7 +124,7 @@ class PixelRanger:
         sweep: Sweep | None = None,
         robot: RobotPose | None = None,
     ) -> Range:
-        """The pose in the next frame.
+        """The pose in the next frame, or why there is none.
 
         Args:
             outlines: where the spot is, see `detector.outlines_of`.
@@ -302,7 +137,123 @@ class PixelRanger:
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
         # Several threads would wait for each other longer than they work on matrices of this size.
         with self._libraries.limit(limits=1, user_api="blas"):
-            return self._tracker.read(frame, outlines, direction, sweep, robot)
+            observation = Observation(FramePixels.of(frame, self._noise), direction, sweep, robot)
+            if any(outline.measured for outline in outlines):
+                return self._read_spot(observation, outlines[0])
+            return self._read_unmeasured(observation, outlines)
+
+    def _read_spot(self, observation: Observation, outline: Outline) -> Range:
+        """The pose of a measured spot."""
+        observation = self._shown(observation, outline)
+        flag: Reason | None = Reason.NOT_CONVERGED
+        wall = WallMemory.NEW
+        if self._hypotheses:
+            flag, wall = self._followed(observation, outline)
+        if flag is not None:
+            # Where the past does not explain the frame, it may be wrong.
+            wall = WallMemory.DROPPED if self._hypotheses else WallMemory.NEW
+            if self._hypotheses:
+                self._reference = None  # nor does it
+            self.forget()
+            flag = self._begun(observation, outline)
+            if self._reference is not None:
+                wall = WallMemory.KNOWN
+                if flag is not None or self._hypotheses[0].other_wall:
+                    self._reference, wall = None, WallMemory.DROPPED
+                    flag = self._begun(observation, outline)
+        if flag is not None:
+            self.forget()
+            return _missing(flag, wall)
+        return self._range(wall, outline)
+
+    def _read_unmeasured(self, observation: Observation, outlines: Sequence[Outline]) -> Range:
+        """The pose of a spot that was not measured, if earlier frames explain the light."""
+        before = self._hypotheses
+        if not before or self._last is None:
+            return _missing(Reason.NOT_CONVERGED, WallMemory.NEW)
+        outline = _like(self._last, outlines)
+        flag, wall = self._followed(self._shown(observation, outline), outline)
+        if flag is None:
+            return self._range(wall, outline)
+        self._hypotheses = before
+        return _missing(flag, wall)
+
+    def _shown(self, observation: Observation, outline: Outline) -> Observation:
+        """The frame without what hides the spot, where its edge is sharp."""
+        if not self._beam.sharp:
+            return observation
+        return observation._replace(picture=observation.picture.with_sharp(outline))
+
+    def _followed(
+        self, observation: Observation, outline: Outline
+    ) -> tuple[Reason | None, WallMemory]:
+        """Fit a frame with the earlier ones: why that failed, or None, and the wall's state."""
+        followed = self._follow(observation, outline)
+        if not followed:
+            return Reason.NOT_CONVERGED, WallMemory.DROPPED
+        self._hypotheses = followed
+        best = followed[0]
+        wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
+        flag = flag_of(best, outline)
+        if flag is None and best.other_wall:
+            flag = Reason.MISFIT  # of the wall that was learnt
+        return flag, wall
+
+    def _begun(self, observation: Observation, outline: Outline) -> Reason | None:
+        """Fit a frame by itself: why that failed; None if it did not."""
+        self._hypotheses, self._mix = explained_alone(
+            self._beam, self._noise, self._reference, observation, outline
+        )
+        flag = flag_of(self._hypotheses[0] if self._hypotheses else None, outline)
+        if flag is None:
+            best = self._hypotheses[0]
+            self._shaken = shake_covariance(best.solver, best.solution)
+        return flag
+
+    def _range(self, wall: WallMemory, outline: Outline) -> Range:
+        best, *others = self._hypotheses
+        self._last = outline if outline.measured else best.outline
+        if wall is WallMemory.DROPPED:
+            self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
+        return range_of(
+            best,
+            tuple(float(one.newest.pose.distance) for one in others),
+            wall,
+            shake_px=self._shake_px,
+            shaken=self._shaken,
+            drift_px=self._drift,
+            unknown_px=self._unknown_px,
+        )
+
+    def _follow(self, observation: Observation, spot: Outline) -> list[Hypothesis]:
+        """Explanations of a frame together with earlier ones."""
+        assert self._mix is not None and self._last is not None
+        last_px = np.array([self._last.x_px, self._last.y_px])
+        followed = [
+            explained_with(
+                hypothesis, observation, self._mix, spot, last_px, shake_px=self._shake_px
+            )
+            for hypothesis in self._hypotheses
+        ]
+        return distinct([hypothesis for hypothesis in followed if hypothesis is not None])
+
+
+def _missing(flag: Reason, wall: WallMemory) -> Range:
+    return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=flag, wall=wall)
+
+
+def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
+    """The outline that may be the last one's, or else that itself."""
+
+    def apart(outline: Outline) -> float:
+        return math.hypot(outline.x_px - last.x_px, outline.y_px - last.y_px)
+
+    def alike(outline: Outline) -> bool:
+        size = outline.semi_major_px * outline.semi_minor_px
+        ratio = size / (last.semi_major_px * last.semi_minor_px)
+        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and apart(outline) < last.semi_major_px
+
+    return min(filter(alike, outlines), key=apart, default=last._replace(measured=False))
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
