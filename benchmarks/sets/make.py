@@ -361,7 +361,7 @@ def make_set(
 
     Args:
         out: the set's folder: new, empty, or with a part of this set.
-        workers: see `cluster`; started only if a stack is missing.
+        workers: `local_workers` or `running_scheduler`; started only if a stack is missing.
         shard: part of the set to render; others may run at the same time on any machine.
 
     Returns:

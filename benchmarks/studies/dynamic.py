@@ -226,7 +226,7 @@ def ranger(rest: Stack, scene: Scene, way: Way, *, spots_file: Path) -> Ranger:
     the paper's rig; the sub-pixel mode has the true source and its exact geometry.
 
     Args:
-        rest: of `dynamic_trials.at_rest(scene)`.
+        rest: of `at_rest(scene)`.
         spots_file: file to write, with the spots that k and b come from.
 
     Raises:

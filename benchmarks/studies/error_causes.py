@@ -1,6 +1,6 @@
 """The error of every model split by cause, so that the parts sum to the whole.
 
-The players are the five links of `chain`, and five more: what a rendered frame adds to e1' at its
+The players are the five `LINKS` of a chain, and five more: what a rendered frame adds to e1' at its
 edge (half-maximum, falling light, texture, shadow; seen without noise at twice the resolution) and
 by pixels and noise (the rest), what the wall does by spreading the light, and a wrong r and a wrong
 c that the models are given. The worth of a set of players is a model's error when they are real and

@@ -682,7 +682,7 @@ def table_one(
     wanted = [
         Family(aperture, sag)
         for aperture in ((0.05, 0.10, 0.15, 0.20) if quick else _APERTURES)
-        for sag in ((0.0, 0.12) if quick else _SAGS_MM)
+        for sag in ((0.0, 0.04) if quick else _SAGS_MM)
     ]
     with study.timed("scan of lenses"), ThreadPoolExecutor(max_workers=2) as pool:
         found = pool.map(lambda family: Isophotes.of(family, base), wanted)

@@ -204,7 +204,7 @@ class Output(NamedTuple):
     """What the network says about a window.
 
     Attributes:
-        mean: the six numbers of `targets.NUMBERS`.
+        mean: the six numbers of `NUMBERS`.
         log_sigma: logarithms of their standard deviations.
         presence: logit of "a spot is in the window, and half of its contour is visible".
     """
@@ -241,7 +241,7 @@ class SpotNetwork(eqx.Module):
         self.distance = eqx.nn.Linear(_WIDTH // 2, 2, key=next(keys))
 
     def __call__(self, window: Float[Numbers, "3 64 64"], place: Float[Numbers, "4"]) -> Output:
-        """What the network says about one window (`crops.evened`) at a place."""
+        """What the network says about one window (`evened`) at a place."""
         seen = jnp.asarray(window)
         for convolution, norm in zip(self.convolutions, self.norms, strict=True):
             seen = jax.nn.relu(norm(convolution(seen)))

@@ -196,7 +196,7 @@ class Samples(NamedTuple):
     """Windows of n frames; `present` is 1 for frames with at least half of the contour in view.
 
     Attributes:
-        windows: (n, WINDOWS + 1, 3, 64, 64), as `crops.cut` gives them; the last one of each frame
+        windows: (n, WINDOWS + 1, 3, 64, 64), as `cut` gives them; the last one of each frame
             lies where the spot's centre is not.
         places: (n, WINDOWS + 1, 4).
         targets: (n, WINDOWS + 1, 6); 0 where there is no spot.

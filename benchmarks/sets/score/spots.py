@@ -181,7 +181,7 @@ def read_set_spots(
             a folder with such a file of any name; or a folder with a spots file for each stack, as
             `eyespot track` writes it. Its name is SPLIT/STACK.csv or, if a stack has several
             exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/. A spots file is
-            that of eyespot (.csv or .parquet), or plain (`plain_spots`).
+            that of eyespot (.csv or .parquet), or plain (`read_any_spots`).
         images: names of all images of the set.
 
     Returns:
