@@ -135,22 +135,10 @@ class Rig:
     def __init__(self, parameters: Parameters, show: Show | None = None) -> None:
         self._reader = parameters.reader()
         self._show = show
-        self._poses = RecentPoses()
+        self.poses = RecentPoses()
         self._number: int | None = None  # the publisher's, of the last image
         self._measured = 0
         self._skipped = 0
-
-    def take_pose(self, message: Any, received_s: float) -> None:
-        """Remember a pose.
-
-        Args:
-            message: `geometry_msgs/Transform`, mm.
-            received_s: when it arrived, s: the message has no time stamp.
-
-        Raises:
-            InputError: its rotation is no unit quaternion, or a number is not finite.
-        """
-        self._poses.take(message, received_s)
 
     def output(self, message: Any, time_s: float, number: int) -> RigOutput:
         """Measure an image; one that cannot be measured gives an output that says why.
@@ -166,7 +154,7 @@ class Rig:
         reading, fault = Reading(self._reader.mode.name, failed), ""
         try:
             image, full_scale = frame_of_message(message)
-            poses = self._poses.track()
+            poses = self.poses.track()
             reading = self._reader.read(
                 image, time_s=time_s, full_scale=full_scale, poses=poses, name=name
             )

@@ -91,7 +91,7 @@ class Ros1Connection:
         import rospy
 
         try:
-            self._rig.take_pose(pose, rospy.get_time())
+            self._rig.poses.take(pose, rospy.get_time())
         except InputError as error:
             rospy.logerr_throttle(1.0, f"{error}")
 

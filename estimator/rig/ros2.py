@@ -181,6 +181,6 @@ class Ros2Connection:
 
     def _on_pose(self, pose: Any) -> None:
         try:
-            self._rig.take_pose(pose, self._node.get_clock().now().nanoseconds / 1e9)
+            self._rig.poses.take(pose, self._node.get_clock().now().nanoseconds / 1e9)
         except InputError as error:
             self._log.error(f"{error}", throttle_duration_sec=1.0)

@@ -138,7 +138,7 @@ def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
     rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
     assert math.isnan(pose_age_s(rig.output(image, 5.0, 0).details))
     for received_s in (4.97, 4.98, 5.01):
-        rig.take_pose(pose_message(), received_s)
+        rig.poses.take(pose_message(), received_s)
     assert pose_age_s(rig.output(image, 5.0, 0).details) == pytest.approx(0.02, abs=1e-9)
 
 
@@ -152,7 +152,7 @@ def test_a_topic_of_compressed_images_is_looked_for_as_such() -> None:
 def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> None:
     rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
     for received_s in (5.00, 5.01, 1.00):  # the recording is played again
-        rig.take_pose(pose_message(), received_s)
+        rig.poses.take(pose_message(), received_s)
     assert pose_age_s(rig.output(image, 5.02, 0).details) == pytest.approx(4.02, abs=1e-9)
 
 
@@ -181,7 +181,7 @@ def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_retur
 
 def test_a_pose_that_is_none_is_refused() -> None:
     with pytest.raises(ValueError, match="unit quaternion"):
-        Rig(Parameters()).take_pose(pose_message(qw=0.0), 1.0)
+        Rig(Parameters()).poses.take(pose_message(qw=0.0), 1.0)
 
 
 def test_parameters_are_taken_as_ros_hands_them_over() -> None:
