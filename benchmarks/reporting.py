@@ -205,7 +205,14 @@ class Column(NamedTuple):
         return number(value * self.scale, self.digits)
 
 
-_UNITS = {"_mm_px": "mm/px", "_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_deg": "°"}
+_UNITS = {
+    "_mm_px": "mm/px",
+    "_mm_s": "mm/s",
+    "_s": "s",
+    "_mm": "mm",
+    "_px": "px",
+    "_deg": "°",
+}
 _SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} | {
     "numerical aperture": "NA"
 }
