@@ -494,7 +494,6 @@ def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
     sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
     axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
     axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
-    axes.set_ylim(bottom=_LEAST_MM)
     axes.minorticks_off()
     for axis in (axes.xaxis, axes.yaxis):
         axis.set_major_formatter("{x:g}")
