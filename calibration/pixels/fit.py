@@ -117,6 +117,9 @@ _POOR, _MISSED = 1.0, 0.25
 """Chi squared per cell above which a fit in wide cells, and then one in small cells, is not that of
 the right beam. Its unit is an error of 1 % of a frame's peak, so the latter is one of 0.5 %. Of
 right fits it was at most 0.13 (0.36 %), of a core that is 20 % too wide 0.9."""
+_ALIKE = 0.05
+"""Relative difference of the misfits of two starts that have led to the same beam: it is the best
+there is, though it misses light."""
 _HOPELESS = 0.04
 """Part of the light, RMS, that a beam may miss after the first rounds: no later step mends that."""
 _COARSE_STEPS = 15
@@ -313,7 +316,8 @@ class _FitRun(NamedTuple):
                 continue
             tried.remove(best)
             found.append(self._guess(best.point, first=False))
-            if found[-1].misfit < _MISSED:
+            *before, misfit = (solver.misfit for solver in found)
+            if misfit < _MISSED or any(math.isclose(misfit, one, rel_tol=_ALIKE) for one in before):
                 break
         return min(found, key=attrgetter("misfit"))
 
