@@ -323,6 +323,7 @@ def _joined(
         trial=ConeTrial(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
+            coverage=np.nan_to_num([spot.coverage for spot in spots], nan=1.0),
             readings=np.array([reading for _, _, reading in usable]),
             motion=motion,
             axis=axis,

@@ -26,6 +26,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
 from scipy import stats
+from scipy.fft import dct
 
 CHANCE = 1e-3
 """Probability that noise alone puts chi squared outside of the accepted range, on each side."""
@@ -45,6 +46,32 @@ def excess_variance(chi_squared_per_degree: float, degrees_of_freedom: float) ->
     """
     _, high = accepted_range(degrees_of_freedom)
     return chi_squared_per_degree if chi_squared_per_degree > high else 1.0
+
+
+SIGNIFICANCE = 0.01
+"""Probability that random residuals have structure of at least one kind."""
+_FOLLOWED, _SLOW = 2, 5  # waves that fits follow, and that are slow besides
+
+
+def slow_power(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
+    """Power of the slow waves of residuals, and the chance that noise has as much beside the rest.
+
+    A model's misfit changes slowly from frame to frame, and so do the derivatives by its
+    parameters. So the slow waves of cosines that a fit does not follow tell how much larger its
+    parameters' variances are than noise without structure makes them (F test beside the others).
+
+    Args:
+        values: residuals with variance 1, ordered so that a misfit affects neighbours alike.
+
+    Returns:
+        1 and 1 for three values or fewer, of which a fit follows all but one.
+    """
+    waves = np.square(dct(values, norm="ortho")[_FOLLOWED:])
+    if waves.size < 2:
+        return 1.0, 1.0
+    slow, rest = np.split(waves, [max(1, min(_SLOW, len(values) // 4))])
+    ratio = np.mean(slow) / max(np.mean(rest), _NOTHING)
+    return float(np.mean(slow)), float(stats.f.sf(ratio, slow.size, rest.size))
 
 
 MOST_STEPS = 40

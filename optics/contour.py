@@ -62,7 +62,9 @@ _LEAST_SINE = 0.25
 circle the two are equal."""
 
 
-def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Array, "5"]:
+def ellipse_mismatch(
+    contour: Float[Array, "n 2"], ellipse: Ellipse, seen: Float[Array, "n"] | None = None
+) -> Float[Array, "5"]:
     """Difference of a contour's fitted ellipse from a given one, to first order.
 
     In coordinates (p, q) in which the given ellipse is the unit circle: shift along p and q, and
@@ -74,6 +76,9 @@ def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Ar
     Args:
         contour: points in order around the curve, px; with 32 points the error is 1e-7 px.
         ellipse: the given ellipse, px.
+        seen: share of each point's piece of the contour that is visible; None: all of it. The given
+            ellipse was fitted to the visible part only, where the contour's third harmonic, which
+            no ellipse has, looks in part like an ellipse's.
 
     Returns:
         Five numbers, relative to the ellipse's axes.
@@ -85,16 +90,22 @@ def ellipse_mismatch(contour: Float[Array, "n 2"], ellipse: Ellipse) -> Float[Ar
     p, q, weights = jax.lax.optimization_barrier((p, q, weights))
     weights /= jnp.sum(weights)
     x, y = p - jnp.sum(weights * p), q - jnp.sum(weights * q)
-    outside = weights * (p * p + q * q - 1.0) / jnp.sum(weights * (x * x + y * y))
-    return jnp.stack(
+    outside = (p * p + q * q - 1.0) / jnp.sum(weights * (x * x + y * y))
+    whole = jnp.stack(
         [
-            jnp.sum(outside * x),
-            jnp.sum(outside * y),
-            0.5 * jnp.sum(outside * (x * x + y * y)),
-            jnp.sum(outside * (x * x - y * y)),
-            2.0 * jnp.sum(outside * x * y),
+            jnp.sum(weights * outside * x),
+            jnp.sum(weights * outside * y),
+            0.5 * jnp.sum(weights * outside * (x * x + y * y)),
+            jnp.sum(weights * outside * (x * x - y * y)),
+            2.0 * jnp.sum(weights * outside * x * y),
         ]
     )
+    if seen is None:
+        return whole
+    rows = jnp.stack([x, y, x * x + y * y, x * x - y * y, 2.0 * x * y], axis=1)
+    weighted = rows.T * (weights * seen)
+    no_ellipse = 0.5 * outside - rows @ whole
+    return whole + jnp.linalg.solve(weighted @ rows, weighted @ no_ellipse)
 
 
 def mismatch_covariance(ellipse: Ellipse, covariance: Float[Array, "5 5"]) -> Float[Array, "5 5"]:

@@ -130,6 +130,7 @@ def recording(
         trial=ConeTrial(
             ellipses=optics.Ellipse(*map(jnp.asarray, (seen[:, :2], *seen[:, 2:].T))),
             covariances=covariances,
+            coverage=np.ones(len(DISTANCES)),
             # The tip started at `touched`, and the fit believes in `TOUCH`.
             readings=DISTANCES - touched,
             axis=told,

@@ -14,7 +14,6 @@ from calibration.command.choices import Choices
 from calibration.command.verdict import Fitted, PlotCurve, bounds_hit
 from calibration.pixels.data import CONE
 from calibration.recordings import Recording
-from calibration.solvers import excess_variance
 from calibration.spots.cone_fit import ConeFit, fit_cone
 from calibration.spots.cone_trials import (
     OUTLINE_PER_MM,
@@ -208,7 +207,7 @@ def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
 EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
 """What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
 _MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
-"""The components of `optics.ellipse_mismatch` after `_along_the_image`, in words."""
+"""The components of `ConeFit.residuals` in words."""
 
 
 def cone_start(recordings: Sequence[Recording]) -> dict[str, float]:
@@ -260,28 +259,22 @@ def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model:
         values |= dict(zip(BEAM, (slopes @ fit.boresight[0]).tolist(), strict=True))
         of_beam = slopes @ fit.boresight_covariance[0] @ slopes.T
         covariance = block_diag(covariance, of_beam)
-    grown = excess_variance(fit.chi_squared / fit.degrees_of_freedom, fit.degrees_of_freedom)
-    growth = math.sqrt(grown)
-    sigma = growth * np.sqrt(np.diag(fit.covariance))
+    sigma = np.sqrt(np.diag(fit.covariance))
     names = [recording.name for recording in recordings]
-    touches = zip(names, fit.touch, growth * fit.touch_error, strict=True)
+    touches = zip(names, fit.touch, fit.touch_error, strict=True)
     eccentricities = [
         (f"c of {recording.name}", c, error, "mm")
         for recording, c, error in zip(
-            recordings, fit.eccentricity, growth * fit.eccentricity_error, strict=True
+            recordings, fit.eccentricity, fit.eccentricity_error, strict=True
         )
         if recording.trial.kind == "eyeball"
     ]
-    residuals = np.concatenate(
-        [
-            _along_the_image(residual, np.asarray(recording.trial.ellipses.angle))
-            for residual, recording in zip(fit.residuals, recordings, strict=True)
-        ]
-    )
+    residuals = np.concatenate(fit.residuals)
     return Fitted(
         calibration_model=calibration_model,
         values=values,
-        covariance=grown * covariance,
+        covariance=covariance,
+        growth=fit.growth,
         converged=fit.converged,
         bounds=bounds_hit(values),
         undetermined=fit.undetermined,
@@ -305,22 +298,6 @@ def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model:
             for name, boresight, lean in zip(names, fit.boresight, fit.lean, strict=True)
         ],
     )
-
-
-def _along_the_image(residuals: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Mismatches in the directions of the image instead of those of each measured ellipse.
-
-    Noise makes every measured circle an ellipse, and along its own axis that ellipse is always too
-    long, so that residuals there have one sign and look as if they had structure.
-
-    Args:
-        residuals: n x 5, as `ConeFit.residuals`.
-        angle: of the measured ellipses' major axes, n, rad.
-    """
-    u, v, size, long, oblique = residuals.T
-    once, twice = np.exp(1j * angle), np.exp(2j * angle)
-    place, shape = once * (u + 1j * v), twice * (long + 1j * oblique)
-    return np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
 
 
 def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration | None) -> Fitted:

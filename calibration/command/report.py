@@ -15,16 +15,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibration.command.verdict import (
-    SIGNIFICANCE,
-    Doubt,
-    Fault,
-    Fitted,
-    PixelResiduals,
-    runs_probability,
-)
+from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from calibration.recordings import Recording
-from calibration.solvers import accepted_range, correlations
+from calibration.solvers import SIGNIFICANCE, accepted_range, correlations, slow_power
 from formats.inputs import in_figure
 
 
@@ -86,8 +79,8 @@ def render(
             software=software,
             figures=figures,
             correlations=correlations(fitted.covariance),
-            runs=[
-                (name, runs_probability(values), float(np.mean(values**2)))
+            kinds=[
+                (name, float(np.mean(values**2)), *slow_power(values))
                 for name, values in fitted.residuals.items()
             ],
             level=SIGNIFICANCE / max(len(fitted.residuals), 1),

@@ -11,7 +11,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, auto
-from fractions import Fraction
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,7 +20,7 @@ from jaxtyping import Float, Int
 from calibration.pixels.fit import Failure
 from calibration.pixels.misfit import Misfit
 from calibration.recordings import Recording
-from calibration.solvers import accepted_range, excess_variance
+from calibration.solvers import SIGNIFICANCE, accepted_range, slow_power
 from formats.calibration import QUANTITIES
 
 
@@ -68,6 +67,8 @@ class Fitted:
     """Number of spots, or of frames, that the fit used."""
     degrees_of_freedom: int
     """Number of data and priors minus number of parameters."""
+    growth: float = 1.0
+    """Factor on the data's variances by which a misfit of spots enlarged the covariance."""
     failed: Failure | None = None
     """The criterion of convergence that a fit to pixels does not meet."""
     chi_squared: float | None = None
@@ -108,10 +109,7 @@ class Fitted:
     @property
     def inflation(self) -> float:
         """Largest factor by which a misfit enlarges a standard error; 1 without."""
-        if self.pixels is not None:
-            return self.pixels.misfit.inflation
-        value = self.chi_squared_per_degree
-        return 1.0 if value is None else math.sqrt(excess_variance(value, self.degrees_of_freedom))
+        return self.pixels.misfit.inflation if self.pixels else math.sqrt(self.growth)
 
 
 def bounds_hit(values: Mapping[str, float]) -> tuple[str, ...]:
@@ -132,8 +130,9 @@ several times its enlarged standard error (docs/fitting.md has departures of bot
 _FELT = 1.2  # enlargement of the standard errors by a misfit that is worth a word
 _KNOWN_VARIANCE = 0.1
 """Relative accuracy of a camera's data sheet. Residuals that are smaller by less say nothing."""
-SIGNIFICANCE = 0.01
-"""Probability that random residuals fail at least one of a fit's runs tests."""
+MOST_MOVED = 5.0
+"""Standard errors by which structure of residuals may move the parameters. Below it, errors grow
+instead; the wall's texture moves those of 60 spots by 3."""
 
 _SHOWN = 2  # reasons in an error message; the report lists all
 
@@ -249,16 +248,29 @@ def doubts(fitted: Fitted) -> list[Doubt]:
     if fitted.chi_squared_per_degree is not None:
         misfit = fitted.pixels.misfit if fitted.pixels else None
         found += of_chi_squared(fitted.chi_squared_per_degree, fitted.degrees_of_freedom, misfit)
-    level = SIGNIFICANCE / max(len(fitted.residuals), 1)
-    chances = {name: runs_probability(values) for name, values in fitted.residuals.items()}
-    structured = [name for name, chance in chances.items() if chance < level]
-    if structured:
-        why = (
-            f"the residuals of {', '.join(structured)} have structure (runs test: probability "
-            f"{min(chances.values()):.1g}, level {level:.2g})"
-        )
-        found.append(Doubt(Fault.STRUCTURE, why))
-    return found
+    return found + of_structure(fitted.residuals, noise_is_known=fitted.chi_squared is not None)
+
+
+def of_structure(
+    residuals: Mapping[str, Float[np.ndarray, "n"]], *, noise_is_known: bool
+) -> list[Doubt]:
+    """Doubts about slow waves in the residuals of spots: how far they may move the parameters."""
+    powers = {name: slow_power(values) for name, values in residuals.items()}
+    structured = {
+        name: math.sqrt(power)
+        for name, (power, chance) in powers.items()
+        if chance < SIGNIFICANCE / len(powers) and power > _FELT**2
+    }
+    if not structured:
+        return []
+    names, moved = ", ".join(structured), max(structured.values())
+    if noise_is_known and moved < MOST_MOVED:
+        why = f"structure in the residuals of {names} may move the parameters by {moved:.2g} "
+        why += "standard errors, which are enlarged as much"
+        return [Doubt(Fault.STATED_MISFIT, why)]
+    why = f"the residuals of {names} have structure, which may move the parameters by {moved:.2g} "
+    why += "standard errors"
+    return [Doubt(Fault.STRUCTURE, why)]
 
 
 def of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Doubt]:
@@ -307,26 +319,3 @@ def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -
     said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\nTry {tries}."
     details = f"\nNo calibration was written; {report} shows the residuals."
     return said if report is None else said + details
-
-
-def runs_probability(values: Float[np.ndarray, "n"]) -> float:
-    """Probability that randomly ordered values form as few runs of one sign as these, or fewer.
-
-    Exact distribution of the number of runs for the given numbers of positive and negative values
-    (Wald and Wolfowitz 1940).
-    """
-    signs = np.sign(values[values != 0])
-    positive, negative = int(np.sum(signs > 0)), int(np.sum(signs < 0))
-    if positive == 0 or negative == 0:
-        # The conditional test always passes here, so use the probability that all signs agree.
-        return math.ldexp(2.0, -len(signs)) if len(signs) else 1.0
-    runs = 1 + int(np.sum(signs[1:] != signs[:-1]))
-    ways = 0
-    for number in range(2, runs + 1):
-        half, odd = divmod(number, 2)
-        if odd:
-            ways += math.comb(positive - 1, half) * math.comb(negative - 1, half - 1)
-            ways += math.comb(positive - 1, half - 1) * math.comb(negative - 1, half)
-        else:
-            ways += 2 * math.comb(positive - 1, half - 1) * math.comb(negative - 1, half - 1)
-    return float(Fraction(ways, math.comb(positive + negative, positive)))

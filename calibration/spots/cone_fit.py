@@ -13,11 +13,14 @@ from jaxtyping import Array, Float
 
 import optics
 from calibration.solvers import (
+    SIGNIFICANCE,
     Solution,
     correlations,
     covariance_and_lost,
+    excess_variance,
     least_squares,
     marginal_information,
+    slow_power,
 )
 from calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
@@ -27,6 +30,7 @@ from calibration.spots.cone_trials import (
     JointPrior,
     Prior,
     TrialGroup,
+    first_nuisances,
     misfit,
     prior_terms,
     spots,
@@ -51,6 +55,7 @@ The focal length is 1/(scale inverse_working_distance) px; the pinhole's height 
 
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
 """Scales of parameters that may be zero; the scale of the others is their value."""
+_HAS_PRIOR = np.array([name not in ("u", "v") for name in NUISANCES], float)
 
 
 class ConeFit(NamedTuple):
@@ -59,7 +64,10 @@ class ConeFit(NamedTuple):
     Attributes:
         values: all parameters by name, in the units of `PARAMETERS`.
         free: names of the fitted parameters, in the covariance's order.
-        covariance: covariance of the fitted parameters, from the ellipses' covariances.
+        covariance: covariance of the fitted parameters, from the ellipses' covariances times
+            `growth`.
+        growth: factor on the ellipses' covariances that their residuals demand, by chi squared or
+            by slow waves; priors stay as they are.
         information: Fisher information of the fitted parameters, marginal over the nuisances.
         touch: distance at reading 0 per trial, mm.
         touch_error: its standard error, mm; infinite if the data do not determine it.
@@ -69,7 +77,7 @@ class ConeFit(NamedTuple):
         boresight_covariance: covariance of each; infinite if the data do not determine it.
         spot: (x, y) of the wall's point that the beam meets at reading 0 per trial, mm.
         spot_covariance: covariance of each spot; infinite if the data do not determine it.
-        residuals: `optics.ellipse_mismatch` with variance 1, n x 5 per trial.
+        residuals: `optics.ellipse_mismatch` with variance 1, n x 5 per trial, along the image.
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of data and priors minus number of parameters.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
@@ -79,6 +87,7 @@ class ConeFit(NamedTuple):
     values: dict[str, float]
     free: tuple[str, ...]
     covariance: Float[np.ndarray, "p p"]
+    growth: float
     information: Float[np.ndarray, "p p"]
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
@@ -170,7 +179,9 @@ def fit_cone(
         for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
-    begin = jnp.zeros(len(free) + len(NUISANCES) * len(trials))
+    begin = jnp.concatenate(
+        [jnp.zeros(len(free)), *(jnp.ravel(first_nuisances(g, microscope, fixed)) for g in groups)]
+    )
     priors_held = int(np.sum(prior_weights.any(axis=1)))
     count = sum(group.data for group in groups) + priors_held + HELD * len(trials)
     # Arrays replace names here, so that one compilation is valid for all choices of equal number.
@@ -190,8 +201,20 @@ def fit_cone(
     values = fixed | {
         name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
     }
+    residuals = _by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials)
+    chi_squared = float(np.sum(np.square(solution.residuals)))
+    degrees = count - found.size
+    powers = [slow_power(kind) for kind in np.concatenate(residuals).T]
+    growth = max(
+        1.0,
+        excess_variance(chi_squared / degrees, degrees),
+        *(power for power, chance in powers if chance < SIGNIFICANCE / len(powers)),
+    )
+    of_priors = np.diag(np.concatenate([np.zeros(len(free)), *[_HAS_PRIOR] * len(trials)]))
+    of_free = prior_weights[:, [PARAMETERS.index(name) for name in free]] * sizes
+    of_priors[: len(free), : len(free)] = of_free.T @ of_free
     covariance, undetermined = covariance_and_lost(
-        information,
+        (information - of_priors) / growth + of_priors,
         (*free, *_names(groups)),
         [*(values[name] for name in free), *found[len(free) :]],
     )
@@ -215,6 +238,7 @@ def fit_cone(
         values=values,
         free=tuple(free),
         covariance=covariance[shared, shared] * np.outer(sizes, sizes),
+        growth=growth,
         information=marginal_information(information, len(free)) / np.outer(sizes, sizes),
         touch=touch,
         touch_error=touch_error,
@@ -223,9 +247,9 @@ def fit_cone(
         boresight_covariance=boresight_covariance,
         spot=np.asarray(spot)[in_order],
         spot_covariance=_carried_on(covariance, slopes),
-        residuals=_by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials),
-        chi_squared=float(np.sum(np.square(solution.residuals))),
-        degrees_of_freedom=count - found.size,
+        residuals=residuals,
+        chi_squared=chi_squared,
+        degrees_of_freedom=degrees,
         undetermined=undetermined,
         converged=bool(solution.converged),
     )
@@ -254,7 +278,11 @@ def _names(groups: list[TrialGroup]) -> list[str]:
 def _by_trial(
     residuals: Float[np.ndarray, "n"], groups: list[TrialGroup], trials: Sequence[ConeTrial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
-    """Residuals of each trial's frames, sorted from the order of `_solve`."""
+    """Residuals of each trial's frames, sorted from the order of `_solve`, along the image.
+
+    Noise makes every measured circle an ellipse, and along its own axis that ellipse is always too
+    long, so that residuals there have one sign and look as if they had structure.
+    """
     found = {}
     for group in groups:
         longest = group.readings.shape[1]
@@ -262,7 +290,10 @@ def _by_trial(
         residuals = residuals[mine.size :]
         for number, row in zip(group.numbers, mine, strict=True):
             frames = trials[number].readings.size
-            found[number] = row[: 5 * frames].reshape(frames, 5)
+            u, v, size, long, oblique = row[: 5 * frames].reshape(frames, 5).T
+            turn = np.exp(1j * np.asarray(trials[number].ellipses.angle))
+            place, shape = turn * (u + 1j * v), turn**2 * (long + 1j * oblique)
+            found[number] = np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
     return tuple(found[number] for number in range(len(trials)))
 
 

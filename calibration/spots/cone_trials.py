@@ -43,6 +43,7 @@ that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
 _POINTS = 32
 _LEAST_PRIOR = 1e-6
 """Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""
+_PADDING = 16  # frames: trials of nearly equal length share one compilation, which takes 15 s
 
 
 class Prior(NamedTuple):
@@ -95,6 +96,7 @@ class ConeTrial:
         readings: distance of the tip from its place at the touch, mm.
         axis: unit vector along the tool from the tip towards the wall, eye frame.
         principal_point: (u0, v0) of this trial's window, px.
+        coverage: visible share of each ellipse; the tool is what hides the rest.
         touch: distance at reading 0, mm.
         kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
             that is perpendicular to z except for its tilt.
@@ -103,6 +105,7 @@ class ConeTrial:
 
     ellipses: optics.Ellipse
     covariances: Float[np.ndarray, "n 5 5"]
+    coverage: Float[np.ndarray, "n"]
     readings: Float[np.ndarray, "n"]
     axis: Float[np.ndarray, "3"]
     principal_point: Float[np.ndarray, "2"]
@@ -167,6 +170,8 @@ class TrialGroup(eqx.Module):
     kind: str = eqx.field(static=True)
     data: int = eqx.field(static=True)
     numbers: tuple[int, ...] = eqx.field(static=True)
+    coverage: Float[Array, "trials n"] | None = None
+    """None: all ellipses are wholly visible."""
 
     @property
     def size(self) -> int:
@@ -187,6 +192,7 @@ class TrialGroup(eqx.Module):
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
         trials = [of_all_kinds[n] for n in numbers]
         longest = max(trial.readings.size for trial in trials)
+        longest += -longest % _PADDING
 
         def stacked(arrays: list[np.ndarray]) -> Array:
             # Padding repeats the trial's last frame with weight 0.
@@ -207,6 +213,7 @@ class TrialGroup(eqx.Module):
         return cls(
             ellipses=ellipses,
             whitening=whitening * real[..., None, None],
+            coverage=stacked([t.coverage for t in trials]),
             readings=stacked([t.readings for t in trials]),
             motions=jnp.asarray(
                 np.stack([t.axis if t.motion is None else t.motion for t in trials])
@@ -238,6 +245,37 @@ def whitening_of(
     return jnp.linalg.inv(jnp.linalg.cholesky(shape + jnp.square(missed) * jnp.eye(5)))
 
 
+def first_nuisances(
+    group: TrialGroup, camera: optics.Microscope, values: Mapping[str, ScalarLike]
+) -> Float[Array, "trials 8"]:
+    """The expected nuisances, with the boresight that makes the spot wander as it does.
+
+    From a beam that is 3 degrees askew a spot is half its size away, where the mismatch of two
+    ellipses is no longer linear, and a solver goes astray.
+    """
+    wall = _wall(group, values)
+
+    def of_trial(ellipses, whitening, readings, motion, axis, principal_point):
+        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
+        weight = jnp.any(whitening, axis=(1, 2))
+        points = wall.intersect(*view.ray(ellipses.centre)).point
+        gone = weight * (readings - weight @ readings / jnp.sum(weight))
+        # The spot is at tip + s * beam and the tip moves by -motion, so beam ~ motion + wandering.
+        beam = motion + gone @ points / (gone @ gone)
+        aside = beam / jnp.linalg.norm(beam) - axis
+        askew = jnp.stack(optics.perpendicular_frame(axis)) @ aside / group.boresight_sigma
+        return jnp.zeros(len(NUISANCES)).at[5:7].set(askew)
+
+    return jax.vmap(of_trial)(
+        group.ellipses,
+        group.whitening,
+        group.readings,
+        group.motions,
+        group.axes,
+        group.principal_points,
+    )
+
+
 def spots(
     group: TrialGroup,
     camera: optics.Microscope,
@@ -266,7 +304,17 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
     wall = _wall(group, values)
 
     def of_trial(
-        ellipses, whitening, readings, motion, axis, principal_point, spot, touch, size, nuisance
+        ellipses,
+        whitening,
+        coverage,
+        readings,
+        motion,
+        axis,
+        principal_point,
+        spot,
+        touch,
+        size,
+        nuisance,
     ):
         view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
         away, aim = beam_directions(
@@ -278,7 +326,7 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
         larger = size * nuisance[7]
         touching = spot - touch * aim
 
-        def of_frame(ellipse, whiten, reading):
+        def of_frame(ellipse, whiten, coverage, reading):
             beam = optics.Beam(
                 tip=touching - reading * away,
                 axis=aim,
@@ -286,10 +334,12 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
                 apex_offset=values["b"],
             )
             contour = optics.spot_contour(beam, wall, view, points=_POINTS)
+            tool = view.project(jnp.stack([spot, beam.tip]))
+            seen = None if coverage is None else _seen_beside(tool, contour, ellipse, coverage)
             # Its third term is the relative difference in size.
-            return whiten @ optics.ellipse_mismatch(contour, ellipse).at[2].add(larger)
+            return whiten @ optics.ellipse_mismatch(contour, ellipse, seen).at[2].add(larger)
 
-        frames = jax.vmap(of_frame)(ellipses, whitening, readings)
+        frames = jax.vmap(of_frame)(ellipses, whitening, coverage, readings)
         # The spot's position in the image has no prior.
         return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
 
@@ -297,6 +347,7 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
         jax.vmap(of_trial)(
             group.ellipses,
             group.whitening,
+            group.coverage,
             group.readings,
             group.motions,
             group.axes,
@@ -307,6 +358,33 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
             nuisances,
         )
     )
+
+
+def _seen_beside(
+    tool: Float[Array, "2 2"],
+    contour: Float[Array, "n 2"],
+    ellipse: optics.Ellipse,
+    coverage: Float[Array, ""],
+) -> Float[Array, "n"]:
+    """Visible share of each point's piece of a contour, part of which the tool hides.
+
+    Tool and beam are one line, so that in the image the hidden arc lies about the direction from
+    the spot to the tip.
+
+    Args:
+        tool: images of the spot and of the tip, px.
+        contour: px.
+        ellipse: measured, px.
+        coverage: visible share of the whole contour.
+    """
+    spot, tip = tool
+    aside = (contour - ellipse.centre) @ jnp.array([1.0, 1.0j])
+    beside = jnp.abs(jnp.angle(aside * jnp.conj((tip - spot) @ jnp.array([1.0, 1.0j]))))
+    per_piece = len(contour) / (2.0 * jnp.pi)
+    hidden = jnp.pi * (1.0 - coverage)
+    # A piece that lies on the tool's line shows on both sides of it.
+    nearer, farther = 0.5 + (beside - hidden) * per_piece, 0.5 - (beside + hidden) * per_piece
+    return jax.lax.stop_gradient(jnp.clip(nearer, 0.0, 1.0) + jnp.clip(farther, 0.0, 1.0))
 
 
 RETINA = Prior(13.0, 1.0)

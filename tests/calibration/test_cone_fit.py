@@ -83,6 +83,7 @@ def trial(
     return calibration.ConeTrial(
         ellipses=ellipses,
         covariances=np.tile(SIGMAS, (len(D), 1, 1)),
+        coverage=np.ones(len(D)),
         readings=D - touched,
         axis=told / np.linalg.norm(told),
         principal_point=np.zeros(2),
@@ -225,6 +226,7 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(off_deg):
     trial = calibration.ConeTrial(
         ellipses=traced_ellipses(beam=beam, motion=motion, readings=readings, noise=noise),
         covariances=np.tile(SIGMAS, (readings.size, 1, 1)),
+        coverage=np.ones(readings.size),
         readings=readings,
         axis=motion,
         motion=motion,
