@@ -67,7 +67,7 @@ def hidden_edge(
         levels.background + patch.ceiling * math.exp(fitted[0]),
         float(covariance[1, 1]),
     )
-    if not (peak < Saturated.BRIGHTEST * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2):
+    if not (peak < 2 * Saturated.READABLE * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2):
         return None
     if abs(fitted[1]) > reach:  # not on the profile
         return None
@@ -299,6 +299,12 @@ class Band:
     def gain(self) -> np.ndarray:
         """Brightness of each ray over the mean profile's, (RAYS,)."""
         return self.profiles @ self.mean / (self.mean @ self.mean)
+
+    @property
+    def lit(self) -> np.ndarray:
+        """Rays that are neither hidden nor show a glint, (RAYS,)."""
+        plain = (self.gain > Refine.DARKEST_GAIN) & (self.gain < 1 / Refine.DARKEST_GAIN)
+        return self.whole & plain
 
     def in_shade(self, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Light, outward shift and misfit of each ray's profile if it is shaded, (RAYS,).
@@ -574,12 +580,7 @@ def refine_sharp(
     offsets = shifts / np.maximum(
         gain, Refine.DARKEST_GAIN
     )  # a shift changes a brighter ray by more
-    found = (
-        band.whole
-        & (gain > Refine.DARKEST_GAIN)
-        & (gain < Refine.BRIGHTEST_GAIN)
-        & (np.abs(offsets) < reach)
-    )
+    found = band.lit & (np.abs(offsets) < reach)
     plain = rough[found]
     if not plain.size:
         return NoSpot(Reason.NONE_FOUND)

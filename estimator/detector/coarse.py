@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.ellipse import AffineEllipse
-from estimator.detector.tuning import Channel, Search
+from estimator.detector.tuning import Channel, Search, Verdict
 from estimator.image import clip_level
 from formats.camera import GREY, GREY_WEIGHTS, Window
 
@@ -236,7 +236,7 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
         light: (h, w) uint8, 0 outside the pieces.
     """
     order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]
-    if len(order) < 2 or areas[order[0]] < Search.LOBE * areas[order[1]]:
+    if len(order) < 2 or areas[order[0]] < Verdict.RIVAL * areas[order[1]]:
         return False
     middles: list[np.ndarray] = []
     brightest: list[np.ndarray] = []

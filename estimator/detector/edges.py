@@ -62,12 +62,7 @@ def refine_broad(
         return NoSpot(Reason.NONE_FOUND)
     offsets, _ = band.shifts([band.from_edge * band.slope], past_texture=False)
     gain = band.gain
-    found = (
-        band.whole
-        & (gain > Refine.DARKEST_GAIN)
-        & (gain < Refine.BRIGHTEST_GAIN)
-        & (np.abs(offsets) < reach)
-    )
+    found = band.lit & (np.abs(offsets) < reach)
     fitted = robust_step(
         DESIGN,
         offsets,

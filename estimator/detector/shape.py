@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.detector.ellipse import AffineEllipse, Patch
-from estimator.detector.tuning import SpotProfile
+from estimator.detector.tuning import RAYS, SpotProfile
 from estimator.image import clip_level
 from formats.camera import GREY, LensDistortion, LightMeter, Response, Window, checked_frame
 from formats.spots import Spot
@@ -61,7 +61,7 @@ def spot_shape(
     # A saturated channel has lost its peak; the brightest of the others has the least noise.
     channels = np.atleast_3d(values)
     cores = [profiles_of(channels[:, :, c], _CORE) for c in range(channels.shape[2])]
-    if len(cores[0]) < SpotProfile.FEWEST_RAYS:
+    if len(cores[0]) < RAYS // 4:
         return None
     tops = np.percentile(cores, SpotProfile.TOP, axis=(1, 2))
     clips = [
@@ -74,7 +74,7 @@ def spot_shape(
     channel = GREY if whole.all() else int(np.argmax(np.where(whole, tops, -1.0)))
     light = LightMeter(response, None).light(values, window, channel, full_scale)
     profiles = profiles_of(light, _PROFILE_RADII)
-    if len(profiles) < SpotProfile.FEWEST_RAYS:
+    if len(profiles) < RAYS // 4:
         return None
     profile = np.median(profiles, axis=0)
     profile = profile - np.median(profile[_BACKGROUND])

@@ -1,5 +1,9 @@
 """From frame to frame: where the spot is looked for, and which of the spots found is it.
 
+A frame's way: bright regions (`contour.regions_in`), each one's contour, motion, reflection and
+distortion (`measuring.measured_in`), the verdict on it (`verdict.sighting_in`), and the choice of
+one (`verdict.one_of`). Nothing is measured after the verdict.
+
 `outlines_of` says where the spot may be in a frame in which none was measured.
 """
 
@@ -11,10 +15,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.detector.contour import Region, region_at, regions_in
+from estimator.detector.contour import Region, contour_of, region_at, regions_in
+from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import AffineEllipse
 from estimator.detector.levels import dark_radius
 from estimator.detector.literal import LiteralSettings, measure_literal
+from estimator.detector.measuring import rim_on
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Faint, Verdict
 from estimator.detector.verdict import (
@@ -23,7 +29,6 @@ from estimator.detector.verdict import (
     is_part_of,
     one_of,
     sighting_in,
-    spot_on_reflection,
 )
 from formats.camera import Window, checked_frame, without_repeats
 from formats.inputs import InputError
@@ -192,7 +197,7 @@ def outlines_of(
     settings = replace(
         settings,
         min_contrast=min(settings.min_contrast, Faint.CONTRAST),
-        min_coverage=min(settings.min_coverage, Faint.COVERAGE),
+        min_coverage=min(settings.min_coverage, Verdict.SHORTEST_ARC),
     )
     if result.reason in (Reason.NONE_FOUND, Reason.OCCLUDED, Reason.CLIPPED):
         fainter, _ = measure(frame, TrackState(), settings)
@@ -209,7 +214,10 @@ def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> l
     """Spots on a wet wall's reflections of a lamp."""
     found = []
     for region in regions_in(frame, Window.whole(frame), settings):
-        fit = spot_on_reflection(region) if isinstance(region, Region) else None
+        if isinstance(region, NoSpot):
+            continue
+        contour = contour_of(region)
+        fit = rim_on(region, contour) if isinstance(contour, EdgeFit) else None
         if fit is not None:
             outline = _outline(fit.ellipse)
             size = math.sqrt(outline.semi_major_px * outline.semi_minor_px)

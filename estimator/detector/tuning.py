@@ -9,10 +9,9 @@ Units: "radii" are radii of the spot's ellipse in the same direction, "edge widt
 
 - derived: it follows from something else, which is named.
 - fitted: it was measured on frames, which are named.
-- set by hand, for a purpose. `python -m benchmarks.bench estimator.tuning` shows the effect of 20 %
-  more or less of each constant on 72 drawn frames: none for 67 of 114 constants, and the largest
-  change of a semi-axis is 1.5 px (Motion.ALONG), 1.3 px (Saturated.READABLE), 0.7 px (Sharp.REACH)
-  and below 0.5 px for all others.
+- set by hand, for a purpose. A change of the largest by 20 % moves a semi-axis of some of 72 drawn
+  frames by 1.5 px (Motion.ALONG), 1.3 px (Saturated.READABLE) and 0.7 px (Sharp.REACH), that of
+  any other by less than 0.5 px.
 
 What a user may want to change is in `settings.SubpixelSettings` instead.
 """
@@ -68,8 +67,6 @@ class Search:
     """- | median of a region over its brightest part, from which it is a plateau | set by hand
     between bells (0.7) and discs on textured walls
     """
-    LOBE = 0.5
-    """- | area of a beam's second lobe over the first's | set by hand: as `Verdict.RIVAL`"""
     CONVEX = 0.85
     """- | area of a lobe over its convex hull's | set by hand between lobes (0.95) and crescents"""
     TOWARDS = 0.12
@@ -187,15 +184,13 @@ class Refine:
     letters scatter by 0.12 and more
     """
     DARKEST_GAIN = 0.6
-    """- | brightness of a ray over the mean ray's: darker rays are hidden | set by hand for shafts,
-    and for shadows that take 60 % or more of the light
+    """- | brightness of a ray over the mean ray's: darker rays are hidden, rays brighter than its
+    inverse show a glint | set by hand for shafts, and shadows that take 60 % of the light
     """
     SHADED_NEIGHBOURS = 3
     """rays | neighbours on either side with which a shaded ray is averaged | set by hand: as many
     as are spoilt by a shadow's rim
     """
-    BRIGHTEST_GAIN = 1 / DARKEST_GAIN
-    """- | the same: brighter rays show a glint | derived"""
     SAMPLING_PX = 0.7
     """px | distance of the samples on a ray | set by hand: less than the pixel grid resolves"""
     FEWEST_SAMPLES = 5
@@ -361,8 +356,6 @@ class Saturated:
     """full scale | mean value up to which noise does not reach full scale | derived: noise of 3 of
     255 levels, four standard deviations
     """
-    BRIGHTEST = 2 * READABLE
-    """full scale | peak of which half is still readable | derived"""
     VAGUEST = 0.02
     """radii | standard error of an edge that is visible at all | set by hand"""
     MISFIT = 0.01
@@ -458,7 +451,7 @@ class Texture:
 
 
 class Motion:
-    """A spot that moved during the exposure (`verdict`)."""
+    """A spot that moved during the exposure (`measuring`)."""
 
     SMEARED = 0.08
     """radii | edge width from which a smear bends the contour | set by hand for moving drawn frames
@@ -502,16 +495,12 @@ class Motion:
     """- | part of a block's residuals that a fit leaves at least | set by hand: where a block alone
     determines a parameter
     """
-    BLOCK = 8
-    """px of the reduced patch | side of a block that counts as one observation | derived: four
-    times LONG_WAVES
-    """
     FLAT = 4.0
     """edge widths | beyond which an edge is flat | derived: 3e-5 of its step are left"""
 
 
 class Reflection:
-    """A wet wall's specular reflection with the spot on it (`verdict`)."""
+    """A wet wall's specular reflection with the spot on it (`measuring`)."""
 
     SIDE = 64
     """px | side to which the bell is reduced | set by hand: speed"""
@@ -560,7 +549,9 @@ class Verdict:
     FILLED = 0.75
     """- | area of a region over its ellipse's, below which something hides a part | set by hand"""
     RIVAL = 0.5
-    """- | area of a second spot over the first's that makes the choice ambiguous | set by hand"""
+    """- | area of a second spot, or of a beam's second lobe, over the first's that makes the choice
+    ambiguous | set by hand
+    """
     NEAR_SPOT = 1.5
     """semi-major axes | from a spot within which another region is a part of it or its halo | set
     by hand
@@ -633,15 +624,11 @@ class SpotProfile:
     """percentile | of the core's values that must be below full scale | set by hand: a few glints
     do not make a channel useless
     """
-    FEWEST_RAYS = 48
-    """rays | least number that lies in the frame | derived: a quarter of `RAYS`"""
 
 
 class Faint:
     """Where a spot may be that was not measured (`tracking`)."""
 
-    COVERAGE = 0.3
-    """- | fraction of the contour that tells where the spot is | derived: `Verdict.SHORTEST_ARC`"""
     CONTRAST = 0.25
     """- | least (peak - background) / background | set by hand: texture alone reaches it, but a
     spot under the haze of a wet wall has no more

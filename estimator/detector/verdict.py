@@ -1,321 +1,23 @@
-"""Spot or not: every reason to reject what was fitted, in one place.
+"""Spot or not: every reason to reject what was measured, in one place.
 
-`sighting_in` judges a region by itself, `continues` a spot beside the last frame's, and `one_of`
-the spots of a whole frame beside each other. Two kinds of spots are fitted again first:
-
-- A spot that moved during the exposure. Its image is the mean of its ellipse over its path: its
-  edge is smeared along the path and not across it, and the half-maximum contour is not an ellipse.
-  So the ellipse, its path, its acceleration and its edge are fitted to the pixels together.
-  Acceleration counts because a spot that speeds up is in the middle of its path later than in the
-  middle of the exposure. This takes about 0.1 s, and is done only for spots whose edge is wide in
-  one direction and narrow across.
-- A spot on a specular reflection. A wet or varnished wall reflects the microscope's light as a wide
-  bell, which may be brighter than the spot. A spot with a broad edge is smooth throughout; a
-  reflection shows the sharp rim of the spot.
+`sighting_in` has a region measured and judges it by itself, `continues` judges a spot beside the
+last frame's, and `one_of` the spots of a whole frame beside each other.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from statistics import NormalDist
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 
-from estimator.detector.coarse import Coarse, TooSmall, bright_regions
-from estimator.detector.contour import Region, contour_of, patch_round
-from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import (
-    AffineEllipse,
-    Patch,
-    contour_points,
-    covariance_of_axes,
-    normals_of,
-    refitted,
-    shares_of_contour,
-)
-from estimator.detector.levels import RADII, RADIUS_STEP, background_of
+from estimator.detector.contour import Region
+from estimator.detector.edges import EdgeFit
+from estimator.detector.ellipse import covariance_of_axes, shares_of_contour
+from estimator.detector.measuring import Measured, is_coarse, measured_in, significance_of
 from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
+from estimator.detector.tuning import Refine, Verdict
 from formats.spots import NoSpot, Reason, Spot
-
-_GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
-_PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)
-_INSIDE = np.array([NormalDist().cdf(-d) for d in _GRID], np.float32)
-_DENSITY = np.exp(-0.5 * _GRID**2, dtype=np.float32) / np.float32(math.sqrt(2 * math.pi))
-
-
-@dataclass(frozen=True, eq=False)
-class _Moving:
-    """An evenly lit ellipse with a Gaussian-blurred edge that moves along a path; lengths in px.
-
-    At the time t, from -1/2 to 1/2, its centre is at ellipse.centre + path * t + bend * t**2.
-    """
-
-    ellipse: AffineEllipse
-    path: np.ndarray
-    bend: np.ndarray
-    width: float
-    amplitude: float
-    background: float
-
-    def stepped(self, step: np.ndarray) -> _Moving:
-        """Changed by five parameters of the ellipse, path, bend, and three logarithms."""
-        growth = np.exp(np.clip(step[9:], -0.5, 0.5)).tolist()
-        longest = 0.25 * self.ellipse.axes()[1]
-        return _Moving(
-            self.ellipse.stepped(np.clip(step[:5], -0.2, 0.2)),
-            self.path + np.clip(step[5:7], -longest, longest),
-            self.bend + np.clip(step[7:9], -longest, longest),
-            self.width * growth[0],
-            self.amplitude * growth[1],
-            self.background * growth[2],
-        )
-
-    def linearised(self, u: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signal at pixels, and the relative derivatives by the parameters of `stepped`, (12, …).
-
-        The mean over the path is a sum over places closer together than the edge is wide.
-        """
-        number = 3 + math.ceil(Motion.NODES * math.hypot(*self.path) / self.width)
-        (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).astype(np.float32)
-        lit = np.zeros(np.broadcast(u, v).shape, np.float32)
-        derivatives = np.zeros((Motion.PARAMETERS, *lit.shape), np.float32)
-        for at in ((np.arange(number) + 0.5) / number - 0.5).tolist():
-            x, y = (self.ellipse.centre + at * self.path + at * at * self.bend).tolist()
-            cos, sin = a * (u - x) + b * (v - y), c * (u - x) + d * (v - y)
-            radius = np.hypot(cos, sin) + np.float32(1e-6)
-            cos, sin = cos / radius, sin / radius
-            normal_x, normal_y = cos * a + sin * c, cos * b + sin * d
-            per_px = np.hypot(normal_x, normal_y)
-            distance = (radius - 1) / (per_px * np.float32(self.width))
-            inside = np.clip((distance + Motion.FLAT) * _PER_WIDTH, 0, len(_GRID) - 1).astype(int)
-            lit += _INSIDE[inside]
-            density = _DENSITY[inside] / np.float32(self.width)
-            by_radius = density / per_px
-            for row, column in enumerate((cos, sin, cos * cos, sin * sin, 2 * cos * sin)):
-                derivatives[row] += by_radius * column
-            for row, power in ((5, at), (7, at * at)):
-                derivatives[row] += by_radius * normal_x * power
-                derivatives[row + 1] += by_radius * normal_y * power
-            derivatives[9] += density * distance * np.float32(self.width)
-        share = np.float32(self.amplitude / number)
-        derivatives *= share
-        signal = lit * share
-        derivatives[10] = signal
-        derivatives[11] = self.background
-        signal = signal + np.float32(self.background)
-        return signal, derivatives / signal
-
-
-def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
-    """The fit with the ellipse in the middle of the path if the spot moved, else the fit unchanged.
-
-    Weighted least squares by Gauss-Newton steps on the ratio of signal and model, both without
-    their local mean, because a wall's texture is strongest at long waves (`Motion.LONG_WAVES`). The
-    covariance is White's (1980), from blocks of pixels that share texture.
-
-    Args:
-        patch: signal round the spot.
-        fit: of its half-maximum contour.
-    """
-    path = _path(patch, fit)
-    if path is None:
-        return fit
-    levels = fit.levels
-    shrink = max(round(max(patch.signal.shape) / Motion.SIDE), 1)
-    height, width = (length // shrink for length in patch.signal.shape)
-    whole = patch.signal[: height * shrink, : width * shrink]
-    signal = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
-    u = patch.x0 + shrink * (np.arange(width, dtype=np.float32) + 0.5) - 0.5
-    v = patch.y0 + shrink * (np.arange(height, dtype=np.float32)[:, None] + 0.5) - 0.5
-    background = max(levels.background, 0.01 * levels.peak)
-    moving = _Moving(fit.ellipse, path, np.zeros(2), float(shrink), levels.amplitude, background)
-    for _ in range(Motion.STEPS):
-        model, derivatives = moving.linearised(u, v)
-        residual = _passed(signal / model - 1)
-        columns = np.stack([_passed(row) for row in derivatives], axis=-1)
-        typical = 1.48 * float(np.median(np.abs(residual))) + 1e-9
-        weight = 1 / (1 + (residual / (Motion.OUTLYING * typical)) ** 2)
-        pull = columns * (weight * residual)[..., None]
-        flat = columns.reshape(-1, Motion.PARAMETERS)
-        gram = (flat.T * weight.ravel()).astype(float) @ flat
-        gram.flat[:: Motion.PARAMETERS + 1] *= 1 + 1e-6
-        step = np.linalg.lstsq(gram, pull.sum(axis=(0, 1)).astype(float), rcond=None)[0]
-        moving = moving.stepped(step)
-        semi_major, semi_minor, _ = moving.ellipse.axes()
-        sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
-        if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
-            return _of_neither(fit)
-        if np.abs(step[:5]).max() < Motion.SETTLED:
-            break
-    else:
-        return _of_neither(fit)
-    covariance = _covariance(gram, pull, columns * np.sqrt(weight)[..., None])
-    # A residual that grows loses weight, so a step changes the pull by less than the weights say
-    # (Huber 1981, section 6.3).
-    bending = weight * (2 * weight - 1)
-    bent = (flat.T * bending.ravel()).astype(float) @ flat
-    share = np.trace(np.linalg.solve(gram, bent)) / Motion.PARAMETERS
-    covariance /= max(share, Motion.LEAST_SHARE) ** 2
-    path = moving.path
-    # Variance of the path's length, times its square.
-    doubt = path @ covariance[5:7, 5:7] @ path
-    if (path @ path) ** 2 <= Motion.SURE**2 * doubt or _rests(signal, model, fit, u, v):
-        return fit
-    return replace(
-        fit,
-        ellipse=moving.ellipse,
-        step_covariance=covariance[:5, :5],
-        levels=replace(
-            levels,
-            peak=moving.background + moving.amplitude,
-            background=moving.background,
-            width=moving.width / math.sqrt(semi_major * semi_minor),
-        ),
-        offsets=np.where(fit.found, 0.0, fit.offsets),
-        inliers=fit.found,
-        scatter=0.0,
-        steeper=1.0,
-    )
-
-
-def _of_neither(fit: EdgeFit) -> EdgeFit:
-    """The fit, with no ray that is known to show the edge: neither rest nor motion explains it.
-
-    For example, tools hide the ends of the path: then no size is determined.
-    """
-    return replace(fit, inliers=np.zeros_like(fit.inliers))
-
-
-def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
-    """Rough path of a spot whose edge is wide in one direction and narrow across; else None."""
-    profiles = np.nan_to_num(patch.unwrapped(fit.ellipse, RADII), nan=0.0)
-    normals, per_px = normals_of(fit.ellipse)
-    # The integral of the squared slope is step^2 / length where an edge is smeared evenly.
-    steepness = (np.diff(profiles, axis=1) ** 2).sum(axis=1) * (per_px / RADIUS_STEP)
-    seen = fit.found & (steepness > 0)
-    lengths = fit.levels.amplitude**2 / steepness[seen]
-    cos, sin = normals[:, seen]
-    double = np.stack([np.ones_like(cos), cos * cos - sin * sin, 2 * cos * sin], axis=1)
-    _, along, across = np.linalg.lstsq(double, np.log(lengths * per_px[seen]), rcond=None)[0]
-    if math.hypot(along, across) < Motion.UNEVEN:
-        return None
-    heading = math.atan2(across, along) / 2
-    towards = np.array([math.cos(heading), math.sin(heading)])
-    along_path = np.abs(towards @ normals[:, seen])
-    beside, ahead = lengths[along_path < Motion.BESIDE], lengths[along_path > Motion.ALONG]
-    # The edge of a sharp spot stays sharp beside its path. A bell, whose width texture or a slanted
-    # beam makes uneven too, is broad all round.
-    if not (beside.size and ahead.size) or np.median(beside) > Motion.SHARP * fit.ellipse.axes()[1]:
-        return None
-    return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
-
-
-def _rests(
-    signal: np.ndarray, moving: np.ndarray, fit: EdgeFit, u: np.ndarray, v: np.ndarray
-) -> bool:
-    """Whether a spot at rest, of any profile, explains the light better than a moving one does.
-
-    Fringes make a bell's edge uneven, too.
-    """
-    inverse, (x, y) = np.linalg.inv(fit.ellipse.shape), fit.ellipse.centre
-    cos, sin = (row[0] * (u - x) + row[1] * (v - y) for row in inverse)
-    radius = np.hypot(cos, sin)
-    near = radius < RADII[-1]
-    ring = np.rint(radius[near] / RADIUS_STEP).astype(int)
-    light = signal[near]
-    profile = np.bincount(ring, light) / np.maximum(np.bincount(ring), 1)
-    # The levels of the moving spot were fitted without long waves, so they are fitted again.
-    levels = np.column_stack([moving[near], np.ones(light.size)])
-    _, left, *_ = np.linalg.lstsq(levels, light, rcond=None)
-    return bool(np.square(light - profile[ring]).sum() < left.sum())
-
-
-def _passed(values: np.ndarray) -> np.ndarray:
-    return values - cv2.GaussianBlur(values, (0, 0), Motion.LONG_WAVES)
-
-
-def _covariance(gram: np.ndarray, pull: np.ndarray, weighted: np.ndarray) -> np.ndarray:
-    """Covariance of the parameters, from the scatter of what blocks of pixels pull.
-
-    The fit follows the blocks, so what they still pull is too little. It is raised by what the fit
-    has taken from each: the bias-reduced estimate of Bell and McCaffrey (2002).
-
-    Args:
-        gram: (p, p) normal matrix.
-        pull: (h, w, p) each pixel's part of the gradient.
-        weighted: (h, w, p) derivatives, times the roots of the pixels' weights.
-    """
-    values, vectors = np.linalg.eigh(gram)
-    root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    rows = _blocks(weighted)
-    shares = root.T @ np.matmul(rows.transpose(0, 2, 1), rows).astype(float) @ root
-    taken, axes = np.linalg.eigh(shares)
-    left = np.sqrt(np.maximum(1 - taken, Motion.LEAST_LEFT))
-    scores = _blocks(pull).sum(axis=1).astype(float) @ root
-    along = np.einsum("bij,bi->bj", axes, scores) / left
-    raised = np.einsum("bij,bj->bi", axes, along)
-    return root @ (raised.T @ raised) @ root.T
-
-
-def _blocks(values: np.ndarray) -> np.ndarray:
-    """Values (h, w, p) of pixels by block, (blocks, pixels, p)."""
-    side = Motion.BLOCK
-    down, across = (length // side for length in values.shape[:2])
-    parts = values[: down * side, : across * side].reshape(down, side, across, side, -1)
-    return parts.swapaxes(1, 2).reshape(down * across, side * side, -1)
-
-
-def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
-    """The ellipse with a sharp rim that a bell shows; None if it shows none.
-
-    Args:
-        patch: signal round the bell.
-        smallest_px: least semi-minor axis of a spot; smaller sharp blobs are noise.
-    """
-    half_width, half_height = bell.ellipse.half_extent()
-    x, y = (bell.ellipse.centre - (patch.x0, patch.y0)).tolist()
-    left, top = max(int(x - half_width), 0), max(int(y - half_height), 0)
-    light = patch.signal[top : int(y + half_height) + 1, left : int(x + half_width) + 1]
-    stride = max(light.shape) // Reflection.SIDE + 1
-    height, width = (length // stride for length in light.shape)
-    if min(height, width) < 2 * Reflection.POWERS:
-        return None
-    light = light[: height * stride, : width * stride]
-    small = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
-    down, across = _polynomials(height), _polynomials(width)
-    surface = down @ (down.T @ small @ across) @ across.T
-    x0, y0 = int(patch.x0) + left, int(patch.y0) + top
-    coarse = Coarse.of_signal(small - surface, stride=stride, x0=x0, y0=y0)
-    above = light - cv2.resize(surface, light.shape[::-1], interpolation=cv2.INTER_LINEAR)
-    standing_out = Patch(above, x0, y0)
-    rims: list[EdgeFit] = []
-    # Without its surface, a bell leaves rings.
-    for candidates in bright_regions(
-        coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
-    ):
-        if isinstance(candidates, TooSmall):
-            continue
-        fits = (fit_edge(standing_out, coarse, candidate) for candidate in candidates)
-        rims += [fit for fit in fits if isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px)]
-    return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
-
-
-def _is_rim(fit: EdgeFit, smallest_px: float) -> bool:
-    sharp = fit.levels.width < Reflection.SHARPEST and fit.scatter < Reflection.SMOOTHEST
-    return (
-        sharp and bool(fit.inliers.mean() > Reflection.SEEN) and fit.ellipse.axes()[1] > smallest_px
-    )
-
-
-def _polynomials(number: int) -> np.ndarray:
-    """Orthonormal polynomials on as many points, in columns."""
-    return np.linalg.qr(np.vander(np.linspace(-1, 1, number), Reflection.POWERS))[0].astype(
-        np.float32
-    )
 
 
 class Sighting(NamedTuple):
@@ -337,52 +39,73 @@ class Sighting(NamedTuple):
 
 
 def sighting_in(region: Region) -> Sighting | NoSpot:
-    """The spot that a region shows, or why it shows none."""
-    found = _judged(region)
+    """The spot that a region shows, or why it shows none: measure, then judge."""
+    significance = significance_of(region) if region.faint else 0.0
+    measured = measured_in(region)
+    found = measured if isinstance(measured, NoSpot) else _judged(region, measured)
     if not found and region.faint and found.reason is not Reason.TOO_FAINT:
-        return _faint(region)
+        # Texture may have made it: its outline is rough, or it has none.
+        significant = 2 * significance > Verdict.FAINTEST
+        return NoSpot(Reason.TOO_FAINT, significance) if significant else _NOTHING
     if isinstance(found, NoSpot) and found.reason is Reason.NONE_FOUND:
         return NoSpot(Reason.OCCLUDED) if region.fills_its_ellipse() < Verdict.FILLED else found
     return found
 
 
-def _faint(region: Region) -> NoSpot:
-    """Why a region that texture may make shows no spot: its outline is rough, or it has none."""
-    around = background_of(region.coarse, region.ellipse, Refine.BROAD)
-    if around is None or region.fills_its_ellipse() < Verdict.FILLED:
-        return _NOTHING
-    background, _, scatter = around
-    significance = (region.candidates[0].peak - background) / scatter
-    return (
-        NoSpot(Reason.TOO_FAINT, significance) if 2 * significance > Verdict.FAINTEST else _NOTHING
+def _judged(region: Region, measured: Measured) -> Sighting | NoSpot:
+    fit, settings = measured.fit, region.settings
+    levels = fit.levels
+    semi_major, semi_minor, _ = fit.ellipse.axes()
+    ellipse = measured.ellipse or fit.ellipse
+    covariance = covariance_of_axes(ellipse, fit.step_covariance)
+    coverage, belonging, in_frame = shares_of_contour(
+        fit.ellipse, fit.seen, fit.inliers, fit.inside
     )
-
-
-def _judged(region: Region) -> Sighting | NoSpot:
-    contour = contour_of(region)
-    if isinstance(contour, NoSpot):
-        return contour
-    fit = contour
-    if fit.levels.width > Motion.SMEARED and not _is_coarse(fit):
-        fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
-    spot = _spot_of(fit, region.settings, region.saturated[region.channel])
-    if isinstance(spot, NoSpot):
-        return spot
-    if _rim_on(region, fit) is not None:
-        return NoSpot(Reason.AMBIGUOUS)
-    return Sighting(spot, contour, region.channel)
-
-
-def spot_on_reflection(region: Region) -> EdgeFit | None:
-    """The spot that a region's light shows, where that is a wet wall's reflection of a lamp."""
-    contour = contour_of(region)
-    return _rim_on(region, contour) if isinstance(contour, EdgeFit) else None
-
-
-def _rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
-    if fit.levels.width < Refine.BROAD:
-        return None
-    return spot_on(patch_round(region, fit.ellipse), fit, region.settings.min_semi_minor_px)
+    partial = coverage <= Verdict.WHOLE
+    coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
+    # An outline of no ellipse, such as a polygon's or a word's.
+    rough = is_coarse(fit) or fit.steeper > Verdict.STEEPER
+    low = levels.amplitude < settings.min_contrast * levels.background
+    significance = levels.amplitude / levels.scatter
+    vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
+    reason, value = None, math.nan
+    if not coherent or belonging < Verdict.SHORTEST_ARC:
+        reason = Reason.NONE_FOUND
+    elif semi_major > settings.max_axis_ratio * semi_minor:
+        reason = Reason.NONE_FOUND
+    elif semi_minor < settings.min_semi_minor_px:
+        reason = Reason.TOO_SMALL
+    elif semi_major > settings.max_semi_major_px:
+        reason = Reason.TOO_LARGE
+    elif coverage < settings.min_coverage:
+        reason = Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED
+    elif rough:
+        reason = Reason.OCCLUDED if partial else Reason.NONE_FOUND
+    elif measured.ellipse is None:
+        reason = Reason.NONE_FOUND
+    elif significance < Verdict.FAINTEST and low:
+        reason, value = Reason.TOO_FAINT, significance
+    elif vague and partial and levels.width < Refine.BROAD:
+        reason = Reason.OCCLUDED
+    elif measured.rim is not None:
+        reason = Reason.AMBIGUOUS
+    if reason is not None:
+        return NoSpot(reason, value)
+    semi_major, semi_minor, angle = ellipse.axes()
+    x, y = ellipse.centre.tolist()
+    spot = Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=semi_major,
+        semi_minor_px=semi_minor,
+        angle_rad=angle,
+        covariance=covariance,
+        edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
+        coverage=coverage,
+        inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
+        saturated=region.saturated[region.channel],
+    )
+    return Sighting(spot, measured.contour, region.channel)
 
 
 def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
@@ -435,72 +158,3 @@ _NEARNESS = (
     Reason.AMBIGUOUS,
 )
 """Reasons by how near to a spot a region came: the last that occurs in a frame is reported."""
-
-
-def _is_rough(fit: EdgeFit) -> bool:
-    """Whether an outline is none of an ellipse, such as a polygon's or a word's.
-
-    Not that of a spot in motion before `at_mid_exposure`: its rays are not equally steep.
-    """
-    return _is_coarse(fit) or fit.steeper > Verdict.STEEPER
-
-
-def _is_coarse(fit: EdgeFit) -> bool:
-    """Whether the edges scatter about the ellipse by more than texture and motion explain.
-
-    Either moves an edge by less than the edge is wide.
-    """
-    width = math.hypot(fit.levels.width, Verdict.FINEST_PX / fit.ellipse.axes()[1])
-    return fit.scatter > Verdict.COARSEST * width
-
-
-def _spot_of(fit: EdgeFit, settings: SubpixelSettings, saturated: float) -> Spot | NoSpot:
-    semi_major, semi_minor, angle = fit.ellipse.axes()
-    levels = fit.levels
-    coverage, belonging, in_frame = shares_of_contour(
-        fit.ellipse, fit.seen, fit.inliers, fit.inside
-    )
-    coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
-    if not coherent or belonging < Verdict.SHORTEST_ARC:
-        return NoSpot(Reason.NONE_FOUND)
-    if semi_major > settings.max_axis_ratio * semi_minor:
-        return NoSpot(Reason.NONE_FOUND)
-    if semi_minor < settings.min_semi_minor_px:
-        return NoSpot(Reason.TOO_SMALL)
-    if semi_major > settings.max_semi_major_px:
-        return NoSpot(Reason.TOO_LARGE)
-    if coverage < settings.min_coverage:
-        return NoSpot(Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED)
-    if _is_rough(fit):
-        return NoSpot(Reason.NONE_FOUND if coverage > Verdict.WHOLE else Reason.OCCLUDED)
-    ellipse = fit.ellipse
-    if settings.camera is not None:
-        edges = contour_points(ellipse, fit.offsets)[fit.inliers]
-        if not settings.camera.can_undistort(edges):
-            return NoSpot(Reason.NONE_FOUND)
-        ellipse = refitted(ellipse, settings.camera.undistorted(edges))
-        if math.dist(settings.camera.distorted(*ellipse.centre), fit.ellipse.centre) > semi_major:
-            return NoSpot(Reason.NONE_FOUND)  # its edge can be undistorted, but not its inside
-        semi_major, semi_minor, angle = ellipse.axes()
-    covariance = covariance_of_axes(ellipse, fit.step_covariance)
-    significance = levels.amplitude / levels.scatter
-    if significance < Verdict.FAINTEST and levels.amplitude < (
-        settings.min_contrast * levels.background
-    ):
-        return NoSpot(Reason.TOO_FAINT, significance)
-    vague = covariance[3, 3] > (Verdict.VAGUEST * semi_minor) ** 2
-    if vague and coverage < Verdict.WHOLE and levels.width < Refine.BROAD:
-        return NoSpot(Reason.OCCLUDED)
-    x, y = ellipse.centre.tolist()
-    return Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=semi_major,
-        semi_minor_px=semi_minor,
-        angle_rad=angle,
-        covariance=covariance,
-        edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
-        coverage=coverage,
-        inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
-        saturated=saturated,
-    )

@@ -11,7 +11,7 @@ from statistics import NormalDist
 import pytest
 
 from estimator.detector import tuning
-from estimator.detector.tuning import RAYS, Motion, Refine, SpotProfile, Trimming
+from estimator.detector.tuning import Trimming
 
 FOLDER = Path(tuning.__file__).parent
 
@@ -59,6 +59,3 @@ def test_what_is_said_to_be_derived_is():
     assert pytest.approx(NormalDist().inv_cdf(2 / 3), abs=1e-4) == Trimming.THIRD
     # One sample of five edges, half of which belong, is pure with a probability of 1/32.
     assert 1 - (31 / 32) ** Trimming.SAMPLES > 0.95
-    assert SpotProfile.FEWEST_RAYS == RAYS // 4
-    assert Motion.BLOCK == 4 * Motion.LONG_WAVES
-    assert Refine.BRIGHTEST_GAIN == 1 / Refine.DARKEST_GAIN
