@@ -154,7 +154,7 @@ def phantom_wall(
 
 
 class TrialGroup(eqx.Module):
-    """Trials on walls of one kind, padded to the same number of frames."""
+    """Trials on walls of one kind, padded to the same number of frames; or one of them."""
 
     ellipses: optics.Ellipse
     whitening: Float[Array, "trials n 5 5"]
@@ -164,8 +164,8 @@ class TrialGroup(eqx.Module):
     principal_points: Float[Array, "trials 2"]
     touch_means: Float[Array, "trials"]
     touch_sigmas: Float[Array, "trials"]
-    lean_sigma: Float[Array, ""]
-    boresight_sigma: Float[Array, ""]
+    lean_sigmas: Float[Array, "trials"]
+    boresight_sigmas: Float[Array, "trials"]
     size_sigmas: Float[Array, "trials"]
     kind: str = eqx.field(static=True)
     data: int = eqx.field(static=True)
@@ -222,8 +222,8 @@ class TrialGroup(eqx.Module):
             principal_points=jnp.asarray(np.stack([t.principal_point for t in trials])),
             touch_means=jnp.array([t.touch.mean for t in trials]),
             touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
-            lean_sigma=jnp.asarray(lean_sigma),
-            boresight_sigma=jnp.asarray(boresight_sigma),
+            lean_sigmas=jnp.full(len(trials), lean_sigma),
+            boresight_sigmas=jnp.full(len(trials), boresight_sigma),
             size_sigmas=jnp.array([size_sigmas[n] for n in numbers]),
             kind=kind,
             data=5 * int(frames.sum()),
@@ -255,25 +255,17 @@ def first_nuisances(
     """
     wall = _wall(group, values)
 
-    def of_trial(ellipses, whitening, readings, motion, axis, principal_point):
-        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
-        weight = jnp.any(whitening, axis=(1, 2))
-        points = wall.intersect(*view.ray(ellipses.centre)).point
-        gone = weight * (readings - weight @ readings / jnp.sum(weight))
+    def of_trial(trial: TrialGroup) -> Array:
+        points = wall.intersect(*_view(trial, camera).ray(trial.ellipses.centre)).point
+        weight = jnp.any(trial.whitening, axis=(1, 2))
+        gone = weight * (trial.readings - weight @ trial.readings / jnp.sum(weight))
         # The spot is at tip + s * beam and the tip moves by -motion, so beam ~ motion + wandering.
-        beam = motion + gone @ points / (gone @ gone)
-        aside = beam / jnp.linalg.norm(beam) - axis
-        askew = jnp.stack(optics.perpendicular_frame(axis)) @ aside / group.boresight_sigma
+        beam = trial.motions + gone @ points / jnp.maximum(gone @ gone, 1e-12)
+        aside = beam / jnp.linalg.norm(beam) - trial.axes
+        askew = jnp.stack(optics.perpendicular_frame(trial.axes)) @ aside / trial.boresight_sigmas
         return jnp.zeros(len(NUISANCES)).at[5:7].set(askew)
 
-    return jax.vmap(of_trial)(
-        group.ellipses,
-        group.whitening,
-        group.readings,
-        group.motions,
-        group.axes,
-        group.principal_points,
-    )
+    return jax.vmap(of_trial)(group)
 
 
 def spots(
@@ -285,12 +277,16 @@ def spots(
     """The point of the wall that the beam meets at reading 0 in each trial, mm."""
     wall = _wall(group, values)
 
-    def of_trial(ellipses: optics.Ellipse, principal_point: Array, nuisance: Array) -> Array:
-        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
+    def of_trial(trial: TrialGroup, nuisance: Array) -> Array:
         # The spot's position is relative to the first frame's ellipse, px.
-        return wall.intersect(*view.ray(ellipses.centre[0] + nuisance[1:3])).point
+        at = trial.ellipses.centre[0] + nuisance[1:3]
+        return wall.intersect(*_view(trial, camera).ray(at)).point
 
-    return jax.vmap(of_trial)(group.ellipses, group.principal_points, nuisances)
+    return jax.vmap(of_trial)(group, nuisances)
+
+
+def _view(trial: TrialGroup, camera: optics.Microscope) -> optics.Microscope:
+    return eqx.tree_at(lambda m: m.principal_point, camera, trial.principal_points)
 
 
 def _wall(group: TrialGroup, values: Mapping[str, ScalarLike]) -> optics.Surface:
@@ -303,28 +299,16 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
     """Residuals over their sigma: the mismatch of every frame and the priors of the nuisances."""
     wall = _wall(group, values)
 
-    def of_trial(
-        ellipses,
-        whitening,
-        coverage,
-        readings,
-        motion,
-        axis,
-        principal_point,
-        spot,
-        touch,
-        size,
-        nuisance,
-    ):
-        view = eqx.tree_at(lambda m: m.principal_point, camera, principal_point)
+    def of_trial(trial: TrialGroup, spot: Array, nuisance: Array) -> Array:
+        view = _view(trial, camera)
         away, aim = beam_directions(
-            motion=motion,
-            axis=axis,
-            lean=group.lean_sigma * nuisance[3:5],
-            boresight=group.boresight_sigma * nuisance[5:7],
+            motion=trial.motions,
+            axis=trial.axes,
+            lean=trial.lean_sigmas * nuisance[3:5],
+            boresight=trial.boresight_sigmas * nuisance[5:7],
         )
-        larger = size * nuisance[7]
-        touching = spot - touch * aim
+        larger = trial.size_sigmas * nuisance[7]
+        touching = spot - (trial.touch_means + trial.touch_sigmas * nuisance[0]) * aim
 
         def of_frame(ellipse, whiten, coverage, reading):
             beam = optics.Beam(
@@ -339,25 +323,12 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
             # Its third term is the relative difference in size.
             return whiten @ optics.ellipse_mismatch(contour, ellipse, seen).at[2].add(larger)
 
-        frames = jax.vmap(of_frame)(ellipses, whitening, coverage, readings)
+        frames = jax.vmap(of_frame)(trial.ellipses, trial.whitening, trial.coverage, trial.readings)
         # The spot's position in the image has no prior.
         return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
 
-    return jnp.ravel(
-        jax.vmap(of_trial)(
-            group.ellipses,
-            group.whitening,
-            group.coverage,
-            group.readings,
-            group.motions,
-            group.axes,
-            group.principal_points,
-            spots(group, camera, values, nuisances),
-            group.touch_means + group.touch_sigmas * nuisances[:, 0],
-            group.size_sigmas,
-            nuisances,
-        )
-    )
+    places = spots(group, camera, values, nuisances)
+    return jnp.ravel(jax.vmap(of_trial)(group, places, nuisances))
 
 
 def _seen_beside(
