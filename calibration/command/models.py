@@ -19,6 +19,7 @@ from calibration.spots.cone_trials import (
     OUTLINE_PER_MM,
     RETINA,
     SIZE_PER_MM,
+    SIZE_SIGMA,
     JointPrior,
     Prior,
     phantom_wall,
@@ -230,6 +231,7 @@ def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitt
         free=choices.names or CONE,
         priors=_without_touch(choices),
         joint_prior=own,
+        size_sigmas=[SIZE_SIGMA] * len(recordings),
     )
     return _fitted(fit, recordings, calibration_model="exact")
 

@@ -362,6 +362,10 @@ RETINA = Prior(13.0, 1.0)
 """Radius of curvature of the retina, mm: a horizontal semi-axis squared over the axial one, 13.4 ±
 1.2 mm in a healthy population (Rozema et al. 2016), 12.9 mm in emmetropes (Atchison 2006)."""
 
+SIZE_SIGMA = 0.00005
+"""Part by which the sizes of a trial's spots are off alike: 0.004 of 75 px, as the mean of rendered
+spots on drawn retinas 4 to 6 mm from the tip. More frames do not average it out."""
+
 SIZE_PER_MM = 0.00065
 """Part by which the best pinhole over a sphere misses the size of a spot, per mm of c.
 

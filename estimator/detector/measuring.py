@@ -363,7 +363,7 @@ def _undistorted(fit: EdgeFit, camera: LensDistortion | None) -> AffineEllipse |
     if camera is None:
         return fit.ellipse
     edges = contour_points(fit.ellipse, fit.offsets)[fit.inliers]
-    if not camera.can_undistort(edges):
+    if not (edges.size and camera.can_undistort(edges)):
         return None
     ellipse = refitted(fit.ellipse, camera.undistorted(edges))
     # Its edge may be undistorted where its inside cannot be.
