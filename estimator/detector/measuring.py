@@ -315,7 +315,7 @@ def _polynomials(number: int) -> np.ndarray:
     )
 
 
-class Measured(NamedTuple):
+class MeasuredRegion(NamedTuple):
     """What was measured of a bright region with a contour.
 
     Attributes:
@@ -331,7 +331,7 @@ class Measured(NamedTuple):
     ellipse: AffineEllipse | None
 
 
-def measured_in(region: Region) -> Measured | NoSpot:
+def measured_in(region: Region) -> MeasuredRegion | NoSpot:
     """Contour, motion, reflection and distortion; or why the region has no contour."""
     contour = contour_of(region)
     if isinstance(contour, NoSpot):
@@ -340,7 +340,7 @@ def measured_in(region: Region) -> Measured | NoSpot:
     if fit.levels.width > Motion.SMEARED and not is_coarse(fit):
         fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
     rim = rim_on(region, fit)
-    return Measured(contour, fit, rim, _undistorted(fit, region.settings.camera))
+    return MeasuredRegion(contour, fit, rim, _undistorted(fit, region.settings.camera))
 
 
 def is_coarse(fit: EdgeFit) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from estimator.detector.contour import Region
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, shares_of_contour
-from estimator.detector.measuring import Measured, is_coarse, measured_in, significance_of
+from estimator.detector.measuring import MeasuredRegion, is_coarse, measured_in, significance_of
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Refine, Verdict
 from formats.spots import NoSpot, Reason, Spot
@@ -52,7 +52,7 @@ def sighting_in(region: Region) -> Sighting | NoSpot:
     return found
 
 
-def _judged(region: Region, measured: Measured) -> Sighting | NoSpot:
+def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     fit, settings = measured.fit, region.settings
     levels = fit.levels
     semi_major, semi_minor, _ = fit.ellipse.axes()
