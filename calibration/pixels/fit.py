@@ -18,7 +18,7 @@ from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_na
 from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
-from calibration.solvers import MOST_STEPS, covariance_and_lost
+from calibration.solvers import covariance_and_lost
 from calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
     JointPrior,
@@ -122,8 +122,9 @@ _ALIKE = 0.05
 there is, though it misses light."""
 _HOPELESS = 0.04
 """Part of the light, RMS, that a beam may miss after the first rounds: no later step mends that."""
-_COARSE_STEPS = 15
-"""Most steps of a fit in wide cells. From a start within 30 % it takes 3 to 10."""
+_GUESS_STEPS = 15
+"""Most steps of a first fit. From a start within 30 % it takes 3 to 10; more have no end where the
+light is not the model's."""
 _ROUNDS = 2  # of the last fit, each with weights and variances learnt from the one before
 _NEAR = 1.0
 """Step, in standard errors, after which a lens's table is as good as one computed at its end: what
@@ -306,9 +307,10 @@ class _FitRun(NamedTuple):
         """The best of the fits of some frames from the starts, of which the first may do."""
         tried: list[BeamSolver] = []
         found: list[BeamSolver] = []
-        # A wall that is free can take the shape of the light of a beam that is far off.
-        attempts = [*((start, False) for start in starts), (starts[0], True)]
-        for left, (start, even) in zip(range(len(starts), -1, -1), attempts, strict=True):
+        attempts = [(start, False) for start in starts]
+        if self.lens is None:  # a free wall can take the shape of the light of a cone far off
+            attempts.append((starts[0], True))
+        for left, (start, even) in zip(range(len(attempts) - 1, -1, -1), attempts, strict=True):
             still = np.zeros((len(self.footage.readings), len(STATES)))
             tried.append(self._guess(Point(dict(start), still), first=True, even=even))
             best = min(tried, key=attrgetter("misfit"))
@@ -332,10 +334,9 @@ class _FitRun(NamedTuple):
         solver.choose(guess=True)
         if first:
             solver.brighten()
-        steps = _COARSE_STEPS if first else MOST_STEPS
         for tau in (EVEN, solver.tau) if even else (solver.tau,):
             solver.tau = tau
-            solver.minimise(_TOLERANCE[True], follow=True, most_steps=steps)
+            solver.minimise(_TOLERANCE[True], follow=True, most_steps=_GUESS_STEPS)
         return solver
 
     def whole_fit(self, some: BeamSolver) -> ImageFit:
