@@ -19,6 +19,7 @@ sys.path.insert(0, str(_HERE.parent))
 # Pages call `eyespot`, which is beside this Python.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 os.environ["COLUMNS"] = "100"
+os.environ["OPENBLAS_NUM_THREADS"] = "1"  # more wait for each other; read once, before NumPy
 
 project = "eyespot"
 author = "The eyespot developers"
