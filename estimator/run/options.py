@@ -47,7 +47,7 @@ DistanceModel = Literal[
 ]
 Exposure = Annotated[
     Literal["paper", "metered"] | None,
-    Parameter(help="Take paper or metered (default), if it has both.", show_choices=False),
+    Parameter(help="Of a stack with both: paper or metered (default).", show_choices=False),
 ]
 _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
     Parameter(group=Group.create_ordered(name))
@@ -153,7 +153,7 @@ class Options(Given):
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
     """Eccentricity of the spot (default: from its place)."""
     exposure_s: Annotated[float | None, Field(gt=0), _CALIBRATION] = None
-    """Exposure time for the model lens (default: known)."""
+    """Exposure time, model lens (default: the frame's)."""
     reference: Annotated[Path | None, _CALIBRATION] = None
     """Image with the beam off, for the mode pixels."""
     stated: Annotated[Path | None, _CALIBRATION] = None
