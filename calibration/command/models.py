@@ -318,8 +318,6 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
             )
     own = known_cone(cone, recordings)
     priors = {"eye_radius": RETINA} | _without_touch(choices)
-    for name in own.mean.keys() & priors.keys():
-        raise InputError(f"--prior {name} is given twice, as --calibration has it. Leave it out.")
     microscope = recordings[0].microscope
     # c to a few percent, which are those of the microscope file's scale.
     offsets = [

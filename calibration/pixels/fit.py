@@ -19,12 +19,7 @@ from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
 from calibration.solvers import covariance_and_lost
-from calibration.spots.cone_trials import (
-    BORESIGHT_SIGMA,
-    JointPrior,
-    Prior,
-    phantom_wall,
-)
+from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior, phantom_wall
 from formats.inputs import InputError
 
 

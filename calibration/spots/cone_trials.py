@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Array, Float, ScalarLike
 
 import optics
+from formats.inputs import InputError
 
 NUISANCES = (
     "touch",
@@ -71,7 +72,12 @@ def prior_terms(
     """Means of the named parameters, and the matrix that makes their deviations independent.
 
     The deviations times the matrix have variance 1; they are 0 for parameters without a prior.
+
+    Raises:
+        InputError: a parameter has a prior of each kind.
     """
+    for name in priors.keys() & (joint.mean.keys() if joint else ()):
+        raise InputError(f"--prior {name} is given twice, as --calibration has it. Leave it out.")
     means, weights = np.zeros(len(names)), np.zeros((len(names),) * 2)
     for at, name in enumerate(names):
         if name in priors:
