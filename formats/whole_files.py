@@ -148,15 +148,16 @@ def lock(folder: Path, *, of: Path) -> int:
     """
     while True:
         try:
-            with suppress(FileExistsError):
+            try:
                 folder.mkdir()
+            except FileExistsError:
+                pass
+            except FileNotFoundError as error:  # also where the working folder was removed
+                why = f"{folder.parent} is no folder. Make it, or choose another."
+                raise InputError(why) from error
             handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
-        except FileNotFoundError as error:
-            if folder.parent.is_dir():
-                continue  # its writer has just finished
-            raise InputError(
-                f"{folder.parent} is no folder. Make it, or choose another."
-            ) from error
+        except FileNotFoundError:
+            continue  # its writer has just finished
         except OSError as error:
             if os.path.lexists(folder) and error.errno in (errno.ENOTDIR, errno.ELOOP):
                 raise InputError(f"{folder} is no folder. Move it away.") from error

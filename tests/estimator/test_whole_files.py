@@ -163,3 +163,13 @@ def test_a_folder_that_does_not_exist_is_named(tmp_path):
     with pytest.raises(InputError, match=r"nowhere is no folder"):
         with written_whole(tmp_path / "nowhere" / "out"):
             pytest.fail("the work has begun")
+
+
+def test_a_working_folder_that_was_removed_is_refused(tmp_path, monkeypatch):
+    folder = tmp_path / "gone"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    # The folder "." is still there, but nothing can be made in it.
+    with pytest.raises(InputError, match="is no folder"), written_whole(Path("out")):
+        pytest.fail("the work has begun")
