@@ -99,9 +99,9 @@ def approach_extremes(
         # A gather would be slow in XLA.
         return jnp.stack([jnp.sum(jnp.where(move, of_samples, 0.0), axis=0) for move in moves])
 
-    place = _extremum(excess, pick(x[:-2]), pick(x[2:]), pick(sign))
-    at = excess(place)
-    closer = pick(sign) * at < pick(here)
+    sign = pick(sign)
+    place, lowest = _extremum(excess, pick(x[:-2]), pick(x[2:]), sign)
+    closer, at = lowest < pick(here), sign * lowest
     for number, move in enumerate(moves):
         move &= closer[number]
         x = x.at[1:-1].set(jnp.where(move, place[number], x[1:-1]))
@@ -109,12 +109,8 @@ def approach_extremes(
     return lax.stop_gradient((x, values))
 
 
-def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> Array:
-    """The minimum of the excess, times a sign, between two positions."""
-
-    def measure(x):
-        value, slope = jax.jvp(excess, (x,), (jnp.ones_like(x),))
-        return sign * value, sign * slope
+def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> tuple[Array, Array]:
+    """Place and value of the minimum of the excess, times a sign, between two positions."""
 
     def narrowed(number, state):
         (low, high), (low_value, high_value), (low_slope, high_slope) = state
@@ -124,8 +120,11 @@ def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> Array:
         level = high_slope * low - low_slope * high
         x = jnp.where(number % 2 == 0, meeting, level) / jnp.where(steeper == 0.0, 1.0, steeper)
         x = jnp.where((x > low) & (x < high), x, 0.5 * (low + high))
-        value, slope = measure(x)
-        falls = slope < 0.0
+        # The first two steps measure the ends: a second place in the program for the evaluation
+        # would take as long to compile as the first.
+        x = jnp.where(number == 0, low, jnp.where(number == 1, high, x))
+        value, slope = (sign * y for y in jax.jvp(excess, (x,), (jnp.ones_like(x),)))
+        falls = jnp.where(number < 2, number == 0, slope < 0.0)
 
         def chosen(inner, outer):
             return jnp.where(falls, inner, outer[0]), jnp.where(falls, outer[1], inner)
@@ -133,10 +132,11 @@ def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> Array:
         ends = (low, high), (low_value, high_value), (low_slope, high_slope)
         return tuple(chosen(*pair) for pair in zip((x, value, slope), ends, strict=True))
 
-    # One place in the program for each evaluation, because each of them takes long to compile.
-    state = (low, high), *map(tuple, measure(jnp.stack([low, high])))
-    (low, high), (low_value, high_value), _ = lax.fori_loop(0, 2 * _APPROACHES, narrowed, state)
-    return jnp.where(low_value < high_value, low, high)
+    unknown = jnp.zeros_like(low), jnp.zeros_like(high)
+    state = (low, high), unknown, unknown
+    (low, high), (low_value, high_value), _ = lax.fori_loop(0, 2 + 2 * _APPROACHES, narrowed, state)
+    is_low = low_value < high_value
+    return jnp.where(is_low, low, high), jnp.where(is_low, low_value, high_value)
 
 
 def settle(excess: Excess, lit: Array, dark: Array) -> Array:
@@ -421,34 +421,40 @@ def find_turns(
     def values(place, *world):
         value, slope = limits(place, *world)
         other = jnp.where(touches, slope[first_limit, which], value[second_limit, which])
-        return value[first_limit, which], other, jnp.max(value, axis=0)
+        return jnp.stack([value[first_limit, which], other]), jnp.max(value, axis=0)
 
-    def step(place, *world):
+    def moved(place, both, slopes):
+        """A Newton step from two functions and their slopes by ring and tau."""
+        (a, b), ((a_ring, b_ring), (a_tau, b_tau)) = both, slopes
+        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a])
+        correction /= _nonzero(a_ring * b_tau - a_tau * b_ring)
+        ring, tau = place - jnp.clip(correction, -_LONGEST, _LONGEST)
+        return jnp.stack([jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)])
+
+    def step(_, state):
+        place = state[0]
+
         def along(direction):
             move = jnp.broadcast_to(direction[:, None], place.shape)
-            return jax.jvp(lambda place: values(place, *world), (place,), (move,))
+            return jax.jvp(lambda place: values(place, *still), (place,), (move,))
 
-        (a, b, excess), (a_slope, b_slope, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
-        (a_ring, a_tau), (b_ring, b_tau) = lax.stop_gradient((a_slope, b_slope))
-        determinant = a_ring * b_tau - a_tau * b_ring
-        correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a])
-        correction /= _nonzero(determinant)
-        correction = jnp.clip(correction, -_LONGEST, _LONGEST)
-        is_turn = jnp.maximum(jnp.maximum(jnp.abs(a), jnp.abs(b)), excess) < _CLOSE
-        ring, tau = place - correction
-        place = jnp.stack([jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)])
-        # Next to a touched ring the short arc lies around the zero of the slope, and next to a
-        # meeting of two limits between their zeros.
-        second = -b_ring / _nonzero(b_tau)
-        drift = jnp.where(touches, second, 0.5 * (second - a_ring / _nonzero(a_tau)))
-        return place, is_turn, drift
+        (both, excess), (slopes, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
+        is_turn = jnp.maximum(jnp.max(jnp.abs(both), axis=0), excess) < _CLOSE
+        return moved(place, both, slopes), place, slopes, is_turn
 
     place = lax.stop_gradient(place)
-    place = lax.fori_loop(0, _NEWTON_STEPS, lambda _, place: step(place, *still)[0], place)
-    # Only the last step is differentiated; it gives the implicit function's derivative.
-    place, is_turn, drift = step(lax.stop_gradient(place), rays, ring_at)
-    ring, per_share = jax.jvp(ring_at, (place[0],), (jnp.ones_like(place[0]),))
-    return is_turn, ring, *lax.stop_gradient((place[1], drift / _nonzero(per_share)))
+    start = place, place, jnp.zeros((2, *place.shape)), jnp.zeros(place.shape[1], bool)
+    _, place, slopes, is_turn = lax.stop_gradient(lax.fori_loop(0, _NEWTON_STEPS + 1, step, start))
+    # Only the values of the last step are differentiated; that gives the implicit function's
+    # derivative.
+    last = moved(place, values(place, rays, ring_at)[0], slopes)
+    # Next to a touched ring the short arc lies around the zero of the slope, and next to a meeting
+    # of two limits between their zeros.
+    (a_ring, b_ring), (a_tau, b_tau) = slopes
+    second = -b_ring / _nonzero(b_tau)
+    drift = jnp.where(touches, second, 0.5 * (second - a_ring / _nonzero(a_tau)))
+    ring, per_share = jax.jvp(ring_at, (last[0],), (jnp.ones_like(last[0]),))
+    return is_turn, ring, *lax.stop_gradient((last[1], drift / _nonzero(per_share)))
 
 
 def _cell_roots(
