@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from estimator.run.options import OUT
 from formats.inputs import InputError
 from scenes.commands import Changes, SceneFile
-
-if TYPE_CHECKING:
-    from benchmarks.predictions.plan import Judgement
 
 _POOR = 10.0
 """Times the noise. A wall's texture moves spots by some times their noise, another lens by more."""
@@ -51,16 +48,18 @@ def preregister(
     refuse_existing(out)
     if model is not None and calibration is None:
         raise InputError("model has no effect without calibration. Give both, or neither.")
-    settings = load_scene(scene, changes)
+    settings, sigmas = load_scene(scene, changes), {}
+    for text in uncertain:
+        key, _, sigma = (part.strip() for part in text.partition("="))
+        try:
+            sigmas[key] = float(sigma)
+        except ValueError:
+            raise InputError(
+                f"--uncertain must be KEY=SIGMA, such as phantom.radius_mm=0.2; got {text!r}."
+            ) from None
+    given: dict[str, Any] = {"calibration": calibration, "model": model, "exposure": exposure}
     with progress("Rehearsing", total=frame_count(settings)) as advance:
-        plan = predicted(
-            settings,
-            dict(_sigma(text) for text in uncertain),
-            calibration=calibration,
-            model=model,
-            exposure=exposure,
-            progress=advance,
-        )
+        plan = predicted(settings, sigmas, **given, progress=advance)
     write_plan(out, plan)
     print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {plan.sha256}")
 
@@ -90,16 +89,11 @@ def adjudicate(
         as_json: Print the result as one JSON object, and nothing else.
     """
     from benchmarks.predictions.plan import judged, measured_as_planned, read_plan
+    from benchmarks.reporting import rows_of
 
     agreed = read_plan(plan)
-    seen = measured_as_planned(
-        agreed,
-        source,
-        poses=poses,
-        eye_from_robot=eye_from_robot,
-        microscope=microscope,
-        start_s=start_s,
-    )
+    given: dict[str, Any] = {"poses": poses, "microscope": microscope, "start_s": start_s}
+    seen = measured_as_planned(agreed, source, eye_from_robot=eye_from_robot, **given)
     found = judged(agreed, seen)
     if as_json:
         content = {
@@ -115,26 +109,12 @@ def adjudicate(
         return
     names = {"hits": "held", "misses": "missed", "unmeasured": "of these not measured"}
     table = found.tallies.rename(columns=names | {"rms": "RMS deviation, σ"})
-    print(f"Plan {plan}, SHA-256 {agreed.sha256}")
-    print(table.to_string(index=False, float_format="{:.2f}".format))
-    print(*_sentences(found), sep="\n")
-
-
-def _sigma(text: str) -> tuple[str, float]:
-    key, _, value = (part.strip() for part in text.partition("="))
-    try:
-        return key, float(value)
-    except ValueError:
-        raise InputError(
-            f"--uncertain must be KEY=SIGMA, such as phantom.radius_mm=0.2; got {text!r}."
-        ) from None
-
-
-def _sentences(found: Judgement) -> list[str]:
-    from benchmarks.reporting import rows_of
-
     share = found.hits / found.predictions
-    lines = [f"{found.hits} of {found.predictions} predictions held ({100 * share:.1f} %)."]
+    lines = [
+        f"Plan {plan}, SHA-256 {agreed.sha256}",
+        table.to_string(index=False, float_format="{:.2f}".format),
+        f"{found.hits} of {found.predictions} predictions held ({100 * share:.1f} %).",
+    ]
     wrong = found.causes[found.causes.contradicts]
     for cause in rows_of(wrong):
         lines.append(
@@ -155,4 +135,4 @@ def _sentences(found: Judgement) -> list[str]:
     if found.no_spot:
         reasons = ", ".join(f"{n} {reason}" for reason, n in found.no_spot.most_common())
         lines.append(f"Frames without a spot: {reasons}.")
-    return lines
+    print(*lines, sep="\n")

@@ -18,6 +18,7 @@ from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
 from benchmarks.sets.read import plain_spot
+from benchmarks.sets.spec import scene_value
 from estimator import Ranger, Source, open_source, track_source
 from estimator.run.options import Options
 from formats.calibration import read_calibration
@@ -55,15 +56,6 @@ ELLIPSE = 4
 """The first of them are the spot's ellipse, from which the distance follows."""
 
 _WITHIN = 1.959964  # standard deviations to either side that hold 95 %
-
-
-def _plain(value: Any) -> Any:
-    """Arrays as lists, with null for NaN."""
-    if not isinstance(value, np.ndarray):
-        return value
-    found = value.astype(object)
-    found[np.isnan(value)] = None
-    return found.tolist()
 
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -149,21 +141,7 @@ def _sha256(content: dict[str, Any]) -> str:
 
 # What a recording says about the quantities of a plan.
 
-
-class Observed(NamedTuple):
-    """The quantities of n frames; NaN where one was not measured.
-
-    Attributes:
-        times_s: of the frames, (n,), on their own clock.
-        values: of `QUANTITIES`, (n, 6).
-        noise: their standard deviations by the spots' covariances, (n, 6).
-        no_spot: frames without a spot, by reason.
-    """
-
-    times_s: np.ndarray
-    values: np.ndarray
-    noise: np.ndarray
-    no_spot: Counter[str]
+_SIGMAS = [f"sigma_{name}" for name in QUANTITIES[:ELLIPSE]]
 
 
 def _travelled(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -171,22 +149,29 @@ def _travelled(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return poses[:, 0], np.linalg.norm(poses[:, 1:4] - poses[0, 1:4], axis=1)
 
 
-def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> Observed:
-    """Measure a recording on its own clock, as `eyespot track` does."""
+def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> pd.DataFrame:
+    """Measure a recording on its own clock, as `eyespot track` does; a row a frame.
+
+    Columns are `time_s`, `QUANTITIES`, `sigma_` of those of the ellipse by the spot's covariance,
+    and `no_spot`, why there is no spot. What was not measured is NaN.
+    """
     centre = read_microscope(options.microscope).principal_point_px if options.microscope else 0.0
-    tracking = track_source(source, options.reader(), poses=poses)
-    times = np.array([record.time_s for record in tracking.records])
-    found, noise = np.full((2, len(times), len(QUANTITIES)), math.nan)
-    for row, spread, record in zip(found, noise, tracking.records, strict=True):
-        if isinstance(record.result, Spot):
-            row[:ELLIPSE] = record.result.ellipse[:ELLIPSE]
-            row[:2] -= centre
-            row[ELLIPSE] = record.distance_mm
-            spread[:ELLIPSE] = np.sqrt(np.diag(record.result.covariance)[:ELLIPSE])
+    rows: list[dict[str, Any]] = []
+    for record in track_source(source, options.reader(), poses=poses).records:
+        row: dict[str, Any] = {"time_s": record.time_s}
+        if isinstance(spot := record.result, Spot):
+            place, axes = np.array(spot.ellipse[:2]) - centre, spot.ellipse[2:ELLIPSE]
+            row |= zip(QUANTITIES, (*place, *axes, record.distance_mm), strict=False)
+            row |= zip(_SIGMAS, np.sqrt(np.diag(spot.covariance)[:ELLIPSE]), strict=True)
+        else:
+            row["no_spot"] = record.reason
+        rows.append(row)
+    seen = pd.DataFrame(rows, columns=["time_s", *QUANTITIES, *_SIGMAS, "no_spot"])
     if poses is not None:
-        rows = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
-        found[:, -1] = np.interp(times, *_travelled(rows), left=math.nan, right=math.nan)
-    return Observed(times, found, noise, tracking.no_spot)
+        stamped = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
+        times, travelled = _travelled(stamped)
+        seen["robot_mm"] = np.interp(seen.time_s, times, travelled, left=np.nan, right=np.nan)
+    return seen.astype({name: float for name in (*QUANTITIES, *_SIGMAS)})
 
 
 def measured_as_planned(
@@ -197,10 +182,14 @@ def measured_as_planned(
     eye_from_robot: str = "0,0,0,1",
     microscope: Path | None = None,
     start_s: float = 0.0,
-) -> Observed:
-    """Measure a recording of a planned experiment, with the plan's calibration, on its clock.
+) -> pd.DataFrame:
+    """Measure a recording of a planned experiment with the plan's calibration, on its clock.
 
     The arguments are those of `eyespot adjudicate`.
+
+    Returns:
+        A row a frame: `time_s`, `QUANTITIES` (NaN where one was not measured), and `no_spot`, why
+        there is no spot.
 
     Raises:
         InputError: a file is wrong, or the source cannot be measured or has no times.
@@ -218,7 +207,7 @@ def measured_as_planned(
             options |= {"mode": "subpixel", "calibration": beam, "model": plan.model}
             options |= {"eye_from_robot": eye_from_robot} if file else {}
         seen = _observed(frames, Options.of(options), read_poses(file) if file else None)
-    return seen._replace(times_s=seen.times_s - start_s)
+    return seen.assign(time_s=seen.time_s - start_s)
 
 
 # A plan from a scene, stated uncertainties of its keys, and a rehearsal.
@@ -249,18 +238,20 @@ def predicted(
     kind = exposure or ("metered" if "metered" in kinds else kinds[0])
     if kind not in kinds:
         raise InputError(f"exposure = {kind!r} is none of the scene's: {', '.join(kinds)}.")
-    stated = {key: (_value(scene, key, sigma), sigma) for key, sigma in uncertain.items()}
+    stated = {key: _stated(scene, key, sigma) for key, sigma in uncertain.items()}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "rehearsal"
         render_stack(scene, folder, progress=progress)
         file = folder / "microscope.json"
         microscope, view = json.loads(file.read_text()), read_microscope(file)
         rehearsal = open_source(str(folder), exposure=kind)
-        noise = _observed(rehearsal, Options.of({"microscope": file})).noise
+        seen = _observed(rehearsal, Options.of({"microscope": file}))
     ranger = Ranger(read_calibration(calibration), view, model=model) if calibration else None
     world = World(scene)
     times = np.asarray(world.times)
     expected = _exact(world, times, ranger)
+    noise = np.full(expected.shape, np.nan)
+    noise[:, :ELLIPSE] = seen[_SIGMAS]
     if ranger is not None:
         # From the spot's size to the distance: as of the cone, d + |b| over the semi-minor axis.
         minor = QUANTITIES.index("semi_minor_px")
@@ -268,16 +259,15 @@ def predicted(
         noise[:, ELLIPSE] = reach / expected[:, minor] * noise[:, minor]
     jitter = math.hypot(scene.clocks.kinematics_jitter_s, scene.clocks.camera_jitter_s)
     noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
-    beside = np.array(
-        [
+    down, up = (
+        np.array(
             [
-                _exact(World(changed(scene, {key: value + side})), times, ranger)
-                for side in (-sigma, sigma)
+                _exact(World(changed(scene, {key: value + side * sigma})), times, ranger)
+                for key, (value, sigma) in stated.items()
             ]
-            for key, (value, sigma) in stated.items()
-        ]
-    ).reshape(len(stated), 2, *expected.shape)
-    down, up = beside[:, 0], beside[:, 1]
+        ).reshape(-1, *expected.shape)
+        for side in (-1, 1)
+    )
     # What is not proportional to an error, as where a motion begins, counts as noise.
     noise = np.sqrt(noise**2 + np.sum(((up + down) / 2 - expected) ** 2, axis=0))
     # Where the rehearsal has no spot, none is predicted.
@@ -294,24 +284,22 @@ def predicted(
         "microscope": microscope,
         "uncertain": stated,
         "quantities": list(QUANTITIES),
-        "times_s": times,
-        "expected": expected,
-        "low": expected - half,
-        "high": expected + half,
-        "noise": noise,
-        "moved": moved,
+        "times_s": times.tolist(),
     }
-    content = {key: _plain(value) for key, value in content.items()}
+    tables = {"expected": expected, "low": expected - half, "high": expected + half}
+    tables |= {"noise": noise, "moved": moved}
+    for name, table in tables.items():
+        numbers = table.astype(object)
+        numbers[np.isnan(table)] = None  # JSON has no NaN
+        content[name] = numbers.tolist()
     return Plan.model_validate(content | {"sha256": _sha256(content)})
 
 
-def _value(scene: Scene, key: str, sigma: float) -> float:
-    """The value of an uncertain key of the scene."""
+def _stated(scene: Scene, key: str, sigma: float) -> tuple[float, float]:
+    """The value of an uncertain key of the scene, and its standard uncertainty."""
     if not 0 < sigma < math.inf:
         raise InputError(f"the uncertainty of {key} must be positive and finite; got {sigma}.")
-    found: Any = scene.model_dump(mode="json", by_alias=True)
-    for part in key.split("."):
-        found = found.get(part) if isinstance(found, dict) else None
+    found = scene_value(scene, key)
     if found is None:
         changed(scene, {key: 0.0})  # the scene says which keys are near
         raise InputError(f"{key} is not a key of this scene. `eyespot scene init` lists them.")
@@ -320,7 +308,7 @@ def _value(scene: Scene, key: str, sigma: float) -> float:
             f"{key} is {found!r}, not a number with an uncertainty. Name a key of the scene such as"
             " phantom.radius_mm."
         )
-    return found
+    return found, sigma
 
 
 def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray:
@@ -380,48 +368,48 @@ class Judgement(NamedTuple):
         return self.hits + int(self.tallies.misses.sum())
 
 
-def judged(plan: Plan, seen: Observed) -> Judgement:
-    """Compare a recording, on the plan's clock, with the plan.
+def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
+    """Compare a recording with the plan.
+
+    Args:
+        seen: the recording, as of `measured_as_planned`.
 
     Raises:
         InputError: no frame was taken at a time that the plan has.
     """
-    names = ("expected", "noise")
-    expected, noise, *moved = _at(
-        seen.times_s, plan, [*map(plan.array, names), *plan.array("moved")]
-    )
+    # A frame that is jittered beyond the plan's ends is still its first or last.
+    step = float(np.median(np.diff(plan.times_s))) if len(plan.times_s) > 1 else math.inf
+    inside = seen.time_s.between(plan.times_s[0] - step / 2, plan.times_s[-1] + step / 2)
+
+    def at_frames(table: np.ndarray) -> np.ndarray:
+        columns = [np.interp(seen.time_s, plan.times_s, column) for column in table.T]
+        return np.where(inside.to_numpy()[:, None], np.transpose(columns), np.nan)
+
+    expected, noise = (at_frames(plan.array(name)) for name in ("expected", "noise"))
     if np.isnan(expected).all():
         raise InputError(
             f"no frame has a time from {plan.times_s[0]:g} to {plan.times_s[-1]:g} s, for which the"
             " plan has predictions. --begin says when the motion begins."
         )
-    off, of_keys = seen.values - expected, np.array(moved).reshape(-1, *expected.shape)
-    pulls = off / np.sqrt(noise**2 + np.sum(of_keys**2, axis=0))
+    moved = np.array([at_frames(of_key) for of_key in plan.array("moved")])
+    moved = moved.reshape(-1, *expected.shape)
+    off = seen[list(QUANTITIES)].to_numpy() - expected
+    pulls = off / np.sqrt(noise**2 + np.sum(moved**2, axis=0))
     made, hits = ~np.isnan(expected), np.abs(pulls) <= _WITHIN
-    measured = pd.DataFrame(pulls, columns=list(QUANTITIES))
     tallies = pd.DataFrame(
         {
             "hits": hits.sum(axis=0),
             "misses": (made & ~hits).sum(axis=0),
             "unmeasured": (made & np.isnan(pulls)).sum(axis=0),
-            "rms": np.sqrt((measured**2).mean()),
+            "rms": np.sqrt((pd.DataFrame(pulls, columns=list(QUANTITIES)) ** 2).mean()),
         },
         index=pd.Index(QUANTITIES, name="quantity"),
     )
     # No poses, no prediction about them; but a spot that is not there is a miss.
-    told = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
-    causes, misfit = _explained(plan, off / noise, of_keys / noise)
-    return Judgement(tallies[told].reset_index(), causes, misfit, seen.no_spot)
-
-
-def _at(times: np.ndarray, plan: Plan, tables: list[np.ndarray]) -> list[np.ndarray]:
-    """Tables of the plan's frames at other times; NaN outside of the plan's."""
-    # A frame that is jittered beyond the plan's ends is still its first or last.
-    step = float(np.median(np.diff(plan.times_s))) if len(plan.times_s) > 1 else math.inf
-    low, high = plan.times_s[0], plan.times_s[-1]
-    inside = (times >= low - step / 2) & (times <= high + step / 2)
-    columns = [[np.interp(times, plan.times_s, column) for column in t.T] for t in tables]
-    return [np.where(inside[:, None], np.transpose(each), np.nan) for each in columns]
+    counted = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
+    causes, misfit = _explained(plan, off / noise, moved / noise)
+    no_spot = Counter(seen.no_spot.dropna())
+    return Judgement(tallies[counted].reset_index(), causes, misfit, no_spot)
 
 
 def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.DataFrame, float]:
@@ -434,16 +422,21 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
     used = ~np.isnan(residual) & ~np.isnan(moved).any(axis=0)
     used[:, ELLIPSE] = False
     data, design = residual[used], moved[:, used].T
-    prior = np.eye(len(plan.uncertain))
-    best, _ = _fit(design, data, prior)
+
+    def fit(noise: float, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        slopes = design / noise
+        covariance = np.linalg.inv(slopes.T @ slopes + np.diag(prior))
+        return covariance @ (slopes.T @ (data / noise)), covariance
+
+    prior = np.ones(len(plan.uncertain))
+    best, _ = fit(1.0, prior)
     misfit = float(np.sqrt(np.mean((data - design @ best) ** 2))) if data.size else math.nan
-    # What no key explains is noise for them all (Birge 1932).
-    scale = max(1.0, misfit)
     rows = []
     for n, (key, (stated, unit)) in enumerate(plan.uncertain.items()):
         free = prior.copy()
-        free[n, n] = 1 / _WIDE**2
-        found, covariance = _fit(design / scale, data / scale, free)
+        free[n] = 1 / _WIDE**2
+        # What no key explains is noise for them all (Birge 1932).
+        found, covariance = fit(max(1.0, misfit), free)
         off, error = float(found[n]), math.sqrt(covariance[n, n])
         pull = off / math.hypot(1.0, error)
         value = stated + unit * off
@@ -451,9 +444,3 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
     names = ["key", "stated", "stated_sigma", "found", "found_sigma", "pull", "contradicts"]
     causes = pd.DataFrame(rows, columns=names)
     return causes.sort_values("pull", key=lambda pull: -pull.abs(), kind="stable"), misfit
-
-
-def _fit(design: np.ndarray, data: np.ndarray, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares with a prior of 0 and this inverse covariance; estimate and covariance."""
-    covariance = np.linalg.inv(design.T @ design + prior)
-    return covariance @ (design.T @ data), covariance

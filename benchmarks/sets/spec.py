@@ -485,7 +485,9 @@ def _planned(
             scene = changed(
                 scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
             )
-        scene = changed(scene, {key: seed for key in SEED_KEYS if _value(scene, key) is not None})
+        scene = changed(
+            scene, {key: seed for key in SEED_KEYS if scene_value(scene, key) is not None}
+        )
         check(scene)
     except SceneError as error:
         raise SceneError(f"{group.split}/{name}: {error}") from error
@@ -495,12 +497,12 @@ def _planned(
         condition=group.condition,
         pair=pair,
         scene=scene,
-        parameters={key: _value(scene, key) for key in labelled},
+        parameters={key: scene_value(scene, key) for key in labelled},
         redrawn=redrawn,
     )
 
 
-def _value(scene: Scene, key: str) -> Any:
+def scene_value(scene: Scene, key: str) -> Any:
     """A scene's value by its dotted key; None if its kind of motion lacks that key."""
     found: Any = scene
     for part in key.split("."):
