@@ -24,7 +24,7 @@ import pandas as pd
 from cyclopts import Parameter
 
 FILES = ("detector", "fits", "load", "pixels", "viewing")
-LONG = {"Branches", "Coverage", "AdverseSet", "Memory", "PhotonFit", "Books"}
+LONG = {"Branches", "Coverage", "AdverseSet", "Memory", "Books"}
 """What `make bench` leaves out, because it takes long."""
 
 

@@ -1,4 +1,4 @@
-"""Accuracy and time of fits: a cone to spots, beams to pixels, a lens through its own glass.
+"""Accuracy and time of fits: a cone to spots, beams to pixels.
 
 Labels of the stacks are used for comparison only. Errors are fitted values less the true ones.
 """
@@ -9,16 +9,13 @@ import itertools
 import math
 import tempfile
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from scipy.ndimage import gaussian_filter1d
 
 import calibration
 import optics
@@ -26,23 +23,13 @@ from benchmarks.bench import tracks
 from benchmarks.paper import rms
 from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from calibration import Prior
-from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.pixels.data import Footage, read_footage
+from calibration.pixels.data import read_footage
 from calibration.pixels.fit import fit_image
 from calibration.recordings import read_recording
-from calibration.solvers import least_squares
 from optics.wall_light.lens import lens_parameters
 from scenes import Scene, load_mitsuba, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
-
-
-def _rendered(settings: dict[str, Any]) -> Footage:
-    """The pixels of a stack of a scene with these tables."""
-    shared: dict[str, Any] = {"schema": 1, "exposures": {"kinds": ["metered"]}}
-    settings = {**shared, **settings, "phantom": {"wall": "uniform"} | settings.get("phantom", {})}
-    with tempfile.TemporaryDirectory() as folder:
-        return read_footage(render_stack(Scene.model_validate(settings), Path(folder) / "stack"))
 
 
 # A cone, from the ellipses of its spots.
@@ -149,8 +136,12 @@ class FramePose:
                 for frame, labels in enumerate(stack.labels[1:], 1):
                     axis = drawn_prior(np.array(labels.axis), rng)
                     distance = labels.d_mm + _DISTANCE_SIGMA_MM * rng.uniform(-1, 1)
+                    alone = {
+                        name: getattr(footage, name)[[frame]]
+                        for name in ("light", "clear", "exposure_s")
+                    }
                     fit = fit_image(
-                        replace(_some(footage, [frame]), readings=np.zeros(1), axis=axis),
+                        replace(footage, **alone, readings=np.zeros(1), axis=axis),
                         source=kind,  # type: ignore[arg-type]
                         start=known,
                         free=(),
@@ -170,11 +161,6 @@ class FramePose:
                         }
                     )
         return pd.DataFrame(rows)
-
-
-def _some(footage: Footage, frames: list[int]) -> Footage:
-    arrays = ("light", "clear", "exposure_s", "readings")
-    return replace(footage, **{name: getattr(footage, name)[frames] for name in arrays})
 
 
 # Beams, from all pixels of a withdrawal.
@@ -231,168 +217,10 @@ class BeamFit:
         start |= {name: start[name] * x for name, x in zip(free, (1.3, 0.7), strict=True)}
         spot = {"eccentricity_mm": 2.0}
         scene = {"seed": 11, "source": source, "spot": spot, "motion": motion, "microscope": view}
-        footage = _rendered(scene)
+        scene |= {"phantom": {"wall": "uniform"}, "exposures": {"kinds": ["metered"]}}
+        with tempfile.TemporaryDirectory() as folder:
+            stack = render_stack(Scene.model_validate(scene), Path(folder) / "stack")
+            footage = read_footage(stack)
         began = time.perf_counter(), time.process_time()
         self.fit = fit_image(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
         self.seconds = time.perf_counter() - began[0], time.process_time() - began[1]
-
-
-# A lens through its own glass, with Mitsuba behind JAX.
-#
-# Data and model share no code of the lens. The data come from Mitsuba's particle tracer through a
-# dielectric cap. The model is `scenes.rendering.differentiable` behind `calibration.render_as_jax`,
-# fitted by Levenberg-Marquardt.
-
-_GLASS = "dome"
-_SHOTS, _HEIGHT, _WIDTH = 2, 48, 64
-_DATA_SEEDS, _PHOTONS_PER_PIXEL = 64, 8
-# With more light, approximations of the model would be visible (docs/python.md).
-_MODEL_SEEDS, _MODEL_PHOTONS = 8, 1 << 20
-_FREE = ("sag", "glue_length", "numerical_aperture", "tip_z", "power")
-_NAMES = ("sag_mm", "numerical_aperture", "tip_height_mm", "power_mw")
-_START_OFF = np.array([0.7, 1.3, 1.0, 1.3])
-"""Start values relative to the truth; the tip starts with an error of 0.2 mm."""
-_TIP_OFF_MM = 0.2
-_DARK = 0.01  # of the peak; the noise of darker pixels is set to that of this level
-_INNER = (..., slice(1, -1), slice(1, -1))
-"""Without the outermost pixels, which `in_spline_pixels` cannot compute."""
-_BLUR_PX = 1.5
-"""Blur of the residuals. Photons that move from pixel to pixel are noise in the Jacobian, which
-makes steps and errors too small; the blur reduces this noise by a factor of ten."""
-
-
-@tracks(
-    truth=lambda _, fits, medium, name: float(fits[medium].truth[name]),
-    fitted=lambda _, fits, medium, name: float(fits[medium].fitted[name]),
-    off_in_sigmas=lambda _, fits, medium, name: float(
-        (fits[medium].fitted - fits[medium].truth)[name] / fits[medium].sigma[name]
-    ),
-    # Over its expectation from the seeds.
-    chi_squared_over_expected=lambda _, fits, medium, name: float(fits[medium].chi_squared[name]),
-)
-class PhotonFit:
-    """The dome lens in 2 frames of 64 x 48 px, fitted to photons through its glass."""
-
-    params = (["air", "vitreous"], [*_NAMES])
-    param_names = ("medium", "parameter")
-
-    def setup_cache(self) -> dict[str, pd.DataFrame]:
-        """Fit in both media."""
-        load_mitsuba()
-        return {medium: photon_fit(medium) for medium in self.params[0]}
-
-
-def photon_fit(medium: str) -> pd.DataFrame:
-    """Fit a lens to photon images at two distances in a medium; rows are parameters."""
-    from scenes.rendering.differentiable import PhotonImage  # needs Mitsuba's variant
-
-    scene = _photon_scene(medium)
-    data = _data(scene)[_INNER]
-    measured, noise = data.mean(axis=1), data.var(axis=1) / _DATA_SEEDS
-    level = np.maximum(measured, _DARK * measured.max(axis=(1, 2), keepdims=True))
-    per_light = noise.sum(axis=(1, 2)) / measured.sum(axis=(1, 2))
-    sigma = np.sqrt(per_light[:, None, None] * level)
-
-    settings: Any = {"free": _FREE, "photons": _MODEL_PHOTONS}
-    hosts = [
-        [PhotonImage(scene, frame=frame, seed=seed, **settings) for frame in range(_SHOTS)]
-        for seed in range(_MODEL_SEEDS)
-    ]
-    images = [render_as_jax(h.value, h.value_and_jacobian, shape=h.shape) for h in hosts[0]]
-    sag, length, aperture, _, power = hosts[0][0].start
-    gap = length - sag
-    heights = [host.start[3] for host in hosts[0]]
-    truth = np.array([sag, aperture, 0.0, power])
-
-    def model(parameters: jax.Array, images: Iterable[Callable[..., Any]]) -> jax.Array:
-        sag, aperture, offset, power = parameters
-        frames = []
-        for image, height in zip(images, heights, strict=True):
-            # The drop grows with its cap, so that the core's face does not move.
-            values = jnp.stack([sag, sag + gap, aperture, height + offset, power])
-            frames.append(image(values)[..., 0])
-        return jnp.stack(frames)[_INNER]
-
-    def residual(parameters: jax.Array) -> jax.Array:
-        return _blurred((model(parameters, images) - measured) / sigma).ravel()
-
-    start = truth * _START_OFF + np.array([0, 0, _TIP_OFF_MM, 0])
-    solution = least_squares(
-        residual,
-        jnp.asarray(start),
-        count=measured.size,
-        solver=FLOAT32_LEVENBERG_MARQUARDT,
-    )
-
-    seeds = [model(solution.parameters, [host.value for host in seed]) for seed in hosts]
-    # The noise of neighbouring pixels is correlated, so it is propagated seed by seed.
-    ours, theirs = (_blurred(x / sigma[:, None]) for x in (np.stack(seeds, axis=1), data))
-    expected = ours.var(axis=1, ddof=1) + theirs.var(axis=1, ddof=1) / _DATA_SEEDS
-    jacobian = np.asarray(jax.jacfwd(residual)(solution.parameters))
-    variance = _variance(jacobian, ours) + _variance(jacobian, theirs) / _DATA_SEEDS
-    found = {"truth": truth, "fitted": np.asarray(solution.parameters)}
-    chi_squared = float(jnp.sum(solution.residuals**2)) / expected.sum()
-    columns = {**found, "sigma": np.sqrt(variance), "chi_squared": chi_squared}
-    return pd.DataFrame(columns, index=list(_NAMES))
-
-
-def _data(scene: Scene) -> np.ndarray:
-    """Mitsuba's images of every frame, frames x seeds x H x W."""
-    seeds = range(100, 100 + _DATA_SEEDS)
-    settings: Any = {"photons_per_pixel": _PHOTONS_PER_PIXEL, "seeds": seeds}
-    from scenes.rendering.glass import glass_images  # needs Mitsuba's variant
-
-    frames = [glass_images(scene, frame=frame, **settings) for frame in range(_SHOTS)]
-    return in_spline_pixels(np.stack(frames))
-
-
-def _blurred(images: Any) -> Any:
-    """Images (... x H x W, NumPy or JAX) after a Gaussian blur that keeps the variance of noise."""
-    rows, columns = (
-        gaussian_filter1d(np.eye(size), _BLUR_PX, axis=0) for size in images.shape[-2:]
-    )
-    rows, columns = (m / np.linalg.norm(m, axis=1, keepdims=True) for m in (rows, columns))
-    return rows @ images @ columns.T
-
-
-def _variance(jacobian: np.ndarray, images: np.ndarray) -> np.ndarray:
-    """Variance of the parameters from the noise of one seed; images are frames x seeds x H x W."""
-    noise = np.swapaxes(images - images.mean(axis=1, keepdims=True), 0, 1)
-    shifts, *_ = np.linalg.lstsq(jacobian, noise.reshape(len(noise), -1).T, rcond=None)
-    return shifts.var(axis=1, ddof=1)
-
-
-def _photon_scene(medium: str) -> Scene:
-    content: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off"},
-        "source": {
-            "kind": "photons",
-            "lens": _GLASS,
-            "medium": medium,
-            "photons_per_pixel": _PHOTONS_PER_PIXEL,
-        },
-        "instrument": {"visible": False},
-        "motion": {"start_mm": 2.0, "travel_mm": 2.0, "frames": _SHOTS},
-        "microscope": {
-            "illumination_mw_mm2": 0.0,
-            "width_px": _WIDTH,
-            "height_px": _HEIGHT,
-            "scale_mm_px": 0.05,
-        },
-    }
-    return Scene.model_validate(content)
-
-
-def in_spline_pixels(images: np.ndarray) -> np.ndarray:
-    """Convert box pixels to quadratic-spline pixels, which are boxes blurred by a tent.
-
-    The kernel (1, 10, 1)/12 has the second moment of the tent, 1/6 px^2, which is enough where
-    light is smooth over a pixel.
-
-    Args:
-        images: images with box pixels, ... x H x W. The result is wrong at edges that are not dark.
-    """
-    for axis in (-2, -1):
-        images = (10 * images + np.roll(images, 1, axis) + np.roll(images, -1, axis)) / 12
-    return images
