@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 from skimage.color import rgb2gray
-from skimage.feature import canny
 from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
@@ -70,31 +69,25 @@ class Entry(ABC):
 NO_SPOT: Answer = NoSpot(Reason.NONE_FOUND), None
 
 
-# OpenCV alone: blur, threshold, the largest contour, and one of its three ellipse fits.
-
-_FITS = {"plain": cv2.fitEllipse, "ams": cv2.fitEllipseAMS, "direct": cv2.fitEllipseDirect}
 _FEWEST_POINTS = 6
+_INSIDE_PX = 0.5
+"""A contour runs through the centres of its outermost pixels, half a pixel inside of the edge."""
 
 
 @dataclass
 class OpenCV(Entry):
-    """Threshold and `fitEllipse`, frame by frame.
+    """Blur, threshold, and `fitEllipse` on the hull of the largest contour, frame by frame.
+
+    The convex hull bridges what an instrument hides.
 
     Attributes:
         level: threshold, as a fraction of the way from the frame's median to its brightest blurred
             value.
         blur_px: standard deviation of the blur before; 0 for none.
-        fit: "plain" (least squares), "ams" (Taubin 1991) or "direct" (Fitzgibbon et al. 1999).
-        hull: take the contour's convex hull, which bridges what an instrument hides.
-        grow_px: is added to the semi-axes. A contour runs through the centres of its outermost
-            pixels, half a pixel inside of the edge.
     """
 
     level: float
     blur_px: float = 2.0
-    fit: str = "direct"
-    hull: bool = True
-    grow_px: float = 0.5
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the largest bright region."""
@@ -106,28 +99,21 @@ class OpenCV(Entry):
         contours, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
         if not contours:
             return NO_SPOT
-        points = max(contours, key=cv2.contourArea)
-        if self.hull:
-            points = _dense(cv2.convexHull(points))
+        corners = cv2.convexHull(max(contours, key=cv2.contourArea))[:, 0].astype(float)
+        steps = np.roll(corners, -1, axis=0) - corners
+        # Points a pixel apart: long edges of the hull weigh as much as curved ones.
+        sides = [
+            start + np.linspace(0, 1, max(round(length), 1), endpoint=False)[:, None] * step
+            for start, step, length in zip(corners, steps, np.hypot(*steps.T), strict=True)
+        ]
+        points = np.concatenate(sides).astype(np.float32)[:, None]
         if len(points) < _FEWEST_POINTS:
             return NO_SPOT
-        (x, y), (width, height), degrees = _FITS[self.fit](points)
+        (x, y), (width, height), degrees = cv2.fitEllipse(points)
         if not (math.isfinite(x + y) and 0 < width < math.inf and 0 < height < math.inf):
             return NO_SPOT
-        axes = width / 2 + self.grow_px, height / 2 + self.grow_px
+        axes = width / 2 + _INSIDE_PX, height / 2 + _INSIDE_PX
         return plain_spot(x, y, *axes, math.radians(degrees)), None
-
-
-def _dense(corners: np.ndarray) -> np.ndarray:
-    """Points a pixel apart along a polygon: long edges of a hull weigh as much as curved ones."""
-    corners = corners[:, 0].astype(float)
-    steps = np.roll(corners, -1, axis=0) - corners
-    lengths = np.hypot(*steps.T)
-    parts = [
-        start + np.linspace(0, 1, max(round(length), 1), endpoint=False)[:, None] * step
-        for start, step, length in zip(corners, steps, lengths, strict=True)
-    ]
-    return np.concatenate(parts).astype(np.float32)[:, None]
 
 
 # scikit-image's `EllipseModel` with RANSAC on edges.
@@ -158,7 +144,7 @@ class Ransac(Entry):
 
     Attributes:
         level: of the contour whose points are the edges, between the window's border and its
-            brightest value; 0 for Canny's edges.
+            brightest value.
         edge_px: standard deviation of the blur before.
         inlier_px: residual up to which an edge belongs to the ellipse.
         trials: of RANSAC, at most.
@@ -176,8 +162,11 @@ class Ransac(Entry):
             return NO_SPOT
         left, top, side = PixelSquare.around(blob)
         left, top, right, bottom = max(left, 0), max(top, 0), left + side, top + side
-        grey = rgb2gray(frame.image[top:bottom, left:right])
-        points = self._edges(grey)
+        smooth = gaussian(rgb2gray(frame.image[top:bottom, left:right]), self.edge_px)
+        border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
+        dark = float(np.median(border))
+        contours = find_contours(smooth, dark + self.level * (float(smooth.max()) - dark))
+        points = max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
         if len(points) < 2 * _SAMPLE:
             return NO_SPOT
         with warnings.catch_warnings():
@@ -196,27 +185,16 @@ class Ransac(Entry):
         (x, y), axes = model.center, model.axis_lengths
         return plain_spot(x + left, y + top, axes[0], axes[1], model.theta), None
 
-    def _edges(self, grey: np.ndarray) -> np.ndarray:
-        """(x, y) of the edges' points in a window, px."""
-        if not self.level:
-            return np.argwhere(canny(grey, sigma=self.edge_px))[:, ::-1].astype(float)
-        smooth = gaussian(grey, self.edge_px)
-        border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
-        dark = float(np.median(border))
-        contours = find_contours(smooth, dark + self.level * (float(smooth.max()) - dark))
-        return max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
-
 
 def _is_sane(model: EllipseModel, side: int) -> bool:
     """Whether the ellipse may lie in a window of this side, px."""
     return bool(2 < min(model.axis_lengths) and max(model.axis_lengths) < side)
 
 
-# pupil-detectors as an entry: the negative of the frame, made smaller, is searched for a pupil.
-
-
 class Pupil(Entry):
-    """The 2D detector of pupil-detectors; other constants are the package's own.
+    """The 2D detector of pupil-detectors, on the negative of the frame, made smaller.
+
+    Other constants are the package's own.
 
     Args:
         smaller: factor by which the frame is made smaller.
@@ -225,16 +203,10 @@ class Pupil(Entry):
         largest: diameter, px of the smaller frame.
     """
 
-    def __init__(self, smaller: int, intensity_range: int, blur_size: int, largest: int) -> None:
+    def __init__(self, smaller: int, largest: int, **constants: int) -> None:
         self._smaller = smaller
-        self._detector = PupilDetector(
-            {
-                "pupil_size_min": 10,
-                "pupil_size_max": largest,
-                "intensity_range": intensity_range,
-                "blur_size": blur_size,
-            }
-        )
+        sizes = {"pupil_size_min": 10, "pupil_size_max": largest}
+        self._detector = PupilDetector(sizes | constants)
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the brightest region."""
@@ -244,8 +216,9 @@ class Pupil(Entry):
         found = self._detector.ellipse(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
         if found is None:
             return NO_SPOT
-        x, y = ((at + 0.5) * n - 0.5 for at in (found.x, found.y))
-        return plain_spot(x, y, n * found.first, n * found.second, found.angle), None
+        *place, first, second, angle = found
+        x, y = ((at + 0.5) * n - 0.5 for at in place)
+        return plain_spot(x, y, n * first, n * second, angle), None
 
     @property
     def seconds_elsewhere(self) -> float:
@@ -371,9 +344,6 @@ KINDS: dict[str, Kind] = {
         {
             "level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6),
             "blur_px": (2.0, 0.0, 1.0, 3.0, 5.0),
-            "hull": (True, False),
-            "grow_px": (0.5, 0.0),
-            "fit": ("direct", "plain", "ams"),
         },
     ),
     "skimage-ransac": Kind(
@@ -381,7 +351,7 @@ KINDS: dict[str, Kind] = {
         lambda constants, _: Ransac(**constants),
         ("scikit-image",),
         {
-            "level": (0.5, 0.4, 0.45, 0.55, 0.0),
+            "level": (0.5, 0.4, 0.45, 0.55),
             "edge_px": (2.0, 1.0, 3.0, 5.0),
             "inlier_px": (2.0, 1.0, 4.0, 6.0),
             "trials": (100, 300),

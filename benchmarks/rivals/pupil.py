@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import BinaryIO, NamedTuple
+from typing import BinaryIO
 
 import numpy as np
 
@@ -28,16 +28,6 @@ _SECONDS_TO_BUILD = 300
 
 class PupilUnavailable(RuntimeError):
     """The package is not available; the message says why."""
-
-
-class PupilEllipse(NamedTuple):
-    """The ellipse of a pupil: centre and semi-axes, px, and the angle of the first axis, rad."""
-
-    x: float
-    y: float
-    first: float
-    second: float
-    angle: float
 
 
 class PupilDetector:
@@ -60,8 +50,12 @@ class PupilDetector:
             stderr=subprocess.PIPE,
         )
 
-    def ellipse(self, crop: np.ndarray) -> PupilEllipse | None:
-        """The bright ellipse of an 8-bit grey crop; None if not found."""
+    def ellipse(self, crop: np.ndarray) -> list[float] | None:
+        """The bright ellipse of an 8-bit grey crop; None if not found.
+
+        Returns:
+            x, y and the two semi-axes, px, and the angle of the first axis, rad.
+        """
         process = self._process
         assert process.stdin and process.stdout and process.stderr
         with contextlib.suppress(BrokenPipeError):
@@ -73,8 +67,7 @@ class PupilDetector:
             said = process.stderr.read().decode().strip().splitlines()
             raise PupilUnavailable(said[-1] if said else "its process ended")
         *ellipse, self.seconds = (float(word) for word in line.split())
-        found = PupilEllipse(*ellipse)
-        return found if min(found.first, found.second) > 0 else None
+        return ellipse if min(ellipse[2:4]) > 0 else None
 
     def close(self) -> None:
         """End the process."""
