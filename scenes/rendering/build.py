@@ -127,7 +127,16 @@ def wall(world: World) -> Any:
     if isinstance(world.wall, optics.Ellipsoid):
         return ellipsoid_mesh(world.wall, surface)
     if "bitmap" in reflectance:
-        reflectance["to_uv"] = _longitude_latitude_to_uv(radius=scene.phantom.radius_mm)
+        # From (longitude/2pi, colatitude/pi) to the coordinates of the texture.
+        extent = PICTURE_MM / scene.phantom.radius_mm
+        scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
+        reflectance["to_uv"] = mi.ScalarTransform3f(
+            [
+                [scale_u, 0.0, 0.5 - 0.5 * scale_u],
+                [0.0, scale_v, 0.5 - 0.5 * scale_v],
+                [0.0, 0.0, 1.0],
+            ]
+        )
     return {
         "type": "sphere",
         "radius": scene.phantom.radius_mm,
@@ -184,15 +193,6 @@ def _on_sphere(phantom: Phantom) -> np.ndarray:
     )
 
 
-def _longitude_latitude_to_uv(*, radius: float) -> Any:
-    """Transform from (longitude/2pi, colatitude/pi) to the coordinates of the texture."""
-    extent = PICTURE_MM / radius
-    scale_u, scale_v = 2 * math.pi / extent, math.pi / extent
-    return mi.ScalarTransform3f(
-        [[scale_u, 0.0, 0.5 - 0.5 * scale_u], [0.0, scale_v, 0.5 - 0.5 * scale_v], [0.0, 0.0, 1.0]]
-    )
-
-
 _SHAFT_MM = 40.0
 _NEAR_MM = 0.01
 _FIBRE_REFLECTANCE, _SHAFT_REFLECTANCE = 0.15, 0.3
@@ -224,6 +224,16 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     coaxial = scene.microscope.light == "coaxial"
     # Ambient light is equal from all sides, like the light that the eyeball scatters back.
     ambient = 0.0 if coaxial else scene.microscope.illumination_mw_mm2
+    # The pinhole that coaxial light comes from; or how it thins out behind a viewing path.
+    falloff: dict[str, Any] = {"pinhole_height": scene.microscope.pinhole_height_mm}
+    if isinstance(world.microscope, PathCamera):
+        coefficients, furthest = coaxial_falloff(world.microscope, world.wall)
+        falloff = {"falloff": json.dumps(coefficients.tolist()), "falloff_scale": furthest}
+    bounces = 0
+    if scene.phantom.indirect == "traced":
+        # So many that less than 0.1 % of the indirect light is missing.
+        bounces = math.ceil(math.log(1e-3) / math.log(max(world.wall_colour.max(), 1e-3)))
+    r, pupil = scene.phantom.radius_mm, scene.phantom.pupil_radius_mm
     return {
         "type": "scene",
         "wall": wall(world),
@@ -237,30 +247,17 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
             "type": "eyespot_spot",
             # With photons, direct light comes from a separate pass.
             "direct": not photons,
-            "bounces": _traced_bounces(world),
+            "bounces": bounces,
             "uniform": mi.ScalarColor3f(uniform + ambient),
             "coaxial": scene.microscope.illumination_mw_mm2 if coaxial else 0.0,
-            **_coaxial_light(world),
-            "pole_height": -scene.phantom.radius_mm,
-            "pupil_height": _pupil_height(scene),
-            "wall_curvature": 1 / scene.phantom.radius_mm if eyeball else 0.0,
+            **falloff,
+            "pole_height": -r,
+            # Above it the eyeball is open.
+            "pupil_height": math.sqrt(r * r - pupil * pupil) if pupil else math.inf,
+            "wall_curvature": 1 / r if eyeball else 0.0,
             **{f"spread_{colour}": float(s) for colour, s in zip("rgb", spread, strict=True)},
         },
     }
-
-
-def _coaxial_light(world: World) -> dict[str, Any]:
-    """The pinhole that the light comes from; or how it thins out behind a viewing path."""
-    if not isinstance(world.microscope, PathCamera):
-        return {"pinhole_height": world.scene.microscope.pinhole_height_mm}
-    coefficients, furthest = coaxial_falloff(world.microscope, world.wall)
-    return {"falloff": json.dumps(coefficients.tolist()), "falloff_scale": furthest}
-
-
-def _pupil_height(scene: Scene) -> float:
-    """Height above which the eyeball is open; infinite if it is closed."""
-    r, pupil = scene.phantom.radius_mm, scene.phantom.pupil_radius_mm
-    return math.sqrt(r * r - pupil * pupil) if pupil else math.inf
 
 
 def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray], None]:
@@ -280,13 +277,18 @@ def _source(world: World) -> dict[str, Any]:
     scene, table = world.scene, world.table
     placed = {"tip": mi.ScalarPoint3f(0, 0, 0), "axis": mi.ScalarVector3f(0, 0, 1)}
     if table is None:
+        # Width on the wall of the square of the image that a camera ray stands for, mm.
+        middle = np.asarray(world.microscope.principal_point)
+        point, direction = world.microscope.ray(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
+        (left, right) = np.asarray(world.wall.intersect(point, direction).point)
+        a_side = math.isqrt(scene.microscope.samples - 1) + 1
         return {
             "type": "eyespot_cone",
             **placed,
             "power": scene.source.power_mw,
             "half_angle": world.cone.half_angle,
             "apex_offset": world.cone.apex_offset,
-            "sample_width": _sample_width(world),
+            "sample_width": float(np.linalg.norm(right - left)) / a_side,
         }
     return {
         "type": "eyespot_lens",
@@ -300,15 +302,6 @@ def _source(world: World) -> dict[str, Any]:
         "lens": scene.source.lens,
         "medium_index": world.medium_index,
     }
-
-
-def _sample_width(world: World) -> float:
-    """Width on the wall of the square of the image that a camera ray stands for, mm."""
-    middle = np.asarray(world.microscope.principal_point)
-    point, direction = world.microscope.ray(middle + np.array([[-0.5, 0.0], [0.5, 0.0]]))
-    (left, right) = np.asarray(world.wall.intersect(point, direction).point)
-    a_side = math.isqrt(world.scene.microscope.samples - 1) + 1
-    return float(np.linalg.norm(right - left)) / a_side
 
 
 def _instrument(scene: Scene) -> dict[str, Any]:
@@ -378,7 +371,14 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
     # Mitsuba's pixel i covers [i, i + 1), so its centre is at i + 0.5.
     u0, v0 = np.asarray(camera.principal_point) + 0.5
     common = {
-        "film": _film(scene),
+        "film": {
+            "type": "hdrfilm",
+            "width": scene.microscope.width_px,
+            "height": scene.microscope.height_px,
+            "rfilter": {"type": "box"},
+            "component_format": "float32",
+            "pixel_format": "rgb",
+        },
         "sampler": sampler,
         "pole_height": -scene.phantom.radius_mm,
         "principal_point": mi.ScalarPoint2f(u0, v0),
@@ -386,6 +386,7 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         "vignetting": scene.microscope.vignetting,
     }
     if isinstance(camera, PathCamera):
+        cone = world.pencils
         return {
             "type": "eyespot_path",
             **common,
@@ -394,7 +395,7 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
             "widest": float(camera.widest),
             "pupil": min(float(camera.pupil), float(camera.widest)),
             "aperture_slope": _aperture_slope(scene),
-            **_pencils(world),
+            **({"pencils": _as_text(*cone.across, *cone.along)} if cone else {}),
         }
     names = ("k1", "k2", "p1", "p2", "k3")
     return {
@@ -406,13 +407,6 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
         **dict(zip(names, scene.microscope.distortion, strict=True)),
     }
-
-
-def _pencils(world: World) -> dict[str, Any]:
-    """The series of `PathSensor`'s pencils, as text; nothing for a pinhole."""
-    if (found := world.pencils) is None:
-        return {}
-    return {"pencils": _as_text(*found.across, *found.along)}
 
 
 def _as_text(*series: ArrayLike) -> str:
@@ -430,24 +424,6 @@ def _as_text(*series: ArrayLike) -> str:
 
 def _aperture_slope(scene: Scene) -> float:
     return math.tan(math.asin(scene.microscope.numerical_aperture))
-
-
-def _film(scene: Scene) -> dict[str, Any]:
-    return {
-        "type": "hdrfilm",
-        "width": scene.microscope.width_px,
-        "height": scene.microscope.height_px,
-        "rfilter": {"type": "box"},
-        "component_format": "float32",
-        "pixel_format": "rgb",
-    }
-
-
-def _traced_bounces(world: World) -> int:
-    """Number of traced reflections, so that less than 0.1 % of the indirect light is missing."""
-    if world.scene.phantom.indirect != "traced":
-        return 0
-    return math.ceil(math.log(1e-3) / math.log(max(world.wall_colour.max(), 1e-3)))
 
 
 def _inside_the_eye(world: World) -> float:

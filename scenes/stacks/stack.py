@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +20,6 @@ from formats.whole_files import require_space, written_whole
 from optics.viewing.camera import PathCamera
 from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
-from scenes.description.settings import CameraSettings
 from scenes.rendering.images import images_of
 from scenes.rendering.render import LinearFrame, Renderer
 from scenes.stacks.bound import Bounds
@@ -58,14 +57,13 @@ class Photography:
             return self.paper_exposure_s
         return min(self._camera.metered_s(light, mask), longest_exposure(self._world.scene))
 
-    def raw(self, light: np.ndarray, *, exposure_s: float, frame: int, order: int) -> np.ndarray:
-        """The camera's image of a frame with the order-th kind of exposure, before JPEG."""
+    def images(
+        self, light: np.ndarray, *, exposure_s: float, frame: int, order: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """The camera's image with the order-th kind of exposure, before and after JPEG."""
         seed = [self._world.scene.seed, frame, order]
-        return self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
-
-    def written(self, raw: np.ndarray) -> np.ndarray:
-        """The image as it is in the file: after JPEG, if the camera uses JPEG."""
-        return self._camera.written(raw)
+        raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
+        return raw, self._camera.written(raw)
 
     def write(
         self,
@@ -79,7 +77,7 @@ class Photography:
     ) -> None:
         """Expose a frame with the order-th kind of exposure, and write it with its labels."""
         scene, frame = self._world.scene, labels["frame"]
-        raw = self.raw(light, exposure_s=exposure_s, frame=frame, order=order)
+        raw, written = self.images(light, exposure_s=exposure_s, frame=frame, order=order)
         saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
         row = FrameLabels(
             file_name=file_name(self._world, frame, order),
@@ -90,7 +88,7 @@ class Photography:
             **labels,
         )
         writer.add(
-            self.written(raw),
+            written,
             row,
             np.uint8(255) * mask if order == 0 else None,
             light if scene.exposures.keep_linear else None,
@@ -138,7 +136,7 @@ def render_stack(
         photography = Photography(world)
         writer.describe(
             stack={
-                "scene": dumped(scene),
+                "scene": scene.model_dump(mode="json", by_alias=True),
                 "cone": world.cone._asdict(),
                 "wall_colour": world.wall_colour.tolist(),
                 "files": _files(scene),
@@ -155,23 +153,6 @@ def render_stack(
     return read_stack(out)
 
 
-class _Metered(NamedTuple):
-    """A frame with its exposure times, in the order of exposures.kinds."""
-
-    frame: int
-    sharp: LinearFrame
-    mask: np.ndarray
-    durations: list[float]
-
-
-class _ExposedFrame(NamedTuple):
-    """The light during one exposure of a frame, its time, and the labels of its bound."""
-
-    light: np.ndarray
-    exposure_s: float
-    bound: dict[str, float]
-
-
 def _render_frames(
     renderer: Renderer, photography: Photography, writer: StackWriter, progress: Callable[[], None]
 ) -> None:
@@ -179,74 +160,61 @@ def _render_frames(
 
     A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
     """
-    frames, orders = range(renderer.world.times.size), range(len(renderer.scene.exposures.kinds))
-    names = {f: [file_name(renderer.world, f, order) for order in orders] for f in frames}
+    frames, kinds = range(renderer.world.times.size), renderer.scene.exposures.kinds
+    names = {
+        f: [file_name(renderer.world, f, order) for order in range(len(kinds))] for f in frames
+    }
     missing = [frame for frame in frames if not all(map(writer.has, names[frame]))]
     for _ in range(len(frames) - len(missing)):
         progress()
     bounds = Bounds(renderer) if renderer.scene.exposures.bound else None
-    metering: Future[_Metered] | None = None
+
+    def metered(frame: int, sharp: LinearFrame) -> tuple[np.ndarray, list[float]]:
+        """The mask of the spot, and the exposure times in the order of exposures.kinds."""
+        mask = renderer.mask(frame, sharp)
+        return mask, [photography.exposure_s(kind, sharp.radiance, mask) for kind in kinds]
+
+    def photograph(
+        frame: int,
+        sharp: LinearFrame,
+        mask: np.ndarray,
+        exposed: list[tuple[np.ndarray, float, dict[str, float]]],
+    ) -> None:
+        """Write the image of each exposure: its light, its time and the labels of its bound."""
+        spot = spot_labels(renderer.world, frame) | {"visible_fraction": sharp.visible_fraction}
+        for order, (light, duration, bound) in enumerate(exposed):
+            photography.write(
+                writer, light, order=order, exposure_s=duration, mask=mask, labels=spot | bound
+            )
+
+    waiting: tuple[int, LinearFrame, Future[tuple[np.ndarray, list[float]]]] | None = None
     writing: list[Future[None]] = []
     with ThreadPoolExecutor(max_workers=2) as pool:
         for frame in (*missing, None):  # after the last frame, what is being metered
-            previous = metering
+            previous = waiting
             if frame is not None:
                 sharp = renderer.render(frame)
-                metering = pool.submit(_meter, renderer, photography, frame, sharp)
+                waiting = frame, sharp, pool.submit(metered, frame, sharp)
             if previous is not None:
-                metered = previous.result()
-                exposed = _exposed(renderer, bounds, metered)
-                writing.append(
-                    pool.submit(_photograph, renderer, photography, writer, metered, exposed)
-                )
+                before, image, metering = previous
+                mask, durations = metering.result()
+                exposed = []
+                for duration in durations:
+                    light = renderer.exposed(before, image, exposure_s=duration)
+                    bound = {}
+                    if bounds is not None:
+                        bound = bounds.labels(
+                            *(before, light.radiance),
+                            exposure_s=duration,
+                            sub_frames=light.sub_frames,
+                        )
+                    exposed.append((light.radiance, duration, bound))
+                writing.append(pool.submit(photograph, before, image, mask, exposed))
                 if len(writing) > _QUEUE:
                     writing[-_QUEUE - 1].result()
                 progress()
         for future in writing:
             future.result()
-
-
-def _exposed(renderer: Renderer, bounds: Bounds | None, metered: _Metered) -> list[_ExposedFrame]:
-    """The light of each exposure of a frame."""
-    exposed = []
-    for duration in metered.durations:
-        light = renderer.exposed(metered.frame, metered.sharp, exposure_s=duration)
-        bound = {}
-        if bounds is not None:
-            bound = bounds.labels(
-                metered.frame, light.radiance, exposure_s=duration, sub_frames=light.sub_frames
-            )
-        exposed.append(_ExposedFrame(light.radiance, duration, bound))
-    return exposed
-
-
-def _meter(
-    renderer: Renderer, photography: Photography, frame: int, sharp: LinearFrame
-) -> _Metered:
-    mask = renderer.mask(frame, sharp)
-    kinds = renderer.scene.exposures.kinds
-    durations = [photography.exposure_s(kind, sharp.radiance, mask) for kind in kinds]
-    return _Metered(frame, sharp, mask, durations)
-
-
-def _photograph(
-    renderer: Renderer,
-    photography: Photography,
-    writer: StackWriter,
-    metered: _Metered,
-    exposures: list[_ExposedFrame],
-) -> None:
-    spot = spot_labels(renderer.world, metered.frame)
-    spot["visible_fraction"] = metered.sharp.visible_fraction
-    for order, exposed in enumerate(exposures):
-        photography.write(
-            writer,
-            exposed.light,
-            order=order,
-            exposure_s=exposed.exposure_s,
-            mask=metered.mask,
-            labels=spot | exposed.bound,
-        )
 
 
 def _files(scene: Scene) -> dict[str, dict[str, Any]]:
@@ -258,61 +226,41 @@ def _files(scene: Scene) -> dict[str, dict[str, Any]]:
     return {name: fingerprint(Path(name)) for name in (image, *own, poses) if name}
 
 
-def dumped(scene: Scene) -> dict[str, Any]:
-    """The scene as JSON values."""
-    return scene.model_dump(mode="json", by_alias=True)
-
-
 def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
     """Content of microscope.json; a telecentric microscope has no camera matrix."""
-    scene, camera = world.scene, world.microscope
-    settings = scene.microscope
-    return {
+    scene, camera, wall = world.scene, world.microscope, world.wall
+    settings, phantom = scene.microscope, scene.phantom
+    # What the estimator may know of the camera: its data sheet.
+    names = ("full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn", "bit_depth")
+    sheet = scene.camera.model_dump(include={*names, "prnu", "dsnu_e"})
+    sheet |= {"bayer": scene.camera.bayer != "none", "jpeg": scene.camera.jpeg_quality > 0}
+    height: float | None = settings.pinhole_height_mm
+    if isinstance(camera, PathCamera):  # the paraxial pinhole
+        height = float(1.0 / camera.inverse_working_distance) - phantom.radius_mm
+    elif not math.isfinite(settings.pinhole_height_mm):
+        height = None
+    matrix = None
+    if isinstance(camera, optics.Microscope) and camera.inverse_working_distance:
+        matrix = np.asarray(camera.camera_matrix()).tolist()
+    content: dict[str, object] = {
         "width_px": settings.width_px,
         "height_px": settings.height_px,
-        "camera_matrix": _camera_matrix(camera),
+        "camera_matrix": matrix,
         "distortion": list(settings.distortion),
         "scale_mm_px": settings.scale_mm_px,
         "principal_point_px": np.asarray(camera.principal_point).tolist(),
-        "pinhole_height_mm": _pinhole_height(scene, camera),
-        "eye_radius_mm": scene.phantom.radius_mm,
+        "pinhole_height_mm": height,
+        "eye_radius_mm": phantom.radius_mm,
         "response": scene.camera.response,
-        "camera": _camera_sheet(scene.camera),
+        "camera": sheet,
         "paper_exposure_s": fixed_exposure_s,
-        "plane_normal": _plane_normal(world.wall),
-        **_viewing_path(camera),
-        **_retina(scene, world.wall),
+        "plane_normal": np.asarray(wall.inward).tolist()
+        if isinstance(wall, optics.Plane)
+        else None,
     }
-
-
-def _camera_sheet(camera: CameraSettings) -> dict[str, object]:
-    """What the estimator may know of the camera: its data sheet."""
-    names = ("full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn", "bit_depth")
-    sheet = camera.model_dump(include={*names, "prnu", "dsnu_e"})
-    return sheet | {"bayer": camera.bayer != "none", "jpeg": camera.jpeg_quality > 0}
-
-
-def _camera_matrix(camera: optics.Camera) -> list[list[float]] | None:
-    if not isinstance(camera, optics.Microscope) or not camera.inverse_working_distance:
-        return None
-    matrix: list[list[float]] = np.asarray(camera.camera_matrix()).tolist()
-    return matrix
-
-
-def _pinhole_height(scene: Scene, camera: optics.Camera) -> float | None:
-    """z_F, of a viewing path that of the paraxial pinhole; None if telecentric."""
     if isinstance(camera, PathCamera):
-        return float(1.0 / camera.inverse_working_distance) - scene.phantom.radius_mm
-    height = scene.microscope.pinhole_height_mm
-    return height if math.isfinite(height) else None
-
-
-def _viewing_path(camera: optics.Camera) -> dict[str, object]:
-    if not isinstance(camera, PathCamera):
-        return {}
-    pupil = float(camera.pupil)
-    return {
-        "viewing_path": {
+        pupil = float(camera.pupil)
+        content["viewing_path"] = {
             "crossing": np.asarray(camera.crossing).tolist(),
             "steepness_per_mm": np.asarray(camera.steepness).tolist(),
             "transmittance": np.asarray(camera.passing).tolist(),
@@ -320,26 +268,15 @@ def _viewing_path(camera: optics.Camera) -> dict[str, object]:
             "pupil_mm": pupil if math.isfinite(pupil) else None,
             "orientation": float(camera.orientation),
         }
-    }
-
-
-def _retina(scene: Scene, wall: optics.Surface) -> dict[str, object]:
-    if not isinstance(wall, optics.Ellipsoid):
-        return {}
-    phantom = scene.phantom
-    placed = {
-        "retina_tilt_deg": phantom.tilt_deg,
-        "retina_tilt_azimuth_deg": phantom.tilt_azimuth_deg,
-        "retina_shift_mm": list(phantom.shift_mm) if any(phantom.shift_mm) else None,
-    }
-    return {
-        "retina_semi_axes_mm": np.asarray(wall.semi_axes).tolist(),
-        **{key: value for key, value in placed.items() if value},
-    }
-
-
-def _plane_normal(wall: optics.Surface) -> list[float] | None:
-    return np.asarray(wall.inward).tolist() if isinstance(wall, optics.Plane) else None
+    if isinstance(wall, optics.Ellipsoid):
+        content["retina_semi_axes_mm"] = np.asarray(wall.semi_axes).tolist()
+        placed = {
+            "retina_tilt_deg": phantom.tilt_deg,
+            "retina_tilt_azimuth_deg": phantom.tilt_azimuth_deg,
+            "retina_shift_mm": list(phantom.shift_mm) if any(phantom.shift_mm) else None,
+        }
+        content |= {key: value for key, value in placed.items() if value}
+    return content
 
 
 def _versions() -> dict[str, str]:
@@ -404,9 +341,8 @@ def render_image(
     sharp = renderer.render(frame)
     duration = photography.exposure_s(kind, sharp.radiance, renderer.mask(frame, sharp))
     light = renderer.exposed(frame, sharp, exposure_s=duration).radiance
-    return photography.written(
-        photography.raw(light, exposure_s=duration, frame=frame, order=kinds.index(kind))
-    )
+    order = kinds.index(kind)
+    return photography.images(light, exposure_s=duration, frame=frame, order=order)[1]
 
 
 class LiveCamera:
@@ -465,9 +401,6 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     It has the metered exposure and the sensor's noise, but no motion blur and no JPEG. The spot may
     leave the window, unlike in a stack.
 
-    Args:
-        variant: Mitsuba's variant.
-
     Returns:
         H/2 x W/2 x 3 (R, G, B), uint8 or uint16.
 
@@ -477,27 +410,23 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     """
     world = World(scene)
     (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
-    small = World(_small(scene))
-    radiance, _ = images_of(small, variant=variant).at(tip=tip, axis=axis, seed=0)
-    camera = CameraSensor(small.scene)
-    exposure_s = camera.metered_s(radiance, np.ones(radiance.shape[:2], bool))
-    return camera.raw(radiance, exposure_s=exposure_s, noise_seed=[scene.seed])
-
-
-def _small(scene: Scene) -> Scene:
-    """The same field of view with fewer pixels; even numbers, as a Bayer mosaic needs."""
     large = scene.microscope
+    # The same field of view with fewer pixels; even numbers, as a Bayer mosaic needs.
     width, height = (
         max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
     )
     scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
     x, y = large.window_offset_px
     fewer = large.scale_mm_px / scale
-    small = {
+    view = {
         "width_px": width,
         "height_px": height,
         "scale_mm_px": scale,
         "window_offset_px": (fewer * x, fewer * y),
         "samples": 1,
     }
-    return scene.model_copy(update={"microscope": large.model_copy(update=small)})
+    small = scene.model_copy(update={"microscope": large.model_copy(update=view)})
+    radiance, _ = images_of(World(small), variant=variant).at(tip=tip, axis=axis, seed=0)
+    camera = CameraSensor(small)
+    exposure_s = camera.metered_s(radiance, np.ones(radiance.shape[:2], bool))
+    return camera.raw(radiance, exposure_s=exposure_s, noise_seed=[scene.seed])

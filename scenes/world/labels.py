@@ -31,15 +31,22 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         # Indexing a NumPy array takes a tenth of the time of indexing a JAX array.
         return np.asarray(column)[frame].tolist()
 
-    c = at(spots.eccentricity)
+    c, azimuth = at(spots.eccentricity), at(spots.azimuth)
+    phi = 0.0  # between the local normal and the microscope's axis; of a plane by convention
+    if isinstance(world.wall, optics.Sphere):
+        phi = math.asin(c / float(world.wall.radius))
+    elif isinstance(world.wall, optics.Ellipsoid):
+        normal = world.wall.frame_at(eccentricity=c, azimuth=azimuth).outward
+        x, y, z = np.asarray(normal).tolist()
+        phi = math.atan2(math.hypot(x, y), -z)
     labels: dict[str, Any] = {
         "frame": frame,
         "time_s": round(at(world.times), 9),  # as people write times
         "d_mm": at(spots.distance),
         "nearest_mm": at(spots.nearest),
         "c_mm": c,
-        "azimuth_rad": at(spots.azimuth),
-        "phi_rad": _phi(world, c=c, azimuth=at(spots.azimuth)),
+        "azimuth_rad": azimuth,
+        "phi_rad": phi,
         "incidence_rad": at(spots.incidence),
         "incidence_azimuth_rad": at(spots.incidence_azimuth),
         "tip_mm": tuple(at(spots.beam.tip)),
@@ -78,17 +85,6 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
             f"{kind}_angle_rad": at(ellipse.angle),
         }
     return labels
-
-
-def _phi(world: World, *, c: float, azimuth: float) -> float:
-    """Angle between the local normal and the microscope's axis; of a plane 0 by convention."""
-    wall = world.wall
-    if isinstance(wall, optics.Sphere):
-        return math.asin(c / float(wall.radius))
-    if isinstance(wall, optics.Plane):
-        return 0.0
-    x, y, z = np.asarray(wall.frame_at(eccentricity=c, azimuth=azimuth).outward).tolist()
-    return math.atan2(math.hypot(x, y), -z)
 
 
 _GREY = np.array([0.299, 0.587, 0.114])
