@@ -62,7 +62,6 @@ from .pose import DirectionPrior as DirectionPrior
 from .pose import PoseEstimate as PoseEstimate
 from .pose import pose_from_contour as pose_from_contour
 from .pose import pose_from_ellipse as pose_from_ellipse
-from .pose import tip_from_contour as tip_from_contour
 from .refraction import MEDIA as MEDIA
 from .refraction import refract as refract
 from .surface import BEHIND as BEHIND

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import equinox as eqx
 import jax.numpy as jnp
 import optimistix as optx
@@ -22,30 +20,13 @@ _POINTS = 32
 """A quarter of the usual, for a quarter of the time: 1e-7 px."""
 
 
-def exact_semi_minor(
-    surface: Surface,
-    microscope: Camera,
-    *,
-    distance: ScalarLike,
-    eccentricity: ScalarLike,
-    azimuth: ScalarLike = 0.0,
-    incidence: ScalarLike = 0.0,
-    incidence_azimuth: ScalarLike = 0.0,
-    half_angle: ScalarLike,
-    apex_offset: ScalarLike,
-) -> Float[Array, ""]:
-    """e1' of the exact contour, px. Args: as for `beam_at_spot`, in mm and rad."""
-    beam = beam_at_spot(
-        surface,
-        eccentricity=eccentricity,
-        distance=distance,
-        azimuth=azimuth,
-        incidence=incidence,
-        incidence_azimuth=incidence_azimuth,
-        half_angle=half_angle,
-        apex_offset=apex_offset,
-    )
-    return spot_ellipse(beam, surface, microscope).semi_minor
+def exact_semi_minor(surface: Surface, microscope: Camera, **beam: ScalarLike) -> Float[Array, ""]:
+    """e1' of the exact contour, px.
+
+    Args:
+        beam: arguments of `beam_at_spot`, mm and rad.
+    """
+    return spot_ellipse(beam_at_spot(surface, **beam), surface, microscope).semi_minor
 
 
 def exact_distance(
@@ -53,19 +34,21 @@ def exact_distance(
     microscope: Camera,
     *,
     semi_minor_px: ScalarLike,
-    eccentricity: ScalarLike,
-    azimuth: ScalarLike = 0.0,
-    incidence: ScalarLike = 0.0,
-    incidence_azimuth: ScalarLike = 0.0,
     half_angle: ScalarLike,
     apex_offset: ScalarLike,
+    **spot: ScalarLike,
 ) -> Float[Array, ""]:
     """Distance d = |SO| (mm) from e1' (px) for a known spot position and beam direction.
 
     The contour's size is nearly proportional to the distance d - b from the apex. So each step
     multiplies d - b by measured over expected size. It reduces the error to the effect of the
-    wall's curvature on the spot's size (R/r, about 5 %). Other args: as for `beam_at_spot`, in mm
-    and rad.
+    wall's curvature on the spot's size (R/r, about 5 %).
+
+    Args:
+        semi_minor_px: e1', px.
+        half_angle: alpha of the cone, rad.
+        apex_offset: b, mm.
+        spot: other arguments of `beam_at_spot`, mm and rad.
 
     Example:
         >>> import optics
@@ -77,20 +60,11 @@ def exact_distance(
         >>> round(float(found), 6)
         2.0
     """
-    forward = partial(
-        exact_semi_minor,
-        surface,
-        microscope,
-        eccentricity=eccentricity,
-        azimuth=azimuth,
-        incidence=incidence,
-        incidence_azimuth=incidence_azimuth,
-        half_angle=half_angle,
-        apex_offset=apex_offset,
-    )
+    spot |= {"half_angle": half_angle, "apex_offset": apex_offset}
 
     def rescaled(distance: Float[Array, ""], _: None) -> Float[Array, ""]:
-        return apex + (distance - apex) * semi_minor_px / forward(distance=distance)
+        seen = exact_semi_minor(surface, microscope, distance=distance, **spot)
+        return apex + (distance - apex) * semi_minor_px / seen
 
     apex = jnp.asarray(apex_offset, float)
     planar = apex + microscope.scale * semi_minor_px / jnp.tan(half_angle)

@@ -7,6 +7,7 @@ operation runs along an axis of length three. For the contour of a spot this red
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -34,6 +35,20 @@ def ray_point(
     """Point of a ray at a distance from its origin."""
     starts, steps = components(origin), components(direction)
     return jnp.stack([o + distance * d for o, d in zip(starts, steps, strict=True)], axis=-1)
+
+
+def bisected(
+    holds: Callable[[Array], Array], inside: Array, outside: Array, *, steps: int
+) -> tuple[Array, Array]:
+    """Brackets, halved so many times: ends where a condition holds, and ends where it does not."""
+
+    def halve(_: int, ends: tuple[Array, Array]) -> tuple[Array, Array]:
+        middle = 0.5 * (ends[0] + ends[1])
+        here = holds(middle)
+        return jnp.where(here, middle, ends[0]), jnp.where(here, ends[1], middle)
+
+    found: tuple[Array, Array] = jax.lax.fori_loop(0, steps, halve, (inside, outside))
+    return found
 
 
 HIT, MISS, BEHIND = 0, 1, 2
@@ -232,15 +247,11 @@ class Ellipsoid(eqx.Module):
         def foot(t: Float[Array, ""]) -> Float[Array, "3"]:
             return squares * own / (squares + t)
 
-        def halved(_: int, bounds: tuple[Float[Array, ""], Float[Array, ""]]):
-            low, high = bounds
-            middle = (low + high) / 2
-            outside = jnp.sum(jnp.square(foot(middle) / self.semi_axes)) > 1.0
-            return jnp.where(outside, middle, low), jnp.where(outside, high, middle)
+        def outside(t: Float[Array, ""]) -> Array:
+            return jnp.sum(jnp.square(foot(t) / self.semi_axes)) > 1.0
 
-        lowest = -jnp.min(squares)
-        bounds = jax.lax.fori_loop(0, _BISECTIONS, halved, (lowest, jnp.zeros(())))
-        return jnp.linalg.norm(foot(bounds[1]) - own)
+        _, root = bisected(outside, -jnp.min(squares), jnp.zeros(()), steps=_BISECTIONS)
+        return jnp.linalg.norm(foot(root) - own)
 
     def _unit(self, vectors: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
         x, y, z = components(vectors)

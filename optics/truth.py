@@ -39,7 +39,7 @@ from optics.contour import CONTOUR_POINTS, cone_contour
 from optics.ellipse import Ellipse, ellipse_of_contour
 from optics.irradiance_edges import implicit_root
 from optics.lens_table import IrradianceTable
-from optics.surface import HIT, Intersection, Surface, dot
+from optics.surface import HIT, Intersection, Surface, bisected, dot
 
 _RADII = 256
 _BISECTIONS = 30
@@ -102,14 +102,8 @@ def half_maximum_contour(
     above = profile >= level
     last = _RADII - 1 - jnp.argmax(above[:, ::-1], axis=-1)
     low, high = radii[last], radii[jnp.minimum(last + 1, _RADII - 1)]
-
-    def halve(_: int, bracket: tuple[Array, Array]) -> tuple[Array, Array]:
-        inside, outside = bracket
-        middle = 0.5 * (inside + outside)
-        bright = excess(middle) >= 0
-        return jnp.where(bright, middle, inside), jnp.where(bright, outside, middle)
-
-    low, high = jax.lax.stop_gradient(jax.lax.fori_loop(0, _BISECTIONS, halve, (low, high)))
+    found = bisected(lambda radius: excess(radius) >= 0, low, high, steps=_BISECTIONS)
+    low, high = jax.lax.stop_gradient(found)
     edge = implicit_root(excess, 0.5 * (low + high))
     return wall_irradiance(table, beam, surface, radius=edge, angle=angles)[1]
 
@@ -273,14 +267,9 @@ def spread_contours(
         low = jnp.maximum(start - _FARTHEST * length, 0.0)
         high = start + _FARTHEST * length
         exists = (value(low, around) >= level) & (value(high, around) < level)
-
-        def halve(_, bracket):
-            inner, outer = bracket
-            middle = 0.5 * (inner + outer)
-            bright = value(middle, around) >= level
-            return jnp.where(bright, middle, inner), jnp.where(bright, outer, middle)
-
-        low, high = jax.lax.fori_loop(0, _SPREAD_BISECTIONS, halve, (low, high))
+        low, high = bisected(
+            lambda radius: value(radius, around) >= level, low, high, steps=_SPREAD_BISECTIONS
+        )
         return wall_at(jnp.where(exists, 0.5 * (low + high), jnp.nan), around).point
 
     return contour(share, 0.5, radius_of(edge)), contour(light, level, radius_of(unspread))

@@ -17,6 +17,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
 from formats.inputs import InputError
 from optics import Camera, Surface, components, refract
+from optics.surface import bisected
 from optics.viewing.path import (
     ViewingPath,
     chebyshev_nodes,
@@ -238,16 +239,7 @@ def _limits(path: ViewingPath) -> tuple[Float[Array, ""], Float[Array, ""]]:
     fine = passes(step * (1.0 + jnp.arange(_SCAN)))
     everywhere = jnp.all(fine, axis=1)
     last = step * jnp.where(everywhere, _SCAN, jnp.argmin(fine, axis=1))
-
-    def halved(
-        _: int, bounds: tuple[Float[Array, "2"], Float[Array, "2"]]
-    ) -> tuple[Float[Array, "2"], Float[Array, "2"]]:
-        low, high = bounds
-        middle = (low + high) / 2
-        inside = jnp.diagonal(passes(middle))
-        return jnp.where(inside, middle, low), jnp.where(inside, high, middle)
-
-    low, _ = jax.lax.fori_loop(0, _BISECTIONS, halved, (last, last + step))
+    low, _ = bisected(lambda aim: jnp.diagonal(passes(aim)), last, last + step, steps=_BISECTIONS)
     field = jnp.where(everywhere[0], _WIDEST_AIM_MM, low[0])
     pupil = jnp.where(everywhere[1], jnp.inf, low[1])
     return jnp.minimum(_SAFE * field, _BEYOND_THE_IRIS * pupil), pupil

@@ -285,29 +285,18 @@ def trace(
             transmittance = transmittance * passed
             medium, front = element.medium, depth
         else:
-            point = _at_depth(point, direction, element.depth)
+            along = (element.depth - point[..., 2]) / direction[..., 2]
+            point = point + along[..., None] * direction
             x, y, _ = components(point)
             if isinstance(element, Iris):
                 # Squares, because the derivative of the root is infinite on the axis.
                 status = _first(status, x * x + y * y > element.radius**2, VIGNETTED)
             else:
-                direction = _deflected(direction, -element.power * x, -element.power * y)
+                dx, dy, dz = components(direction)
+                slopes = dx / dz - element.power * x, dy / dz - element.power * y
+                slope = jnp.stack([*slopes, jnp.ones_like(dz)], axis=-1)
+                direction = slope / jnp.linalg.norm(slope, axis=-1, keepdims=True)
     return TracedRays(point, direction, transmittance, status)
-
-
-def _at_depth(
-    point: Float[Array, "*batch 3"], direction: Float[Array, "*batch 3"], depth: ScalarLike
-) -> Float[Array, "*batch 3"]:
-    along = (depth - point[..., 2]) / direction[..., 2]
-    return point + along[..., None] * direction
-
-
-def _deflected(
-    direction: Float[Array, "*batch 3"], by_x: Float[Array, "*batch"], by_y: Float[Array, "*batch"]
-) -> Float[Array, "*batch 3"]:
-    dx, dy, dz = components(direction)
-    slope = jnp.stack([dx / dz + by_x, dy / dz + by_y, jnp.ones_like(dz)], axis=-1)
-    return slope / jnp.linalg.norm(slope, axis=-1, keepdims=True)
 
 
 def _first(status: Int[Array, "*batch"], fails: Array, code: int) -> Int[Array, "*batch"]:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from scenes.description.scene import Scene
-from scenes.rendering.images import DOWN, PARKED_MM, ColourImages, Images, images_of
+from scenes.rendering.images import DOWN, PARKED_MM, images_of
 from scenes.world.world import Moment, World
 
 _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
@@ -24,14 +23,6 @@ class ImageWindow(NamedTuple):
     bottom: int
     left: int
     right: int
-
-
-class Placement(NamedTuple):
-    """Tip (mm) and axis of the beam, and what [unrest] moves at that time."""
-
-    tip: np.ndarray
-    axis: np.ndarray
-    moment: Moment | None
 
 
 class FineWall(NamedTuple):
@@ -55,88 +46,6 @@ class FineWall(NamedTuple):
         return FineWall(
             self.unlit[rows, columns], self.reflectance[rows, columns], window, self.factor
         )
-
-
-class FineLight(NamedTuple):
-    """Light and wall at the same places.
-
-    Attributes:
-        direct: light of the beam that the wall reflects, divided by the reflectance, in the unit of
-            radiance, rows x columns x 3; 0 where something else than the wall is seen.
-        reflectance: of the wall, rows x columns x 3; 0 elsewhere.
-    """
-
-    direct: np.ndarray
-    reflectance: np.ndarray
-
-
-def fine_wall(
-    images: Images | ColourImages, moment: Moment | None, *, window: ImageWindow, factor: int
-) -> FineWall:
-    """The wall in a window without the beam.
-
-    The reflectance follows from two images, of which one has even light from all sides added.
-
-    Args:
-        images: the images of a scene whose light is not sampled randomly.
-        moment: what [unrest] moves.
-        factor: places along a side of a pixel.
-    """
-    both = [
-        _in_colours(
-            images, partial(_unlit, moment=moment, window=window, factor=factor, added=added)
-        )
-        for added in (0.0, _ALL_SIDES)
-    ]
-    return FineWall(both[0], both[1] - both[0], window, factor)
-
-
-def fine_light(
-    images: Images | ColourImages, poses: Sequence[Placement], wall: FineWall
-) -> FineLight:
-    """The light of the beam on a wall, as its mean over some poses.
-
-    Args:
-        images: the images of a scene whose light is not sampled randomly.
-        poses: poses during an exposure.
-    """
-    usable = wall.reflectance > _LEAST_REFLECTANCE
-    lit = np.zeros_like(wall.unlit)
-    for pose in poses:
-        seen = _in_colours(images, partial(_lit, pose=pose, wall=wall))
-        usable &= ~np.isnan(seen)
-        lit += seen
-    reflectance = np.where(usable, wall.reflectance, np.float32(0.0))
-    direct = np.where(usable, lit / len(poses) - wall.unlit, np.float32(0.0))
-    return FineLight(direct / np.where(usable, reflectance, np.float32(1.0)), reflectance)
-
-
-def _in_colours(images: Images | ColourImages, image: Callable[[Images], np.ndarray]) -> np.ndarray:
-    """An image whose colours may have their own lines of sight."""
-    if isinstance(images, ColourImages):
-        seen = [image(own)[..., colour] for colour, own in enumerate(images.by_colour)]
-        return np.stack(seen, axis=-1)
-    return image(images)
-
-
-def _unlit(
-    images: Images, moment: Moment | None, window: ImageWindow, factor: int, added: float
-) -> np.ndarray:
-    """Radiance without the beam, with more even light from all sides."""
-    from scenes.rendering.pixels import fine_image, more_even_light  # Mitsuba needs its variant
-
-    images.place(tip=PARKED_MM, axis=DOWN, moment=moment)
-    with more_even_light(images.mitsuba_scene, added):
-        return fine_image(images.mitsuba_scene, window, factor=factor)[0]
-
-
-def _lit(images: Images, pose: Placement, wall: FineWall) -> np.ndarray:
-    """Radiance with the beam; NaN where something else than the wall is seen."""
-    from scenes.rendering.pixels import fine_image
-
-    images.place(tip=pose.tip, axis=pose.axis, moment=pose.moment)
-    radiance, seen = fine_image(images.mitsuba_scene, wall.window, factor=wall.factor)
-    return np.where(seen[..., None] > 0, radiance, np.float32(np.nan))
 
 
 # A contour that moves by less than 0.25 px is blurred by 0.25 px / sqrt(12) = 0.07 px, which is
@@ -205,7 +114,11 @@ class Renderer:
         (tip,), (axis,) = self.world.motion.at(np.array([time]))
         moment = self.world.unrest.at(frame, time)
         radiance, wall = self.images.at(tip=tip, axis=axis, seed=frame, moment=moment)
-        return LinearFrame(radiance, wall, self._visible_fraction(frame, wall))
+        column, row = np.rint(np.asarray(self.world.truth.contour_px)[frame]).astype(int).T
+        height, width = wall.shape
+        inside = (0 <= row) & (row < height) & (0 <= column) & (column < width)
+        visible = float(np.sum(wall[row[inside], column[inside]]) / inside.size)
+        return LinearFrame(radiance, wall, visible)
 
     def exposed(self, frame: int, sharp: LinearFrame, *, exposure_s: float) -> Exposed:
         """Light of a frame while the tip moves: the mean over sub-frames.
@@ -224,13 +137,17 @@ class Renderer:
             return exposed
         # Frames with random noise never converge: use about one sub-frame per pixel of motion.
         most = min(max(spot_px, tip_px) if self.images.random else math.inf, _MOST_SUB_FRAMES)
-        settled = False
+        camera, settled = self.scene.camera, False
+        electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
+        fixed = camera.dark_signal_e + camera.dark_variance_e2
         while not settled:
             count = 3 * exposed.sub_frames
             added = [part for part in range(count) if part % 3 != 1]
             mean = exposed.radiance / 3
             mean += self.gathered(frame, exposure_s, count, added) * (len(added) / count)
-            change = self._change_over_noise(exposed.radiance, mean, exposure_s)
+            # In standard deviations of the temporal noise (EMVA 1288).
+            noise = np.sqrt(mean * electrons + fixed)
+            change = float(np.max(np.abs(mean - exposed.radiance) * electrons / noise))
             settled = change <= _SETTLED or count >= most
             exposed = Exposed(mean, count)
         return exposed
@@ -265,7 +182,12 @@ class Renderer:
         across = np.linalg.norm(aside - (aside @ beam)[:, None] * beam, axis=1)
         moved = across / math.cos(float(self.world.truth.incidence[frame]))
         grown = np.abs(steps @ beam) * math.tan(float(self.world.truth.beam.half_angle[frame]))
-        drift_px = exposure_s * self._unrest_px_s()
+        # Drift moves the image, and rotation the wall's picture.
+        unrest = self.scene.unrest
+        turning = self.scene.phantom.radius_mm * math.hypot(
+            *map(math.radians, unrest.rotation_deg_s)
+        )
+        drift_px = exposure_s * ((math.hypot(*unrest.drift_mm_s) + turning) / scale)
         spot_px = (moved + grown) / scale
         return (
             float(np.sum(spot_px)) + drift_px,
@@ -273,45 +195,67 @@ class Renderer:
             float(np.ptp(spot_px)),
         )
 
-    def _unrest_px_s(self) -> float:
-        """Speed of the image by drift, and of the wall's picture by rotation, px/s."""
-        unrest, radius = self.scene.unrest, self.scene.phantom.radius_mm
-        turning = radius * math.hypot(*map(math.radians, unrest.rotation_deg_s))
-        return (math.hypot(*unrest.drift_mm_s) + turning) / self.scene.microscope.scale_mm_px
-
-    def _change_over_noise(self, old: np.ndarray, new: np.ndarray, exposure_s: float) -> float:
-        """Largest change of a pixel in standard deviations of the temporal noise (EMVA 1288)."""
-        camera = self.scene.camera
-        electrons = exposure_s * self.scene.exposures.sensitivity_mm2_sr_mj * camera.full_well_e
-        fixed = camera.dark_signal_e + camera.dark_variance_e2
-        return float(np.max(np.abs(new - old) * electrons / np.sqrt(new * electrons + fixed)))
-
     def fine_wall(self, frame: int, *, window: tuple[int, int, int, int], factor: int) -> FineWall:
         """The wall in a part of a frame without the beam, finer than pixels.
+
+        The reflectance follows from two images, of which one has even light from all sides added.
 
         Args:
             window: top, bottom, left and right, px.
             factor: places along a side of a pixel.
         """
-        moment = self.world.unrest.at(frame, self.world.times[frame])
-        return fine_wall(self.images, moment, window=ImageWindow(*window), factor=factor)
+        pose = PARKED_MM, DOWN, self.world.unrest.at(frame, self.world.times[frame])
+        part = ImageWindow(*window)
+        unlit, lit = (self._fine(part, factor, pose, added) for added in (0.0, _ALL_SIDES))
+        return FineWall(unlit, lit - unlit, part, factor)
 
     def fine_light(
         self, frame: int, wall: FineWall, *, exposure_s: float, sub_frames: int
-    ) -> FineLight:
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Light of the beam on that wall during an exposure.
 
         Args:
             exposure_s: exposure time, s.
             sub_frames: equal parts of the exposure; their middles are averaged.
+
+        Returns:
+            The light that the wall reflects divided by its reflectance, in the unit of radiance,
+            and the reflectance, both rows x columns x 3; 0 where something else than the wall is
+            seen.
         """
         places = (np.arange(sub_frames) + 0.5) / sub_frames - 0.5
         times = self.world.times[frame] + exposure_s * places
-        poses = [
-            Placement(tip, axis, self.world.unrest.at(frame, time))
-            for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True)
-        ]
-        return fine_light(self.images, poses, wall)
+        usable = wall.reflectance > _LEAST_REFLECTANCE
+        lit = np.zeros_like(wall.unlit)
+        for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True):
+            pose = tip, axis, self.world.unrest.at(frame, time)
+            seen = self._fine(wall.window, wall.factor, pose)
+            usable &= ~np.isnan(seen)
+            lit += seen
+        reflectance = np.where(usable, wall.reflectance, np.float32(0.0))
+        direct = np.where(usable, lit / sub_frames - wall.unlit, np.float32(0.0))
+        return direct / np.where(usable, reflectance, np.float32(1.0)), reflectance
+
+    def _fine(
+        self,
+        window: ImageWindow,
+        factor: int,
+        pose: tuple[np.ndarray, np.ndarray, Moment],
+        added: float = 0.0,
+    ) -> np.ndarray:
+        """Radiance within pixels, with more even light; NaN where no wall is seen."""
+        from scenes.rendering.pixels import fine_image, more_even_light  # needs Mitsuba's variant
+
+        tip, axis, moment = pose
+        colours = []
+        for images in getattr(self.images, "by_colour", [self.images]):
+            images.place(tip=tip, axis=axis, moment=moment)
+            with more_even_light(images.mitsuba_scene, added):
+                radiance, wall = fine_image(images.mitsuba_scene, window, factor=factor)
+            colours.append(np.where(wall[..., None] > 0, radiance, np.float32(np.nan)))
+        if len(colours) == 1:
+            return colours[0]
+        return np.stack([seen[..., k] for k, seen in enumerate(colours)], axis=-1)
 
     def mask(self, frame: int, linear: LinearFrame) -> np.ndarray:
         """Pixels whose centre lies inside the half-maximum contour and shows the wall."""
@@ -319,9 +263,3 @@ class Renderer:
 
         contour = np.asarray(self.world.truth.contour_px)[frame, :, ::-1]
         return polygon2mask(linear.wall.shape, contour) & (linear.wall > 0.5)
-
-    def _visible_fraction(self, frame: int, wall: np.ndarray) -> float:
-        column, row = np.rint(np.asarray(self.world.truth.contour_px)[frame]).astype(int).T
-        height, width = wall.shape
-        inside = (0 <= row) & (row < height) & (0 <= column) & (column < width)
-        return float(np.sum(wall[row[inside], column[inside]]) / inside.size)

@@ -279,7 +279,7 @@ class Bounds:
         if window.bottom - window.top < 2 or window.right - window.left < 2:
             return {}
         top, bottom, left, right = window
-        fine = self._renderer.fine_light(
+        direct, reflectance = self._renderer.fine_light(
             frame,
             self._wall(frame, window),
             exposure_s=exposure_s,
@@ -290,8 +290,8 @@ class Bounds:
             radiance[top:bottom, left:right], exposure=exposure, settings=self._scene.camera
         )
         found = ellipse_information(
-            fine.direct,
-            fine.reflectance,
+            direct,
+            reflectance,
             information,
             ellipse=ellipse,
             corner=(left, top),

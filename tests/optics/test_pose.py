@@ -188,10 +188,11 @@ def test_square_incidence_is_not_observable_but_its_distance_is():
 def test_tip_with_known_axis_is_found_from_half_of_a_contour(height):
     true = beam(incidence_deg=25.0)
     half = spot_contour(true, WALL, eye(height))[:64]
-    found = optics.tip_from_contour(
-        half, WALL, eye(height), axis=true.axis, sigma_px=SIGMA_PX, **CONE
+    known = optics.DirectionPrior(true.axis, 1e-7)  # 1e-6 mm at the tip
+    found = optics.pose_from_contour(
+        half, WALL, eye(height), sigma_px=SIGMA_PX, prior=known, **CONE
     )
-    np.testing.assert_allclose(found.tip, true.tip, atol=1e-7)
+    np.testing.assert_allclose(found.best.tip, true.tip, atol=1e-7)
 
 
 def test_pose_on_a_tilted_plane():

@@ -231,19 +231,6 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
         lambda x: flat(optics.half_maximum_contour(TENT, beam(x), WALL, points=8)),
         AT_BEAM,
     ),
-    "tip_from_contour": (
-        lambda x: flat(
-            optics.tip_from_contour(
-                CLEAN * x[0],
-                WALL,
-                camera(),
-                axis=optics.beam_at_spot(WALL, **BEAM).axis,
-                sigma_px=0.05,
-                **POSE_CONE,
-            )[:3]
-        ),
-        [1.0],
-    ),
     "pose_from_contour": (
         lambda x: flat(
             optics.pose_from_contour(CLEAN * x[0], WALL, camera(), sigma_px=0.05, **POSE_CONE).best[
