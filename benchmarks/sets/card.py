@@ -12,7 +12,6 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import tomli_w
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
@@ -90,73 +89,59 @@ def samples(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         name = "\n".join(filter(None, [row.planned.split, row.planned.condition]))
         groups.setdefault(name, []).append(row)
-    shown = {name: _spread(group) for name, group in groups.items()}
-    widths, heights = zip(*(_tile(line[0]).shape[1::-1] for line in shown.values()), strict=True)
-    step = np.array([max(widths) + _GAP, max(heights) + _CAPTION])
-    width, height = step * [max(map(len, shown.values())), len(shown)]
+    for name, group in groups.items():
+        # Evenly spread over the stacks and distances.
+        chosen = np.linspace(0, len(group) - 1, min(_SAMPLES, len(group))).round().astype(int)
+        groups[name] = [group[i] for i in chosen]
+    tiles = {name: [_tile(row) for row in group] for name, group in groups.items()}
+    widths, heights = zip(*(line[0][0].shape[1::-1] for line in tiles.values()), strict=True)
+    across, down = max(widths) + _GAP, max(heights) + _CAPTION
+    width, height = across * max(map(len, groups.values())), down * len(groups)
     picture = np.full((height, width, 3), 255, np.uint8)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * (1 - _LEFT) * height / width))
         axes = figure.add_axes((_LEFT, 0, 1 - _LEFT, 1), frameon=False)
-        for line, (name, group) in enumerate(shown.items()):
-            middle = step[1] * line + max(heights) / 2
-            axes.text(-6, middle, name, ha="right", va="center", size=8)
-            for column, row in enumerate(group):
-                _place(axes, picture, row, corner=step * [column, line])
+        for line, (name, group) in enumerate(groups.items()):
+            top = down * line
+            axes.text(-6, top + max(heights) / 2, name, ha="right", va="center", size=8)
+            for column, (row, (tile, step)) in enumerate(zip(group, tiles[name], strict=True)):
+                left, labels, (tall, wide) = across * column, row.labels, tile.shape[:2]
+                picture[top:, left:][:tall, :wide] = tile
+                # Pixel centres have integer coordinates in both images.
+                x, y = (
+                    (p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px)
+                )
+                axes.add_patch(
+                    Ellipse(
+                        (x + left, y + top),
+                        2 * labels.half_max_semi_major_px / step,
+                        2 * labels.half_max_semi_minor_px / step,
+                        angle=math.degrees(labels.half_max_angle_rad),
+                        fill=False,
+                        color=ORANGE,
+                        lw=0.8,
+                        ls=(0, (3, 2)),
+                    )
+                )
+                text = f"$d$ {labels.d_mm:.1f}, $c$ {labels.c_mm:.1f} mm"
+                below: dict[str, Any] = {"ha": "center", "va": "top", "size": 7}
+                axes.text(left + wide / 2, top + tall + 1, text, **below)
         axes.imshow(picture, interpolation="none")
         axes.set_axis_off()
         with written_whole(path, replace=True) as partial:
             figure.savefig(partial)
 
 
-def _place(axes: Axes, picture: np.ndarray, row: Row, *, corner: np.ndarray) -> None:
-    """Draw one sample image with its true ellipse and a caption."""
-    tile = _tile(row)
-    height, width = tile.shape[:2]
-    picture[corner[1] :, corner[0] :][:height, :width] = tile
-    axes.add_patch(_true_ellipse(row, corner))
-    text = f"$d$ {row.labels.d_mm:.1f}, $c$ {row.labels.c_mm:.1f} mm"
-    x, y = corner[0] + width / 2, corner[1] + height + 1
-    axes.text(x, y, text, ha="center", va="top", size=7)
-
-
-def _spread(rows: Sequence[Row]) -> list[Row]:
-    """Images that are evenly spread over the stacks and distances."""
-    chosen = np.linspace(0, len(rows) - 1, min(_SAMPLES, len(rows))).round().astype(int)
-    return [rows[i] for i in chosen]
-
-
-def _tile(row: Row) -> np.ndarray:
-    """The image in 8 bits and RGB, reduced by averaging."""
+def _tile(row: Row) -> tuple[np.ndarray, int]:
+    """The image in 8 bits and RGB, reduced by averaging, and the factor of the reduction."""
     image = row.image()
     if image.dtype != np.uint8:
         bits = row.stack.described("scene.camera.bit_depth", int)
         image = (image >> (bits - 8)).astype(np.uint8)
-    step = _step(row)
+    step = max(1, row.stack.described("scene.microscope.width_px", int) // _TILE_PX)
     height, width = (step * (n // step) for n in image.shape[:2])
     blocks = image[:height, :width].reshape(height // step, step, width // step, step, -1)
-    return np.asarray(blocks.mean(axis=(1, 3)).astype(np.uint8))
-
-
-def _step(row: Row) -> int:
-    """Reduction factor of the image."""
-    return max(1, row.stack.described("scene.microscope.width_px", int) // _TILE_PX)
-
-
-def _true_ellipse(row: Row, corner: np.ndarray) -> Ellipse:
-    labels, step = row.labels, _step(row)
-    # Pixel centres have integer coordinates in both images.
-    x, y = ((p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px))
-    return Ellipse(
-        (x + corner[0], y + corner[1]),
-        2 * labels.half_max_semi_major_px / step,
-        2 * labels.half_max_semi_minor_px / step,
-        angle=math.degrees(labels.half_max_angle_rad),
-        fill=False,
-        color=ORANGE,
-        lw=0.8,
-        ls=(0, (3, 2)),
-    )
+    return np.asarray(blocks.mean(axis=(1, 3)).astype(np.uint8)), step
 
 
 _LICENCES = {

@@ -28,11 +28,11 @@ exposures.sensitivity_mm2_sr_mj = 2000.0
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import (
@@ -288,34 +288,26 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
             content = read_toml(Path(str(path)))
             check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
         if isinstance(scene_file := content.get("scene"), str):
-            content["scene"] = _scene_keys(Path(source).parent / scene_file)
+            path = Path(source).parent / scene_file
+            with in_file(path, SpecError):
+                keys = by_dotted_name(read_toml(path))
+            content["scene"] = {k: v for k, v in keys.items() if k not in ("schema", *SEED_KEYS)}
     except OSError as error:
         raise SpecError(
             f"{shortened(str(error.filename))[1:-1]}: cannot be read ({error.strerror}). Give the "
             f"path of a spec, or one of {', '.join(named_specs())}."
         ) from error
     for change in changes:
-        _fix(content, _dotted(parsed_change(change)))
+        values = _dotted(parsed_change(change))
+        scene, vary = (_dotted(content.get(name, {})) for name in ("scene", "vary"))
+        if isinstance(scene, dict) and isinstance(vary, dict):  # if not, the model says so
+            content["scene"] = scene | values
+            content["vary"] = {key: own for key, own in vary.items() if key not in values}
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
         problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
         raise SpecError(at_most_three(problems)) from error
-
-
-def _fix(content: dict[str, Any], values: dict[str, Any]) -> None:
-    """Set scene keys to fixed values."""
-    scene, vary = (_dotted(content.get(name, {})) for name in ("scene", "vary"))
-    if isinstance(scene, dict) and isinstance(vary, dict):  # if not, the model says so
-        content["scene"] = scene | values
-        content["vary"] = {key: change for key, change in vary.items() if key not in values}
-
-
-def _scene_keys(path: Path) -> dict[str, Any]:
-    """The keys of a scene file, except its schema and seeds."""
-    with in_file(path, SpecError):
-        content = by_dotted_name(read_toml(path))
-    return {key: value for key, value in content.items() if key not in ("schema", *SEED_KEYS)}
 
 
 def _sentence(problem: Any) -> str:
@@ -363,22 +355,6 @@ class PlannedStack:
     redrawn: int
 
 
-class _Group(NamedTuple):
-    """Stacks that are drawn from the same distributions."""
-
-    split: str
-    condition: str | None
-    stacks: int
-    # Values and distributions by dotted name: those of all groups, and those of the condition.
-    vary: dict[str, Any]
-    condition_changes: dict[str, Any]
-
-    @property
-    def changes(self) -> dict[str, Any]:
-        """Both; changes of the condition have priority."""
-        return self.vary | self.condition_changes
-
-
 def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> list[PlannedStack]:
     """The stacks of a set, in order.
 
@@ -394,42 +370,60 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
         SceneError: a key is unknown, or all draws of a stack are impossible; the error of the
             first.
     """
-    groups = list(_groups(spec))
-    block = 2 ** math.ceil(math.log2(max(1, *(group.stacks for group in groups))))
+    groups: list[tuple[str, str | None, int, dict[str, Any]]] = [
+        (split, None, count, {}) for split, count in spec.splits
+    ]
+    if spec.adverse:
+        groups += [
+            ("adverse", condition, spec.adverse.stacks, changes)
+            for condition, changes in spec.adverse.conditions.items()
+        ]
+    if spec.unseen:  # last, so that it changes no other split
+        groups.append(("unseen", None, spec.unseen.stacks, spec.unseen.changes))
+    block = 2 ** math.ceil(math.log2(max(1, *(stacks for _, _, stacks, _ in groups))))
     if block * len(groups) > _MOST_STACKS:
         raise InputError(
             f"a set can have at most {_MOST_STACKS:,} stacks; this one has {len(groups)} groups of "
             f"up to {block}. Lower the numbers of stacks."
         )
+    # Changes of a condition have priority over those of all groups.
+    every = [spec.vary | changes for *_, changes in groups]
     drawn = sorted(
-        {k for group in groups for k, v in group.changes.items() if isinstance(v, Distribution)}
+        {key for of in every for key, change in of.items() if isinstance(change, Distribution)}
     )
-    points = _sobol(len(drawn), block * len(groups), seed=spec.seed)
     pairs = spec.pairs or {}
-    of_pairs = {key for values in pairs.values() for key in values}
-    labelled = sorted({key for group in groups for key in group.changes} | of_pairs)
-    planned = []
-    for number, group in enumerate(groups):
-        for index in range(group.stacks):
+    labelled = sorted({key for changes in (*every, *pairs.values()) for key in changes})
+    points = np.empty((block * len(groups), 0))
+    if drawn:
+        # The sequence is balanced over powers of two.
+        sequence = qmc.Sobol(len(drawn), rng=np.random.default_rng(spec.seed))
+        points = sequence.random_base2(math.ceil(math.log2(block * len(groups))))
+    planned: list[PlannedStack] = []
+    for number, (split, condition, stacks, changes) in enumerate(groups):
+        for index in range(stacks):
             place = number * block + index
             point, impossible = points[place], list[SceneError]()
             for redrawn in range(_MOST_DRAWS if drawn else 1):
+                quantiles = dict(zip(drawn, point, strict=True))
+                own = [_drawn(of, quantiles) for of in (spec.scene, spec.vary, changes)]
+                seed, found = spec.seed * _MOST_STACKS + place, []
                 try:
-                    planned += [
-                        _planned(
-                            group,
-                            index,
-                            pair,
-                            values,
-                            quantiles=dict(zip(drawn, point, strict=True)),
-                            seed=spec.seed * _MOST_STACKS + place,
-                            base=spec.scene,
-                            labelled=labelled,
-                            check=check,
-                            redrawn=redrawn,
+                    for pair, values in ((None, {}), *pairs.items()):
+                        name = "-".join(filter(None, [condition, f"{index:04d}", pair]))
+                        scene = _possible([*own, values], seed, f"{split}/{name}", check)
+                        labels = {key: scene_value(scene, key) for key in labelled}
+                        found.append(
+                            PlannedStack(
+                                split=split,
+                                name=name,
+                                condition=condition,
+                                pair=pair,
+                                scene=scene,
+                                parameters=labels,
+                                redrawn=redrawn,
+                            )
                         )
-                        for pair, values in ((None, {}), *pairs.items())
-                    ]
+                    planned += found
                     break
                 except SceneError as error:
                     impossible.append(error)
@@ -440,66 +434,31 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
     return planned
 
 
-def _groups(spec: SetSpec) -> Iterator[_Group]:
-    for split, count in spec.splits:
-        yield _Group(split, None, count, spec.vary, {})
-    if spec.adverse:
-        for condition, changes in spec.adverse.conditions.items():
-            yield _Group("adverse", condition, spec.adverse.stacks, spec.vary, changes)
-    if spec.unseen:  # last, so that it changes no other split
-        yield _Group("unseen", None, spec.unseen.stacks, spec.vary, spec.unseen.changes)
+def _drawn(changes: Mapping[str, Any], quantiles: Mapping[str, float]) -> dict[str, Any]:
+    """Values of scene keys; those of distributions at their quantiles."""
+    return {
+        key: change.value(quantiles[key]) if isinstance(change, Distribution) else change
+        for key, change in changes.items()
+    }
 
 
-def _sobol(dimensions: int, count: int, *, seed: int) -> np.ndarray:
-    if not dimensions:
-        return np.empty((count, 0))
-    # The sequence is balanced over powers of two.
-    exponent = math.ceil(math.log2(count))
-    return qmc.Sobol(dimensions, rng=np.random.default_rng(seed)).random_base2(exponent)
-
-
-def _planned(
-    group: _Group,
-    index: int,
-    pair: str | None,
-    pair_values: dict[str, Any],
-    *,
-    quantiles: dict[str, float],
-    seed: int,
-    base: dict[str, Any],
-    labelled: list[str],
-    check: Callable[[Scene], None],
-    redrawn: int,
-) -> PlannedStack:
-    def drawn(changes: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: change.value(quantiles[key]) if isinstance(change, Distribution) else change
-            for key, change in changes.items()
-        }
-
-    name = "-".join(filter(None, [group.condition, f"{index:04d}", pair]))
+def _possible(
+    changes: Sequence[Mapping[str, Any]], seed: int, where: str, check: Callable[[Scene], None]
+) -> Scene:
+    """The default scene after changes, with seeds of its own; its errors name the stack."""
     scene = Scene()
     try:
-        for values in (base, drawn(group.vary), drawn(group.condition_changes), pair_values):
+        for values in changes:
             # The kind of motion comes first, because the other keys depend on it.
             scene = changed(
                 scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
             )
-        scene = changed(
-            scene, {key: seed for key in SEED_KEYS if scene_value(scene, key) is not None}
-        )
+        own = [key for key in SEED_KEYS if scene_value(scene, key) is not None]
+        scene = changed(scene, dict.fromkeys(own, seed))
         check(scene)
     except SceneError as error:
-        raise SceneError(f"{group.split}/{name}: {error}") from error
-    return PlannedStack(
-        split=group.split,
-        name=name,
-        condition=group.condition,
-        pair=pair,
-        scene=scene,
-        parameters={key: scene_value(scene, key) for key in labelled},
-        redrawn=redrawn,
-    )
+        raise SceneError(f"{where}: {error}") from error
+    return scene
 
 
 def scene_value(scene: Scene, key: str) -> Any:
