@@ -7,6 +7,7 @@ import shlex
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from itertools import chain
 from pathlib import Path
 from typing import Literal
@@ -19,11 +20,9 @@ from matplotlib.figure import Figure
 
 from benchmarks import reporting as page
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.reporting import grouped
 from benchmarks.sets.read import Mode, stacks_of
 from benchmarks.sets.score.judging import (
     ALL,
-    CONDITIONS,
     MAIN,
     Against,
     Outcome,
@@ -42,7 +41,7 @@ from benchmarks.sets.score.spots import (
 )
 from benchmarks.study import versions, write_json
 from estimator.run.progress_bar import progress, say
-from formats.calibration import Calibration, read_calibration
+from formats.calibration import read_calibration
 from formats.inputs import InputError, in_figure, in_utf8
 from formats.manifest import fingerprint
 from formats.spots import SpotRecord, write_spots
@@ -59,9 +58,14 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
     By title. The last table is left out if there are too many estimators; the page has it.
     """
     images = result.counts[result.counts.condition == ALL]
+    why = {}
+    for name, of in result.judged.items():
+        counts = of.reason[of.outcome == Outcome.MISSED].value_counts()
+        why[name] = ", ".join(
+            f"{n} {str(reason).replace('_', ' ')}" for reason, n in counts.items()
+        )
     images = images.drop(columns=["condition", "group"]).assign(
-        left_out=images.estimator.map(result.left_out),
-        why_missed=images.estimator.map({name: _reasons(of) for name, of in result.judged.items()}),
+        left_out=images.estimator.map(result.left_out), why_missed=images.estimator.map(why)
     )
     images = images.rename(columns={"visible": "spot visible", "glimpsed": "reported if hidden"})
     order = {name: place for place, name in enumerate(result.judged)}
@@ -95,11 +99,6 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
     return {title: frame for title, frame in found.items() if len(frame)}
 
 
-def _reasons(judged: pd.DataFrame) -> str:
-    counts = judged.reason[judged.outcome == Outcome.MISSED].value_counts()
-    return ", ".join(f"{count} {str(why).replace('_', ' ')}" for why, count in counts.items())
-
-
 def _number(value: float, form: str, *, none: str = "–") -> str:
     return none if math.isnan(value) else "∞" if math.isinf(value) else format(value, form)
 
@@ -117,7 +116,7 @@ def _with_intervals(
     ]
 
 
-# The leaderboard as a page: standings, ranks by condition, and how each entry was made.
+# The leaderboard as a page: standings, and how each entry was made.
 
 _ONE, _WIDE = 0.683, 0.950  # parts of normal errors within 1 and 1.96 sigma
 
@@ -156,18 +155,10 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
     Raises:
         InputError: the entries cover no image together.
     """
-    made = pd.DataFrame(
-        {
-            "entry": entry.name,
-            "ms_per_frame": math.nan if entry.ms_per_frame is None else entry.ms_per_frame,
-            "command": entry.command,
-            "versions": entry.versions,
-            "seed": entry.seed,
-        }
-        for entry in entries.values()
-    )
+    made = pd.DataFrame([vars(entry) for entry in entries.values()]).drop(columns="spots")
+    made = made.rename(columns={"name": "entry"}).astype({"ms_per_frame": float})
     first: list[page.Picture | page.Table] = []
-    claims, sections, by_condition, ranks = [], [], [], []
+    claims, sections, ranks = [], [], []
     data: dict[str, pd.DataFrame | None] = {}
     for quantity, (title, unit, form) in _QUANTITIES.items():
         ranked = standings(result.judged, quantity)
@@ -208,7 +199,6 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
             caption = f"{title} ({unit}), with 95 % intervals; missed in %."
             first = [picture, page.Table.of(shown, columns, caption, data="standings.csv")]
             data["standings.csv"] = shown
-        by_condition.append(_by_condition(title, unit, form, ranked))
         ranked.insert(0, "quantity", quantity)
         ranks.append(ranked.drop(columns=["false_spots_low", "false_spots_high"]))
     if ranks:
@@ -225,7 +215,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         lead=f"Compared with the true ellipse {result.against}. {_RULE}",
         first=first,
         claims=claims,
-        sections=[*sections, *by_condition, page.Section("How the entries were made", how)],
+        sections=[*sections, page.Section("How the entries were made", how)],
         data=data | {"score.csv": None},
     )
 
@@ -249,23 +239,6 @@ def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:
     times = [_number(ms, ".1f") for ms in total.ms_per_frame]
     found = total.assign(**texts, rank=ranks, ms_per_frame=times)
     return found[[*_SHOWN, "command", "versions", "seed"]]
-
-
-def _by_condition(title: str, unit: str, form: str, found: pd.DataFrame) -> page.Section:
-    names = found.entry[found.condition == ALL]
-    rows = []
-    for (condition, group), placed in grouped(found, "condition", "group"):
-        of = placed.set_index("entry").loc[names]
-        about = CONDITIONS[condition].title.replace("$", "") if condition != ALL else ALL
-        cells = [
-            "–" if math.isnan(median) else f"{rank:.0f} ({_number(median, form)})"
-            for rank, median in zip(of["rank"], of["median"], strict=True)
-        ]
-        rows.append((about, group, placed.visible.iloc[0], *cells))
-    columns = [page.Column(text) for text in ("condition", "group", "visible", *names)]
-    caption = f"Rank, and in brackets the median error ({unit}), by condition."
-    table = page.Table(columns, rows, caption, "leaderboard_by_condition.csv")
-    return page.Section(f"{title}: ranks by condition", table)
 
 
 def _drawn(total: pd.DataFrame, unit: str) -> Figure:
@@ -342,12 +315,50 @@ def run(
     if calibration is not None and mode not in ("auto", "pixels"):
         raise InputError("calibration has no effect without --mode auto or pixels. Give both.")
     beam = None if calibration is None else read_calibration(calibration)
-    if out is None:
-        return _scored(folder, given, modes, beam, unrelated, against, split)[0]
-    with written_whole(out) as whole:
-        whole.mkdir()
-        require_space(out, _LEAST_BYTES)
-        result, measured, found = _scored(folder, given, modes, beam, unrelated, against, split)
+    with nullcontext() if out is None else written_whole(out) as whole:
+        if out is not None and whole is not None:
+            whole.mkdir()
+            require_space(out, _LEAST_BYTES)
+        stacks = stacks_of(folder)
+        chosen = [entry for entry in stacks if split in (None, entry.split)]
+        if not chosen:
+            known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
+            raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
+        images = images_of(stacks)
+        spots = {
+            entry.name: read_set_spots(entry.spots, stacks, images.index)
+            for entry in given
+            if entry.spots
+        }
+        measured: dict[str, list[SpotRecord]] = {}
+        found = {entry.name: entry for entry in given}
+        scored = images if split is None else images[images.split == split]
+        # A path on this machine means nothing to others.
+        is_sample = folder.resolve() == sample_folder().resolve()
+        name = "--sample" if is_sample else in_utf8(folder.resolve().name)
+        with progress("Tracking", total=len(scored) * len(modes)) as advance:
+            for own in modes:
+                begin = time.perf_counter()
+                measured[own] = track_set(
+                    *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
+                )
+                passed = time.perf_counter() - begin
+                spots[own] = {record.file_name: record for record in measured[own]}
+                found[own] = ScoredEstimator(
+                    name=own,
+                    command=f"eyespot score {name} --mode {own}",
+                    versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
+                    ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
+                )
+        kept = {
+            name: {image: record for image, record in records.items() if image in scored.index}
+            for name, records in spots.items()
+        }
+        if empty := [name for name, records in kept.items() if not records]:
+            raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
+        result = score(scored, kept, against=against)
+        if out is None or whole is None:
+            return result
         write_json(whole / "score.json", _summary(result, folder))
         result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
         for name, records in measured.items():
@@ -368,60 +379,6 @@ def run(
             )
     say(f"Wrote {out / 'report.html'}.", result=True)
     return result
-
-
-def _scored(
-    folder: Path,
-    given: Sequence[ScoredEstimator],
-    modes: Sequence[Mode],
-    beam: Calibration | None,
-    unrelated: bool,
-    against: Against,
-    split: str | None,
-) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, ScoredEstimator]]:
-    """Measure and score; returns also the measured spots by mode, and all entries."""
-    stacks = stacks_of(folder)
-    chosen = [entry for entry in stacks if split in (None, entry.split)]
-    if not chosen:
-        known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
-        raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
-    images = images_of(stacks)
-    spots = {
-        entry.name: read_set_spots(entry.spots, stacks, images.index)
-        for entry in given
-        if entry.spots
-    }
-    measured: dict[str, list[SpotRecord]] = {}
-    found = {entry.name: entry for entry in given}
-    scored = images if split is None else images[images.split == split]
-    with progress("Tracking", total=len(scored) * len(modes)) as advance:
-        for mode in modes:
-            begin = time.perf_counter()
-            measured[mode] = track_set(
-                *(chosen, mode), calibration=beam, unrelated=unrelated, progress=advance
-            )
-            passed = time.perf_counter() - begin
-            spots[mode] = {record.file_name: record for record in measured[mode]}
-            found[mode] = ScoredEstimator(
-                name=mode,
-                command=f"eyespot score {_named(folder)} --mode {mode}",
-                versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
-                ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
-            )
-    kept = {
-        name: {image: record for image, record in records.items() if image in scored.index}
-        for name, records in spots.items()
-    }
-    if empty := [name for name, records in kept.items() if not records]:
-        raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
-    result = score(scored, kept, against=against)
-    return result, measured, found
-
-
-def _named(folder: Path) -> str:
-    """How a command names a set; the path on this machine means nothing to others."""
-    is_sample = folder.resolve() == sample_folder().resolve()
-    return "--sample" if is_sample else in_utf8(folder.resolve().name)
 
 
 def _summary(result: Score, folder: Path) -> dict[str, object]:
