@@ -285,7 +285,13 @@ def push_set(
         SetError: the set is incomplete or changed.
         InputError: huggingface_hub is not installed, or the Hub refuses or cannot be reached.
     """
-    hub = _library()
+    try:
+        importlib.import_module("huggingface_hub.errors")
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "`dataset push` needs the package huggingface_hub: pip install 'eyespot[hub]'."
+        ) from error
+    hub: Any = importlib.import_module("huggingface_hub")
     verify_set(folder)
     name = read_set(folder).name
     api = hub.HfApi(endpoint=endpoint, library_name="eyespot")
@@ -310,16 +316,6 @@ def push_set(
             "network, and the access token with write permission (`hf auth login`, or HF_TOKEN)."
         ) from error
     return str(commit.commit_url)
-
-
-def _library() -> Any:
-    try:
-        importlib.import_module("huggingface_hub.errors")
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "`dataset push` needs the package huggingface_hub: pip install 'eyespot[hub]'."
-        ) from error
-    return importlib.import_module("huggingface_hub")
 
 
 class Shard(NamedTuple):

@@ -119,13 +119,6 @@ def train(
         return state.network
 
 
-def kept_network(out: Path) -> tuple[SpotNetwork, int]:
-    """The network of the checkpoint in a folder and the number of its epochs; 0 without one."""
-    with jax.enable_x64(False):
-        state = _state(out, _rule(1), seed=0)
-        return state.network, int(state.epoch)
-
-
 def _rule(steps: int) -> Any:
     rate = optax.warmup_cosine_decay_schedule(0.0, _RATE, round(_WARM * steps), steps)
     return optax.chain(optax.clip_by_global_norm(_STEEPEST), optax.adamw(rate, weight_decay=_DECAY))
@@ -305,7 +298,9 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         "seed": seed,
     }
     claim(out, asked, command="eyespot rivals train")
-    network, done = kept_network(out)
+    with jax.enable_x64(False):
+        state = _state(out, _rule(1), seed=0)
+    network, done = state.network, int(state.epoch)
     if done < stop:
         network = _trained(splits, out, epochs=epochs, stop=stop, seed=seed)
     trust, found = judged(network, splits["validation"])

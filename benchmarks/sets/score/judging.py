@@ -255,7 +255,14 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
     sigmas = known[f"sigma_{quantity}"].to_numpy(float)
     stated = (sigmas > 0) & np.isfinite(sigmas)
     z = errors[stated] / sigmas[stated]
-    low, high = _rmse_interval(errors, known["stack"].to_numpy(str))
+    low = high = math.nan
+    names, index = np.unique(known["stack"].to_numpy(str), return_inverse=True)
+    if names.size >= _FEWEST_STACKS:
+        # Stacks are resampled, because errors within a stack are correlated.
+        squares, images = np.bincount(index, errors**2), np.bincount(index)
+        drawn = np.random.default_rng(0).integers(names.size, size=(_RESAMPLED, names.size))
+        rmse = np.sqrt(squares[drawn].sum(axis=1) / images[drawn].sum(axis=1))
+        low, high = np.percentile(rmse, (2.5, 97.5)).tolist()
     one, two = (_part(np.abs(z) <= k) for k in (1, 2))
     return {
         "quantity": quantity,
@@ -272,18 +279,6 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
         **dict(zip(("within_1_sigma", "within_1_low", "within_1_high"), one, strict=True)),
         **dict(zip(("within_2_sigma", "within_2_low", "within_2_high"), two, strict=True)),
     }
-
-
-def _rmse_interval(errors: np.ndarray, stacks: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the RMSE; stacks are resampled, as errors within a stack are correlated."""
-    names, index = np.unique(stacks, return_inverse=True)
-    if names.size < _FEWEST_STACKS:
-        return math.nan, math.nan
-    squares, images = np.bincount(index, errors**2), np.bincount(index)
-    drawn = np.random.default_rng(0).integers(names.size, size=(_RESAMPLED, names.size))
-    rmse = np.sqrt(squares[drawn].sum(axis=1) / images[drawn].sum(axis=1))
-    low, high = np.percentile(rmse, (2.5, 97.5))
-    return float(low), float(high)
 
 
 def _part(inside: np.ndarray) -> tuple[float, float, float]:
@@ -371,8 +366,6 @@ def score(
 
 # Standings of estimators on the same images, with intervals by a bootstrap over stacks.
 
-_RANK_SAMPLES = 1000  # the ends of a 95 % interval vary by 3 % of its width
-_FEWEST_RANKED = 3  # fewer are not enough for a bootstrap
 _MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in sigmas
 _BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
 """Label with the bound of a quantity."""
@@ -492,9 +485,9 @@ class _Resampled:
         names, self._stack = np.unique(stacks, return_inverse=True)
         count = names.size
         self._times = np.ones((1, count), dtype=np.int32)
-        if count >= _FEWEST_RANKED:
+        if count >= _FEWEST_STACKS:
             rng = np.random.default_rng(0)
-            drawn = rng.multinomial(count, np.full(count, 1 / count), size=_RANK_SAMPLES)
+            drawn = rng.multinomial(count, np.full(count, 1 / count), size=_RESAMPLED)
             self._times = np.concatenate([self._times, drawn.astype(np.int32)])
 
     def mean(self, values: np.ndarray, counted: np.ndarray) -> np.ndarray:
