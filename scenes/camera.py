@@ -223,21 +223,18 @@ def expose(
         exposure: full wells per unit of `linear`; the well is full where exposure * linear = 1.
         rng: random numbers of the temporal noise.
         patterns: fixed patterns of the sensor, of the raw frame's shape
-            (`CameraSettings.sensor_shape`); needed if `settings` has PRNU or DSNU.
+            (`CameraSettings.sensor_shape`); None: a sensor without.
 
     Returns:
         Digital numbers of the image's shape: uint8 at 8 bits, uint16 above.
 
     Raises:
-        InputError: image or exposure are negative or not finite; patterns are missing or have
-            another shape.
+        InputError: image or exposure are negative or not finite.
     """
     light = np.array(linear, dtype=np.float32, order="C")
     _check_light(light, exposure, settings)
     if settings.bayer != "none":
         light = mosaic(light, bayer=settings.bayer)
-    _check_patterns(light.shape, settings, patterns)
-
     curve = response_table(settings)
     full_scale = settings.full_scale_dn if curve is None else CONVERTER_MAX
     light *= np.float32(exposure * settings.full_well_e)
@@ -278,9 +275,11 @@ def _raw(
         # One normal number gives the sum of shot and read noise. Where electrons are counted, it
         # gives the read noise only.
         variance = mean + read_variance
-        for few in _few_electrons(mean, few_e):
-            mean[few] = _poisson(mean[few], rng)
-            variance[few] = read_variance
+        if mean.min() < few_e:  # grouped by their mean
+            for low, high in pairwise((-math.inf, min(6.0, few_e), few_e)):
+                few = np.flatnonzero((mean >= low) & (mean < high))
+                mean[few] = _poisson(mean[few], rng)
+                variance[few] = read_variance
         electrons = noise[: mean.size]
         rng.standard_normal(out=electrons, dtype=np.float32)
         electrons *= np.sqrt(variance, out=variance)
@@ -304,14 +303,6 @@ def _counted_below_e(settings: CameraSettings) -> float:
     # The skewness equals that of 50 electrons without read noise if 50 m^2 = (m + s)^3.
     roots = np.roots([1.0, 3 * s - _NORMAL_FROM_E, 3 * s**2, s**3])
     return max(0.0, *roots[np.isreal(roots)].real)
-
-
-def _few_electrons(mean: NDArray[np.float32], few_e: float) -> list[NDArray[np.intp]]:
-    """Indices of the pixels that need Poisson numbers, grouped by their mean."""
-    if mean.min() >= few_e:
-        return []
-    edges = (-math.inf, min(6.0, few_e), few_e)
-    return [np.flatnonzero((mean >= low) & (mean < high)) for low, high in pairwise(edges)]
 
 
 def _poisson(mean: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
@@ -352,22 +343,6 @@ def _check_light(light: NDArray[np.float32], exposure: float, settings: CameraSe
         )
 
 
-def _check_patterns(
-    shape: tuple[int, ...], settings: CameraSettings, patterns: FixedPatterns | None
-) -> None:
-    if patterns is None:
-        if settings.prnu > 0 or settings.dsnu_e > 0:
-            raise InputError(
-                f"expose(patterns=...) is needed for a camera with prnu={settings.prnu:g} and "
-                f"dsnu_e={settings.dsnu_e:g}. Call fixed_patterns once for the whole stack."
-            )
-    elif patterns.gain.shape != shape or patterns.offset_e.shape != shape:
-        raise InputError(
-            f"expose(patterns=...) must have the image's shape {shape}; got "
-            f"{patterns.gain.shape} and {patterns.offset_e.shape}. Make them with that shape."
-        )
-
-
 def metered_exposure(
     linear: NDArray[np.floating],
     *,
@@ -383,19 +358,15 @@ def metered_exposure(
     Args:
         linear: light, H x W or H x W x channels, as for `expose`.
         settings: the camera; black level, dark signal and response curve are taken into account.
-        peak_fraction: value of the peak, relative to the largest digital number.
-        mask: H x W, the pixels to measure (default: all).
+        peak_fraction: value of the peak in (0, 1], relative to the largest digital number.
+        mask: H x W, the pixels to measure, at least one (default: all).
 
     Returns:
         Full wells per unit of `linear`.
 
     Raises:
-        InputError: there is no light or no pixel to measure, or the fraction is out of range.
+        InputError: there is no light, or the fraction is not above the dark image.
     """
-    if not 0 < peak_fraction <= 1:
-        raise InputError(
-            f"metered_exposure(peak_fraction=...) must lie in (0, 1]; got {peak_fraction:g}."
-        )
     level = float(full_wells(np.array(peak_fraction), settings))
     if level <= 0:
         raise InputError(
@@ -406,14 +377,7 @@ def metered_exposure(
     image = np.asarray(linear, dtype=np.float32)
     pixels = image.reshape(image.shape[0] * image.shape[1], -1)
     if mask is not None:
-        if mask.shape != image.shape[:2]:
-            raise InputError(
-                f"metered_exposure(mask=...) must have the image's height and width "
-                f"{image.shape[:2]}; got {mask.shape}."
-            )
         pixels = pixels[mask.reshape(-1)]
-    if len(pixels) == 0:
-        raise InputError("metered_exposure(mask=...) must contain at least one pixel; it is empty.")
     rank = math.ceil(0.999 * len(pixels)) - 1
     peak = float(np.partition(pixels, rank, axis=0)[rank].max())
     if not 0 < peak < math.inf:

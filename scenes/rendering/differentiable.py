@@ -20,7 +20,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -132,10 +132,6 @@ def _filled(limit: Any, waist: Any, index: Any):
     return extent, lambda squared: dr.exp(-2 * squared / waist**2) * edge / (1 - dr.exp(-edge))
 
 
-# Mitsuba's stubs lack the types of the variants.
-# mypy: no-check-untyped-defs
-
-
 LENS = (
     "core_radius",
     "glue_length",
@@ -151,13 +147,6 @@ POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")
 
 _BORDER_PX = 1  # pixels at the film's edge lack the light of photons just outside
 _PASS = 1 << 18  # photons per pass; the graph needs about 1 kB per photon
-
-
-class _OnFilm(NamedTuple):
-    """Photons spread over nine pixels each: indices of the pixels, and their light."""
-
-    pixels: list[Any]
-    light: list[Any]
 
 
 class PhotonImage:
@@ -197,9 +186,15 @@ class PhotonImage:
                 f"PhotonImage(free=...) does not know {', '.join(unknown)}. "
                 f"Choose from {', '.join(known)}."
             )
-        self._values, self._launch = _parameters(scene, frame)
+        self._launch, world = optics.load_lens(scene.source.lens), World(scene)
+        pose = world.motion.at(world.times[frame : frame + 1])
+        self._values = {name: float(getattr(self._launch, name)) for name in LENS}
+        self._values |= zip(POSE, map(float, (*pose.tip[0], *pose.axis[0])), strict=True)
+        self._values["power"] = scene.source.power_mw
         self._medium_index = optics.MEDIA[scene.source.medium]
-        self._numbers = _evenly_spread(photons, seed=seed)
+        points = qmc.Sobol(4, rng=seed).random_base2(math.ceil(math.log2(photons)))[:photons]
+        # Still below 1 after rounding to float32.
+        self._numbers = np.minimum(points, 1 - 2**-24).astype(np.float32)
         self.free = tuple(free)
         self.start = np.array([self._values[name] for name in self.free])
         self.shape = (scene.microscope.height_px, scene.microscope.width_px, 3)
@@ -215,8 +210,8 @@ class PhotonImage:
             InputError: no lens has these values; the message names the value.
         """
         image = np.zeros(self.shape)
-        for _, photons in self._passes(parameters):
-            image += self._splatted(photons.pixels, photons.light)
+        for _, pixels, light in self._passes(parameters):
+            image += self._splatted(pixels, light)
         return image
 
     def value_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -229,18 +224,18 @@ class PhotonImage:
             InputError: no lens has these values; the message names the value.
         """
         image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
-        for leaves, photons in self._passes(parameters, derivatives=True):
+        for leaves, pixels, light in self._passes(parameters, derivatives=True):
             columns = []
             for leaf in leaves:
                 dr.forward_from(leaf, flags=dr.ADFlag.ClearVertices)
-                columns.append(dr.grad(photons.light))
-                dr.clear_grad(photons.light)
-            light = dr.detach(photons.light)
+                columns.append(dr.grad(light))
+                dr.clear_grad(light)
+            values = dr.detach(light)
             # One kernel for all of them, because they share the photons' paths.
-            dr.eval(photons.pixels, light, columns)
-            image += self._splatted(photons.pixels, light)
+            dr.eval(pixels, values, columns)
+            image += self._splatted(pixels, values)
             for number, column in enumerate(columns):
-                jacobian[..., number] += self._splatted(photons.pixels, column)
+                jacobian[..., number] += self._splatted(pixels, column)
         return image, jacobian
 
     def vjp(self, parameters: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
@@ -259,16 +254,16 @@ class PhotonImage:
         border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
         weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))
         total = np.zeros(len(self.free))
-        for leaves, photons in self._passes(parameters, derivatives=True):
+        for leaves, pixels, light in self._passes(parameters, derivatives=True):
             product = mi.Float(0)
-            for pixel, light in zip(photons.pixels, photons.light, strict=True):
-                product += dr.dot(light, dr.gather(mi.Color3f, weight, pixel))
+            for pixel, part in zip(pixels, light, strict=True):
+                product += dr.dot(part, dr.gather(mi.Color3f, weight, pixel))
             dr.backward(product)
             total += [dr.sum(dr.grad(leaf))[0] for leaf in leaves]
         return total
 
     def _passes(self, parameters: np.ndarray, *, derivatives: bool = False):
-        """The free parameters and the photons on the film, one pass after the other."""
+        """The free parameters, pixels of the film and photons' light there, pass after pass."""
         values = self._values | dict(zip(self.free, parameters.tolist(), strict=True))
         check_lens(values)
         for numbers in np.array_split(self._numbers, math.ceil(len(self._numbers) / _PASS)):
@@ -279,9 +274,10 @@ class PhotonImage:
             leaves = [copies[name] for name in self.free]
             if derivatives:
                 dr.enable_grad(leaves)
-            yield leaves, self._photons_on_film(copies, numbers)
+            yield leaves, *self._on_film(copies, numbers)
 
-    def _photons_on_film(self, values: dict[str, Any], numbers: np.ndarray) -> _OnFilm:
+    def _on_film(self, values: dict[str, Any], numbers: np.ndarray) -> tuple[list[Any], list[Any]]:
+        """Photons spread over nine pixels each: indices of the pixels, and their light."""
         place, heading, power = leave_cap(
             values,
             launch=self._launch,
@@ -307,7 +303,7 @@ class PhotonImage:
             inside = (column >= 0) & (column < film.x) & (row >= 0) & (row < film.y)
             pixels.append(mi.UInt32(dr.select(inside, row * film.x + column, 0)))
             parts.append(dr.select(inside, across * along * light, 0))
-        return _OnFilm(pixels, parts)
+        return pixels, parts
 
     def _splatted(self, pixels: list[Any], light: list[Any]) -> np.ndarray:
         """The image of the photons, without the film's border."""
@@ -318,12 +314,6 @@ class PhotonImage:
             dr.scatter_add(film, part, pixel)
         inner = slice(_BORDER_PX, -_BORDER_PX)
         return np.array(film, dtype=float).reshape(height, width, channels)[inner, inner]
-
-
-def _evenly_spread(count: int, *, seed: int) -> np.ndarray:
-    """Scrambled Sobol points, count x 4, in [0, 1) after rounding to float32."""
-    points = qmc.Sobol(4, rng=seed).random_base2(math.ceil(math.log2(count)))[:count]
-    return np.minimum(points, 1 - 2**-24).astype(np.float32)
 
 
 def _spline(offset):
@@ -354,16 +344,6 @@ def _refuse_occluders(scene: Scene) -> None:
             "PhotonImage: source.kind 'cone' has no lens for photons. Set it to 'photons' or "
             "'lens'."
         )
-
-
-def _parameters(scene: Scene, frame: int) -> tuple[dict[str, float], optics.GlueLens]:
-    """The scene's values of all parameters that can be free, and its lens."""
-    lens = optics.load_lens(scene.source.lens)
-    world = World(scene)
-    pose = world.motion.at(world.times[frame : frame + 1])
-    values = {name: float(getattr(lens, name)) for name in LENS}
-    values |= zip(POSE, map(float, (*pose.tip[0], *pose.axis[0])), strict=True)
-    return values | {"power": scene.source.power_mw}, lens
 
 
 def _wall_and_sensor(scene: Scene) -> tuple[Any, Any]:

@@ -30,8 +30,6 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.inputs import InputError
-
 FOVEA_MM = (-1.5, -0.2)
 """1.5 mm temporal of the pole: angle alpha, 5 degrees (Atchison & Smith 2000)."""
 DISC_MM = (
@@ -76,27 +74,6 @@ class _Vessel(NamedTuple):
     vein: bool
     side: int  # side of its next small branch, +1: left
     arcade: _Arcade | None  # None for a side branch
-
-
-def vessel_shades(
-    rng: np.random.Generator, *, extent_mm: float, pixels: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Shades of the arteries and of the veins that a generator draws.
-
-    Args:
-        rng: random numbers of the tree.
-        extent_mm: width and height of the map, mm of arc.
-        pixels: width and height of the map, px.
-
-    Returns:
-        Two maps, pixels x pixels: 0 without a vessel, 1 in a wide one.
-    """
-    tree = list(_vessels(rng))
-    artery, vein = (
-        _draw(np.array([piece for of_vein, piece in tree if of_vein == kind]), extent_mm, pixels)
-        for kind in (False, True)
-    )
-    return artery, vein
 
 
 def _vessels(rng: np.random.Generator) -> Iterator[tuple[bool, tuple[float, ...]]]:
@@ -323,11 +300,7 @@ def fundus(
 
     Returns:
         Linear reflectance in (0, 1), pixels x pixels x 3 (R, G, B), with the pole in the centre.
-
-    Raises:
-        InputError: the palette is unknown, or a size is out of range.
     """
-    _check(seed, extent_mm, pixels, palette)
     vessel_seed, mottling_seed = np.random.SeedSequence(seed).spawn(2)
     pixel = extent_mm / pixels
     x = ((np.arange(pixels) + 0.5) * pixel - extent_mm / 2).astype(np.float32)
@@ -336,8 +309,10 @@ def fundus(
     log_ratio = _macula(x, y)
     log_ratio += _mottling(x, y, np.random.default_rng(mottling_seed))[..., None]
     _paint_disc(log_ratio, x, y)
-    artery, vein = vessel_shades(
-        np.random.default_rng(vessel_seed), extent_mm=extent_mm, pixels=pixels
+    tree = list(_vessels(np.random.default_rng(vessel_seed)))
+    artery, vein = (
+        _draw(np.array([piece for of_vein, piece in tree if of_vein == kind]), extent_mm, pixels)
+        for kind in (False, True)
     )
     # Where an artery and a vein cross, one hides the other. Both hide the pale disc.
     vessel = np.maximum(artery, vein)
@@ -358,29 +333,6 @@ def fundus(
     return reflectance
 
 
-def _check(seed: int, extent_mm: float, pixels: int, palette: str) -> None:
-    if seed < 0:
-        raise InputError(f"fundus(seed=...) must not be negative; got {seed}.")
-    if palette not in ("printed paper", "retina"):
-        raise InputError(
-            f'fundus(palette=...) must be "printed paper" or "retina"; got {palette!r}.'
-        )
-    if not 0 < extent_mm <= 70:
-        raise InputError(
-            f"fundus(extent_mm=...) must lie in (0, 70] mm, so that the map ends on the eye, 36 mm "
-            f"from the pole; got extent_mm={extent_mm:g} mm."
-        )
-    if pixels < 1:
-        raise InputError(f"fundus(pixels=...) must be at least 1; got {pixels}.")
-
-
-def _gaussian(x: NDArray[np.float32], y: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    """exp(-s^2 / 2 sigma^2) on the grid of x and y; s is the distance from the fovea."""
-    along_x = np.exp(-((x - FOVEA_MM[0]) ** 2) / (2 * sigma**2))
-    along_y = np.exp(-((y - FOVEA_MM[1]) ** 2) / (2 * sigma**2))
-    return (along_y[:, None] * along_x).astype(np.float32)
-
-
 def _macula(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float32]:
     """Log reflectance of macula and fovea, relative to the nasal fundus.
 
@@ -393,7 +345,9 @@ def _macula(x: NDArray[np.float32], y: NDArray[np.float32]) -> NDArray[np.float3
     depths = np.linalg.solve(at_sites, np.stack([perifovea - nasal, fovea - nasal]))
     log_ratio = np.zeros((len(y), len(x), 3), np.float32)
     for width, depth in zip(widths, depths, strict=True):
-        shape = _gaussian(x, y, width)
+        along_x = np.exp(-((x - FOVEA_MM[0]) ** 2) / (2 * width**2))
+        along_y = np.exp(-((y - FOVEA_MM[1]) ** 2) / (2 * width**2))
+        shape = (along_y[:, None] * along_x).astype(np.float32)
         for channel in range(3):
             log_ratio[..., channel] += np.float32(depth[channel]) * shape
     return log_ratio

@@ -159,20 +159,3 @@ def test_a_map_of_one_pixel_shows_the_pole_and_hardly_any_vessel(seed):
     # of 24 mm, and its density in a print is at most 0.6 * 0.85: it takes 0.33 % away.
     assert np.all(whole <= pole)
     np.testing.assert_allclose(whole, pole, rtol=3.4e-3)
-
-
-@pytest.mark.parametrize(
-    ("kwargs", "message"),
-    [
-        ({"palette": "photograph"}, "printed paper"),
-        ({"extent_mm": 0.0}, "extent_mm"),
-        ({"extent_mm": 80.0}, "extent_mm=80 mm"),
-        ({"extent_mm": math.nan}, "extent_mm"),
-        ({"pixels": 0}, "pixels"),
-        ({"seed": -1}, "seed"),
-    ],
-)
-def test_bad_input_is_named(kwargs, message):
-    defaults = {"seed": 0, "extent_mm": 24.0, "pixels": 64, "palette": "retina"}
-    with pytest.raises(ValueError, match=message):
-        fundus(**(defaults | kwargs))
