@@ -91,14 +91,29 @@ def examine() -> Iterator[Finding]:
     yield _variant("llvm_ad_rgb", State.MISSING, "Follow the message, then run `make setup` again.")
     yield _variant("scalar_rgb", State.NOTE, "Not needed, but unexpected. Run `make setup` again.")
     yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. Requires an NVIDIA GPU and its driver.")
-    yield from _hardware()
-    yield _current_folder()
+    yield Finding("cores", str(len(os.sched_getaffinity(0))))
+    memory, remedy = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), ""
+    if memory < MEMORY_NEEDED:
+        remedy = f"`eyespot validate` may need {MEMORY_NEEDED / GIB:.0f} GiB; use --quick."
+    state = State.NOTE if remedy else State.OK
+    yield Finding("memory", f"{memory / GIB:.1f} GiB", state, remedy)
+    folder = Path.cwd()
+    try:
+        with tempfile.TemporaryFile(dir=folder):
+            yield Finding("this folder", f"{folder} can be written to")
+    except OSError as error:
+        remedy = "Choose another folder with --out."
+        yield Finding("this folder", f"{folder}: {error.strerror}", State.NOTE, remedy)
 
 
 def _versions() -> Iterator[Finding]:
     """Versions of Python and the packages, compared with the required and tested ones."""
     yield Finding("Python", f"{platform.python_version()} ({sys.executable})")
-    tested = _tested_versions()
+    constraints, tested = HOME / "constraints.txt", {}
+    if constraints.is_file():  # in a checkout
+        lines = (line.strip() for line in constraints.read_text().splitlines())
+        pins = (line.split("==") for line in lines if "==" in line)
+        tested = {canonicalize_name(name): version for name, version in pins}
     for line in importlib.metadata.requires("eyespot") or []:
         requirement = Requirement(line)
         if requirement.marker and not requirement.marker.evaluate({"extra": ""}):
@@ -117,16 +132,6 @@ def _versions() -> Iterator[Finding]:
             yield Finding(name, version, State.NOTE, f"eyespot was tested with {pinned}.")
         else:
             yield Finding(name, version)
-
-
-def _tested_versions() -> dict[str, str]:
-    """The versions in constraints.txt; empty if this is not a checkout."""
-    constraints = HOME / "constraints.txt"
-    if not constraints.is_file():
-        return {}
-    lines = (line.strip() for line in constraints.read_text().splitlines())
-    pins = (line.split("==") for line in lines if "==" in line)
-    return {canonicalize_name(name): version for name, version in pins}
 
 
 def llvm_findings() -> Iterator[Finding]:
@@ -154,23 +159,3 @@ def _variant(variant: str, state_of_failure: State, remedy: str) -> Finding:
         return Finding(what, "renders")
     problem = (child.stderr.strip().splitlines() or [f"exit code {child.returncode}"])[-1]
     return Finding(what, problem, state_of_failure, remedy)
-
-
-def _hardware() -> Iterator[Finding]:
-    yield Finding("cores", str(len(os.sched_getaffinity(0))))
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if memory < MEMORY_NEEDED:
-        remedy = f"`eyespot validate` may need {MEMORY_NEEDED / GIB:.0f} GiB; use --quick."
-        yield Finding("memory", f"{memory / GIB:.1f} GiB", State.NOTE, remedy)
-    else:
-        yield Finding("memory", f"{memory / GIB:.1f} GiB")
-
-
-def _current_folder() -> Finding:
-    folder = Path.cwd()
-    try:
-        with tempfile.TemporaryFile(dir=folder):
-            return Finding("this folder", f"{folder} can be written to")
-    except OSError as error:
-        remedy = "Choose another folder with --out."
-        return Finding("this folder", f"{folder}: {error.strerror}", State.NOTE, remedy)

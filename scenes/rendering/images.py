@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scenes.description.scene import Scene
 from scenes.description.settings import SceneError
 from scenes.machine.variant import load_mitsuba
 from scenes.world.labels import uniform_irradiance
@@ -34,8 +33,16 @@ class Images:
     """
 
     def __init__(self, world: World, *, variant: str) -> None:
-        scene = world.scene
-        _refuse_slow_light(scene, variant)
+        scene, phantom = world.scene, world.scene.phantom
+        more = scene.source.kind != "cone" or phantom.indirect == "traced"
+        if variant.startswith("scalar") and (more or phantom.spread != "none"):
+            # Scalar variants run our emitters in Python, ray by ray: a minute per frame at least.
+            raise SceneError(
+                f"the variant {variant} renders only source.kind 'cone' without traced or spread "
+                f"light; got {scene.source.kind!r} with phantom.indirect {phantom.indirect!r} and "
+                f"spread {phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it "
+                "needs."
+            )
         self._mi = load_mitsuba(variant)
         from scenes.rendering import build, reach  # Mitsuba's plugins need the variant
 
@@ -149,16 +156,3 @@ def images_of(world: World, *, variant: str) -> Images | ColourImages:
     if len(world.colours) == 1:
         return Images(world, variant=variant)
     return ColourImages(world.colours, variant=variant)
-
-
-def _refuse_slow_light(scene: Scene, variant: str) -> None:
-    """Scalar variants run our emitters in Python, ray by ray: a minute per frame at least."""
-    if not variant.startswith("scalar"):
-        return
-    phantom = scene.phantom
-    if scene.source.kind != "cone" or phantom.indirect == "traced" or phantom.spread != "none":
-        raise SceneError(
-            f"the variant {variant} renders only source.kind 'cone' without traced or spread light;"
-            f" got {scene.source.kind!r} with phantom.indirect {phantom.indirect!r} and spread "
-            f"{phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it needs."
-        )

@@ -41,22 +41,6 @@ class Reflections(NamedTuple):
     radiance: float
     reflexes: tuple[Reflex, ...]
 
-    @classmethod
-    def of(
-        cls, scene: Scene, camera: PathCamera, path: ViewingPath, reflexes: tuple[Reflex, ...]
-    ) -> Reflections:
-        """The reflexes of the lamp that gives the coaxial light on the retina.
-
-        A lamp of radiance L, radius rho and distance D gives the irradiance L pi (rho/D)^2 in front
-        of the path, and 1/a^2 of it behind, where a is the path's magnification. Images hold the
-        radiance inside the eye, which is that in air times the squared index.
-        """
-        distance = 1.0 / float(path.pinhole_closeness)
-        in_front = scene.microscope.illumination_mw_mm2 * float(camera.magnification) ** 2
-        in_front /= float(camera.transmittance(camera.principal_point))
-        lamp = in_front / (math.pi * (scene.viewing.lamp_radius_mm / distance) ** 2)
-        return cls(scene, camera, lamp * float(path.medium_index) ** 2, reflexes)
-
     def image(self, view_px: np.ndarray) -> np.ndarray:
         """Radiance of all reflexes, H x W, in an image that is shifted by (x, y) px."""
         microscope = self.scene.microscope
@@ -81,6 +65,8 @@ class Reflections(NamedTuple):
         lamp = np.array(self.scene.viewing.lamp_mm)
         away = float(np.linalg.norm(lamp))
         outward = lamp / away if away else np.array([1.0, 0.0])
+        microscope = self.scene.microscope
+        last = np.array([microscope.width_px - 1, microscope.height_px - 1])
         best, found = 0.0, np.full(2, np.nan)
         for reflex in self.reflexes:
             aim = _aim_at(reflex, away)
@@ -89,14 +75,9 @@ class Reflections(NamedTuple):
             part = float(reflex.part(aim * outward))
             offset = aim * outward * float(self.camera.px_per_aim) * [1.0, -1.0]
             at = np.asarray(self.camera.principal_point) + offset
-            if part > best and np.all((at >= -0.5) & (at <= self._last_pixel + 0.5)):
+            if part > best and np.all((at >= -0.5) & (at <= last + 0.5)):
                 best, found = part, at
         return found
-
-    @property
-    def _last_pixel(self) -> np.ndarray:
-        microscope = self.scene.microscope
-        return np.array([microscope.width_px - 1, microscope.height_px - 1])
 
 
 def _aim_at(reflex: Reflex, away: float) -> float | None:
@@ -157,9 +138,18 @@ def scene_pencils(scene: Scene, camera: PathCamera, *, channel: int) -> Pencils:
 
 
 def scene_reflections(scene: Scene, camera: PathCamera, *, channel: int) -> Reflections:
-    """Reflexes of the microscope's lamp, seen by one colour's camera."""
+    """Reflexes of the lamp that gives the coaxial light on the retina, seen by a colour's camera.
+
+    A lamp of radiance L, radius rho and distance D gives the irradiance L pi (rho/D)^2 in front of
+    the path, and 1/a^2 of it behind, where a is the path's magnification. Images hold the radiance
+    inside the eye, which is that in air times the squared index.
+    """
     path = _path(scene, channel=channel)
-    return Reflections.of(scene, camera, path, reflexes(path))
+    distance = 1.0 / float(path.pinhole_closeness)
+    in_front = scene.microscope.illumination_mw_mm2 * float(camera.magnification) ** 2
+    in_front /= float(camera.transmittance(camera.principal_point))
+    lamp = in_front / (math.pi * (scene.viewing.lamp_radius_mm / distance) ** 2)
+    return Reflections(scene, camera, lamp * float(path.medium_index) ** 2, reflexes(path))
 
 
 def _path(scene: Scene, *, channel: int) -> ViewingPath:
@@ -295,18 +285,15 @@ class SceneGeometry:
         rim = self.scene.instrument.fibre_diameter_mm / 2
         if source.kind == "cone":
             rim = max(rim, -source.cone_apex_offset_mm / source.cone_k)
-        incidence = math.radians(self.scene.spot.incidence_deg)
         if isinstance(self.wall, optics.Ellipsoid):
-            return self._contact_with_ellipsoid(rim)
+            # The first point of the rim that meets the wall when it moves along the axis.
+            spot, axis = self.aim
+            radius = self.scene.phantom.radius_mm
+            behind = spot + rim * circle_across(axis) - radius * axis
+            hit = self.wall.intersect(behind, np.broadcast_to(axis, behind.shape))
+            return radius - float(hit.distance.min())
+        incidence = math.radians(self.scene.spot.incidence_deg)
         return float(optics.contact_distance(self.wall, incidence=incidence, rim_radius=rim))
-
-    def _contact_with_ellipsoid(self, rim: float) -> float:
-        """The first point of the rim that meets the wall when it moves along the axis."""
-        spot, axis = self.aim
-        points = spot + rim * circle_across(axis)
-        behind = points - self.scene.phantom.radius_mm * axis
-        hit = self.wall.intersect(behind, np.broadcast_to(axis, behind.shape))
-        return self.scene.phantom.radius_mm - float(hit.distance.min())
 
     @cached_property
     def microscope(self) -> SceneCamera:

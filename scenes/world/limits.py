@@ -42,7 +42,13 @@ def check_poses(
         clearance = float(wall.radius) - np.hypot(ahead, aside + rim)
         leaving = ahead < 0
     elif isinstance(wall, optics.Ellipsoid):
-        clearance = _clearance(wall, tip, axis, rim)
+        # To first order, from the square of the unit sphere's radius and its growth per mm.
+        turn, semi_axes = np.asarray(wall.turn), np.asarray(wall.semi_axes)
+        points = tip[:, None] + rim * circle_across(axis) - np.asarray(wall.centre)
+        own = points @ turn / semi_axes
+        growth = 2 * np.linalg.norm(own / semi_axes, axis=-1)
+        beyond = 1 - np.sum(own * own, axis=-1)
+        clearance = np.min(beyond / np.maximum(growth, 1e-9), axis=1)
         leaving = np.sum(tip * axis, axis=1) < 0
     else:
         inward = np.asarray(wall.inward)
@@ -103,9 +109,17 @@ def check_window(geometry: SceneGeometry, *, times: np.ndarray, contours: np.nda
             spot and what to change. Or the distortion folds the image.
     """
     camera = geometry.microscope
-    if isinstance(camera, optics.Microscope):
-        _check_distortion(geometry, camera)
     settings = geometry.scene.microscope
+    if isinstance(camera, optics.Microscope) and any(settings.distortion):
+        edge = geometry.window_border
+        point, _ = camera.ray(edge)
+        error = np.abs(np.asarray(camera.project(point)) - edge).max()
+        # `not <` includes NaN: where the image is folded, the inverse does not converge.
+        if not error < _UNDISTORTED_PX:
+            raise SceneError(
+                f"microscope.distortion = {list(settings.distortion)} folds the image within the "
+                "window. Lower it, or spot.eccentricity_mm, or raise pinhole_height_mm."
+            )
     width, height = settings.width_px, settings.height_px
     inside = (contours >= 0) & (contours <= (width - 1, height - 1))  # false for NaN too
     if inside.all() or any(settings.window_offset_px):
@@ -148,29 +162,3 @@ def check_view(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarr
         f"{float(camera.field(geometry.wall)):.2f} mm through viewing.lens {viewing.lens!r}, and "
         f"the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or {remedy}."
     )
-
-
-def _clearance(wall: optics.Ellipsoid, tip: np.ndarray, axis: np.ndarray, rim: float) -> np.ndarray:
-    """Distance of the rim from an ellipsoid to first order, n, mm; negative in the wall."""
-    turn, semi_axes = np.asarray(wall.turn), np.asarray(wall.semi_axes)
-    points = tip[:, None] + rim * circle_across(axis) - np.asarray(wall.centre)
-    own = points @ turn / semi_axes
-    square = np.sum(own * own, axis=-1)
-    growth = 2 * np.linalg.norm(own / semi_axes, axis=-1)  # of the square, per mm
-    return np.min((1 - square) / np.maximum(growth, 1e-9), axis=1)
-
-
-def _check_distortion(geometry: SceneGeometry, camera: optics.Microscope) -> None:
-    """Refuse a distortion with which a pixel of the window sees two points of the wall, or none."""
-    distortion = geometry.scene.microscope.distortion
-    if not any(distortion):
-        return
-    edge = geometry.window_border
-    point, _ = camera.ray(edge)
-    error = np.abs(np.asarray(camera.project(point)) - edge).max()
-    # `not <` includes NaN: where the image is folded, the inverse does not converge.
-    if not error < _UNDISTORTED_PX:
-        raise SceneError(
-            f"microscope.distortion = {list(distortion)} folds the image within the window. Lower "
-            "it, or spot.eccentricity_mm, or raise pinhole_height_mm."
-        )
