@@ -132,63 +132,30 @@ def _lit_extent(limit: ArrayLike, waist: ArrayLike | None) -> Float[Array, ""]:
     return jnp.asarray(limit) if waist is None else jnp.minimum(limit, 2.6 * jnp.asarray(waist))
 
 
-def glue_lens(
-    *,
-    core_radius: ArrayLike,
-    glue_length: ArrayLike,
-    aperture_radius: ArrayLike,
-    sag: ArrayLike,
-    glue_index: ArrayLike,
-    numerical_aperture: ArrayLike,
-    launch_radius: ArrayLike | None = None,
-    launch_aperture: ArrayLike | None = None,
-) -> GlueLens:
+def glue_lens(**values: ArrayLike | None) -> GlueLens:
     """Make a lens and check its values, except under tracing.
 
     Args:
-        core_radius: a_c, mm.
-        glue_length: L, core face to vertex, mm.
-        aperture_radius: a, mm.
-        sag: h, mm.
-        glue_index: n_g.
-        numerical_aperture: NA of the light in the core.
-        launch_radius: 1/e² radius of a Gaussian launch on the core's face, mm, or None.
-        launch_aperture: 1/e² half-width of a Gaussian launch in n_g sin theta, or None.
+        values: attributes of `GlueLens`; those of the launch may be left out.
 
     Raises:
         InputError: a value outside its range; the message says which, and what to change.
     """
-    lens = GlueLens(
-        _number(core_radius),
-        _number(glue_length),
-        _number(aperture_radius),
-        _number(sag),
-        _number(glue_index),
-        _number(numerical_aperture),
-        None if launch_radius is None else _number(launch_radius),
-        None if launch_aperture is None else _number(launch_aperture),
-    )
+    given: dict[str, Any] = {"launch_radius": None, "launch_aperture": None} | values
+    given = {name: None if x is None else jnp.asarray(x, float) for name, x in given.items()}
+    lens = GlueLens(**given)
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
         _check(lens)
     return lens
 
 
-def _number(value: ArrayLike) -> Float[Array, ""]:
-    return jnp.asarray(value, dtype=float)
-
-
 def _check(lens: GlueLens) -> None:
-    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = map(
-        float,
-        (
-            lens.core_radius,
-            lens.glue_length,
-            lens.aperture_radius,
-            lens.sag,
-            lens.glue_index,
-            lens.numerical_aperture,
-        ),
+    known = {name: float(x) for name, x in vars(lens).items() if x is not None}
+    aperture_radius, sag, glue_length = (
+        known[name] for name in ("aperture_radius", "sag", "glue_length")
     )
+    glue_index, numerical_aperture = known["glue_index"], known["numerical_aperture"]
+    core_radius = known["core_radius"]
     rules = (
         (
             0.0 < core_radius <= _LARGEST_MM,

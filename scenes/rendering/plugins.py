@@ -28,12 +28,12 @@ _STEPS = (0.8191725133961645, 0.6710436067037893, 0.5497004779019703)
 
 
 class _PointEmitter(mi.Emitter):
-    """Base class of emitters without a surface: a tip and an axis."""
+    """Base class of emitters without a surface: a tip, an axis and a power."""
 
     def __init__(self, props):
         super().__init__(props)
         self.tip = mi.Point3f(props["tip"])
-        self.axis = mi.Vector3f(props["axis"])
+        self.axis, self.power = mi.Vector3f(props["axis"]), mi.Float(props["power"])
         # Without this flag, the scene drops an emitter that has no shape.
         self.m_flags = +mi.EmitterFlags.DeltaPosition
 
@@ -46,9 +46,9 @@ class _PointEmitter(mi.Emitter):
         return mi.Color3f(0)
 
     def traverse(self, callback):
-        """Parameters that change when the tip moves."""
-        callback.put("tip", self.tip, mi.ParamFlags.NonDifferentiable)
-        callback.put("axis", self.axis, mi.ParamFlags.NonDifferentiable)
+        """Parameters that change when the tip moves or the power swings."""
+        for name in ("tip", "axis", "power"):
+            callback.put(name, getattr(self, name), mi.ParamFlags.NonDifferentiable)
 
 
 class ConeEmitter(_PointEmitter):
@@ -60,14 +60,9 @@ class ConeEmitter(_PointEmitter):
 
     def __init__(self, props):
         super().__init__(props)
-        self.power, self.half_angle = mi.Float(props["power"]), props["half_angle"]
-        self.apex_offset, self.width = props["apex_offset"], props["sample_width"]
+        self.half_angle, self.apex_offset = props["half_angle"], props["apex_offset"]
+        self.width = props["sample_width"]
         self.solid_angle = 2 * math.pi * (1 - math.cos(self.half_angle))
-
-    def traverse(self, callback):
-        """Parameters that change when the tip moves or the power swings."""
-        super().traverse(callback)
-        callback.put("power", self.power, mi.ParamFlags.Differentiable)
 
     def sample_direction(self, ref, sample, active=True):
         """Direction to the apex, with its end at the plane of the tip; intensity over r^2."""
@@ -119,13 +114,7 @@ class LensEmitter(_PointEmitter):
         self.field = mi.Texture2f(values, filter_mode=dr.FilterMode.Linear)
         self.contact_radius, self.slope = props["contact_radius"], props["slope"]
         self.nearest, self.farthest = props["nearest"], props["farthest"]
-        self.power = mi.Float(props["power"])
         self.glass = Glass(optics.load_lens(props["lens"]), medium_index=props["medium_index"])
-
-    def traverse(self, callback):
-        """Parameters that change when the tip moves or the power swings."""
-        super().traverse(callback)
-        callback.put("power", self.power, mi.ParamFlags.NonDifferentiable)
 
     def vector_irradiance(self, point):
         """V at a point, mW/mm2: the look-up that `optics.IrradianceTable` defines."""

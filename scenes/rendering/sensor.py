@@ -18,12 +18,48 @@ import mitsuba as mi
 _UNDISTORT_STEPS = 12
 
 
-class MicroscopeSensor(mi.Sensor):
+class _WindowSensor(mi.Sensor):
+    """A microscope whose lines of sight start at a height inside the eye.
+
+    Vignetting multiplies the light by 1 - vignetting (s / s_corner)^2, where s is the distance of
+    the pixel from the centre of the image.
+    """
+
+    def __init__(self, props):
+        super().__init__(props)
+        self.pole_height, self.entry_height = props["pole_height"], props["entry_height"]
+        self.centre = mi.Vector2f(props["principal_point"])
+        self.vignetting, self.aperture_slope = props["vignetting"], props["aperture_slope"]
+        self.m_needs_sample_3 = self.aperture_slope > 0
+
+    def sample_ray_differential(
+        self, time, wavelength_sample, position_sample, aperture_sample, active=True
+    ):
+        """The same ray; the differentials stay unset, as no texture is filtered."""
+        ray, part = self.sample_ray(
+            time, wavelength_sample, position_sample, aperture_sample, active
+        )
+        return mi.RayDifferential3f(ray), part
+
+    def _slope(self, sample):
+        """Random slope of a line of sight against the central one; zero for a pinhole."""
+        return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
+
+    def _part(self, position):
+        """Fraction of light that remains after vignetting."""
+        size = mi.Vector2f(self.film().size())
+        from_middle = (mi.Vector2f(position) - 0.5) * size
+        return 1 - self.vignetting * 4 * dr.squared_norm(from_middle) / dr.squared_norm(size)
+
+    def traverse(self, callback):
+        """The principal point, which moves with the view."""
+        callback.put("principal_point", self.centre, mi.ParamFlags.NonDifferentiable)
+
+
+class MicroscopeSensor(_WindowSensor):
     """The pinhole of `optics.Microscope`: at any height or at infinity, with lens distortion.
 
-    Unlike Mitsuba's `perspective`, it can look into the closed eyeball: lines of sight start at a
-    height inside the eye. Vignetting multiplies the light by 1 - vignetting (s / s_corner)^2, where
-    s is the distance of the pixel from the centre of the image.
+    Unlike Mitsuba's `perspective`, it can look into the closed eyeball.
 
     With an aperture, the pinhole becomes a thin lens. All lines of sight of a pixel then cross in
     the plane in focus; their slopes against the central one are at most `aperture_slope` (tangent
@@ -33,12 +69,8 @@ class MicroscopeSensor(mi.Sensor):
     def __init__(self, props):
         super().__init__(props)
         self.scale, self.bend = props["scale"], props["inverse_working_distance"]
-        self.pole_height, self.entry_height = props["pole_height"], props["entry_height"]
-        self.centre = mi.Vector2f(props["principal_point"])
         self.distortion = tuple(props[name] for name in ("k1", "k2", "p1", "p2", "k3"))
-        self.vignetting = props["vignetting"]
-        self.aperture_slope, self.focus_height = props["aperture_slope"], props["focus_height"]
-        self.m_needs_sample_3 = self.aperture_slope > 0
+        self.focus_height = props["focus_height"]
 
     def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
         """Line of sight of a position on the film, and the fraction of light that arrives."""
@@ -54,15 +86,6 @@ class MicroscopeSensor(mi.Sensor):
             time,
         )
         return ray, mi.Color3f(self._part(position_sample))
-
-    def sample_ray_differential(
-        self, time, wavelength_sample, position_sample, aperture_sample, active=True
-    ):
-        """The same ray; the differentials stay unset, as no texture is filtered."""
-        ray, part = self.sample_ray(
-            time, wavelength_sample, position_sample, aperture_sample, active
-        )
-        return mi.RayDifferential3f(ray), part
 
     def sample_direction(self, it, sample, active=True):
         """Direction to the pinhole, and the weight of a photon's radiance on the film."""
@@ -87,16 +110,6 @@ class MicroscopeSensor(mi.Sensor):
 
     def _depth(self, height):
         return 1 - self.bend * (height - self.pole_height)
-
-    def _slope(self, sample):
-        """Random slope of a line of sight against the central one; zero for a pinhole."""
-        return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
-
-    def _part(self, position):
-        """Fraction of light that remains after vignetting."""
-        size = mi.Vector2f(self.film().size())
-        from_middle = (mi.Vector2f(position) - 0.5) * size
-        return 1 - self.vignetting * 4 * dr.squared_norm(from_middle) / dr.squared_norm(size)
 
     def _distorted(self, ideal):
         """Brown's distortion of an offset from the principal point, px, and the change of area.
@@ -127,23 +140,14 @@ class MicroscopeSensor(mi.Sensor):
                 ideal = ideal + offset - self._distorted(ideal)[0]
         return ideal
 
-    def traverse(self, callback):
-        """The principal point, which moves with the view."""
-        callback.put("principal_point", self.centre, mi.ParamFlags.NonDifferentiable)
-
 
 mi.register_sensor("eyespot_microscope", MicroscopeSensor)
 
 
-# Mitsuba's stubs lack the types of the variants.
-# mypy: no-check-untyped-defs
-
-
-class PathSensor(mi.Sensor):
+class PathSensor(_WindowSensor):
     """The camera of `optics.viewing.PathCamera`: the lines of sight inside the eye.
 
-    They start at a height inside the eye. The iris, or the edge of the field, hides the rest of the
-    image. Vignetting is that of `MicroscopeSensor`.
+    The iris, or the edge of the field, hides the rest of the image.
 
     With an aperture, a pixel has the lines of sight of `optics.viewing.Pencils`. The iris stops all
     of them where it stops the central one.
@@ -155,11 +159,6 @@ class PathSensor(mi.Sensor):
         self.px_per_aim, self.widest, self.pupil = (
             props[name] for name in ("px_per_aim", "widest", "pupil")
         )
-        self.pole_height, self.entry_height = props["pole_height"], props["entry_height"]
-        self.centre = mi.Vector2f(props["principal_point"])
-        self.vignetting = props["vignetting"]
-        self.aperture_slope = props["aperture_slope"]
-        self.m_needs_sample_3 = self.aperture_slope > 0
         if self.aperture_slope:
             self.pencils = json.loads(props["pencils"])
 
@@ -175,7 +174,7 @@ class PathSensor(mi.Sensor):
         )
         at_pole, slope = crossing * aim, steepness * aim
         if self.aperture_slope:
-            aside = self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(aperture_sample)
+            aside = self._slope(aperture_sample)
             across, grown_across, along, grown_along = (
                 _series(terms, place) for terms in self.pencils
             )
@@ -188,22 +187,8 @@ class PathSensor(mi.Sensor):
             dr.normalize(mi.Vector3f(slope.x, slope.y, -1)),
             time,
         )
-        from_middle = (mi.Vector2f(position_sample) - 0.5) * size
-        part = 1 - self.vignetting * 4 * dr.squared_norm(from_middle) / dr.squared_norm(size)
-        return ray, mi.Color3f(dr.select(squared <= self.pupil**2, passing * part, 0))
-
-    def sample_ray_differential(
-        self, time, wavelength_sample, position_sample, aperture_sample, active=True
-    ):
-        """The same ray; the differentials stay unset, as no texture is filtered."""
-        ray, part = self.sample_ray(
-            time, wavelength_sample, position_sample, aperture_sample, active
-        )
-        return mi.RayDifferential3f(ray), part
-
-    def traverse(self, callback):
-        """The principal point, which moves with the view."""
-        callback.put("principal_point", self.centre, mi.ParamFlags.NonDifferentiable)
+        part = passing * self._part(position_sample)
+        return ray, mi.Color3f(dr.select(squared <= self.pupil**2, part, 0))
 
 
 def _series(terms, place):
