@@ -6,14 +6,11 @@ import hashlib
 import json
 import shutil
 import sys
-import threading
 import tomllib
 import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
-from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -31,8 +28,7 @@ from benchmarks.sets.formats import webdataset as webdataset_format
 from benchmarks.sets.formats.bags import START_S
 from benchmarks.sets.formats.export import Format, export
 from benchmarks.sets.read import stacks_of
-from estimator import Reader, SubpixelMode, SubpixelSettings, open_source
-from estimator.run.offline import track_source
+from estimator import open_source
 from formats.inputs import InputError
 from formats.manifest import write_manifest
 from formats.poses import read_poses
@@ -45,11 +41,6 @@ FORMATS: list[Format] = ["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "r
 
 
 # The library webdataset does not close the shards that it reads.
-class QuietHandler(SimpleHTTPRequestHandler):
-    def log_message(self, format: str, *args: object) -> None:
-        pass
-
-
 LEAVES_FILES_OPEN = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 
 
@@ -218,32 +209,6 @@ def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
     assert keys == sorted(keys)
 
 
-@LEAVES_FILES_OPEN
-def test_shards_stream_from_a_web_server(drawn: Path, tmp_path: Path) -> None:
-    out = tmp_path / "shards"
-    webdataset_format.write(stacks_of(drawn), out, lambda: None, shard_bytes=150_000)
-    shards = sorted(path.name for path in out.glob("train-*.tar"))
-    handler = partial(QuietHandler, directory=str(out))
-    with ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        thread = threading.Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            address = f"http://127.0.0.1:{server.server_address[1]}"
-            pattern = f"{address}/train-{{000000..{len(shards) - 1:06d}}}.tar"
-            reader = webdataset.WebDataset(pattern, shardshuffle=False, empty_check=False)
-            samples = list(reader.decode("rgb8"))
-        finally:
-            server.shutdown()
-            thread.join()
-    assert len(shards) > 1
-    assert [sample["__key__"] for sample in samples] == sorted(
-        f"train/{name}/{Path(row.file_name).stem}"
-        for name in STACKS["train"]
-        for row in read_stack(drawn / "train" / name).labels
-    )
-    assert all(sample["png"].shape == (*SHAPE, 3) for sample in samples)
-
-
 @pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])
 def test_a_bag_holds_the_recording_as_the_rig_makes_it(
     drawn: Path, tmp_path: Path, to: Format
@@ -269,19 +234,6 @@ def test_a_bag_holds_the_recording_as_the_rig_makes_it(
                 assert pose.time_s == pytest.approx(START_S + said.time_s, abs=1e-9)
                 assert pose.position_mm == said.position_mm
                 assert pose.axis == pytest.approx(said.axis, abs=1e-12)
-
-
-@pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])
-def test_a_bag_gives_the_spots_of_its_stack(drawn: Path, tmp_path: Path, to: Format) -> None:
-    out = exported(drawn / "train" / "a", tmp_path / "bag", to)
-    bag = out / "a" / ("metered.bag" if to == "rosbag1" else "metered")
-    of_bag, of_stack = (
-        track_source(open_source(source), Reader(SubpixelMode(SubpixelSettings(), None))).records
-        for source in (bag, drawn / "train" / "a")
-    )
-    for one, other in zip(of_bag, of_stack, strict=True):
-        assert one.result
-        np.testing.assert_equal(vars(one.result), vars(other.result))
 
 
 @pytest.fixture(scope="module")

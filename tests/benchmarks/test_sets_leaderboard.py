@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -252,11 +251,3 @@ def test_a_folder_without_entries_is_refused(tmp_path: Path) -> None:
     (tmp_path / "one" / "entry.json").write_text('{"ms_per_frame": -1}')
     with pytest.raises(InputError, match=r"entry.json.*ms_per_frame"):
         entries_in(tmp_path)
-
-
-def test_two_entries_of_one_name_are_refused(drawn: Path, tmp_path: Path) -> None:
-    for folder in itertools.islice(("a", "b"), 2):
-        plain(tmp_path / folder / "spots.csv", drawn, off=0.1)
-        (tmp_path / folder / "entry.json").write_text('{"name": "same"}')
-    done = call(["score", str(drawn), "--entries", str(tmp_path)])
-    assert "two estimators have the name same" in str(done.exception)
