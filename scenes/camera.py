@@ -275,9 +275,11 @@ def _raw(
         # One normal number gives the sum of shot and read noise. Where electrons are counted, it
         # gives the read noise only.
         variance = mean + read_variance
-        if mean.min() < few_e:  # grouped by their mean
-            for low, high in pairwise((-math.inf, min(6.0, few_e), few_e)):
-                few = np.flatnonzero((mean >= low) & (mean < high))
+        if mean.min() < few_e:
+            ends = pairwise((-math.inf, min(6.0, few_e), few_e))
+            # Grouped by their mean, all before one of them is drawn.
+            groups = [np.flatnonzero((mean >= low) & (mean < high)) for low, high in ends]
+            for few in groups:
                 mean[few] = _poisson(mean[few], rng)
                 variance[few] = read_variance
         electrons = noise[: mean.size]
