@@ -136,14 +136,12 @@ def told_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
     """The robot's poses of a stack, all with one drawn error of the axis."""
     axis = np.array(stack.labels[0].axis)
     turn = drawn_prior(axis, rng) - axis
-    return PoseTrack(
-        [
-            Pose.along(
-                _unit(np.array(pose.axis) + turn), time_s=pose.time_s, position_mm=pose.position_mm
-            )
-            for pose in read_poses(stack.folder / "kinematics.csv")
-        ]
-    )
+    told = []
+    for pose in read_poses(stack.folder / "kinematics.csv"):
+        turned = np.array(pose.axis) + turn
+        x, y, z = (turned / np.linalg.norm(turned)).tolist()
+        told.append(Pose.along((x, y, z), time_s=pose.time_s, position_mm=pose.position_mm))
+    return PoseTrack(told)
 
 
 def doubt_of_pose(read: Reading) -> str:
@@ -184,11 +182,6 @@ def half_maximum_px(world: World, tips: np.ndarray, axis: np.ndarray) -> np.ndar
         apex_offset=world.cone.apex_offset,
     )
     return np.asarray(truth.half_max.semi_minor)
-
-
-def _unit(vector: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = (vector / np.linalg.norm(vector)).tolist()
-    return x, y, z
 
 
 BEAMS: dict[str, dict[str, Any]] = {
