@@ -207,7 +207,6 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     """The scene as `mi.load_dict` reads it.
 
     Args:
-        world: the scene and everything derived from it.
         uniform: indirect irradiance per colour channel, mW/mm2.
     """
     scene = world.scene

@@ -18,12 +18,7 @@ PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
 class Images:
     """One scene, loaded once into Mitsuba. Only pixels that the tip can change are rendered again.
 
-    Args:
-        world: the scene and everything derived from it.
-        variant: Mitsuba's variant.
-
     Attributes:
-        world: the scene and everything derived from it.
         random: whether light is sampled randomly, so that all pixels differ between images.
         reach: finds the pixels that a pose changes; None if all pixels are rendered each time.
 
@@ -128,7 +123,6 @@ class ColourImages:
 
     Args:
         colours: the scene as red, green and blue see it (`World.colours`).
-        variant: Mitsuba's variant.
 
     Attributes:
         by_colour: the images in red, green and blue.

@@ -25,7 +25,6 @@ def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Calla
     """Function that brings a loaded scene into the state of a moment.
 
     Args:
-        world: the scene and everything derived from it.
         uniform: indirect irradiance per colour channel at the source's mean power, mW/mm2.
     """
     unrest, microscope = world.scene.unrest, world.scene.microscope
@@ -116,7 +115,6 @@ class Reach(NamedTuple):
         """Tiles of a scene.
 
         Args:
-            world: the scene and everything derived from it.
             mitsuba_scene: the loaded scene, with the instrument out of view.
             wall: fraction of each pixel that shows the wall in that state, H x W.
         """

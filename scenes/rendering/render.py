@@ -89,11 +89,7 @@ class Exposed(NamedTuple):
 class Renderer:
     """One scene, loaded once into Mitsuba; frames are rendered by moving the tip.
 
-    Args:
-        variant: Mitsuba's variant.
-
     Attributes:
-        world: the scene and everything derived from it.
         images: gives images for any pose of the tip.
 
     Raises:

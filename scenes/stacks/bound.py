@@ -161,11 +161,7 @@ class EllipseMotion(NamedTuple):
 
 
 def ellipse_motion(world: World) -> EllipseMotion:
-    """Differences of the true ellipses and distances for a beam of constant direction.
-
-    Args:
-        world: the scene and everything derived from it.
-    """
+    """Differences of the true ellipses and distances for a beam of constant direction."""
     beam = world.truth.beam
     tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
     steps = _STEP_MM * np.concatenate([np.eye(3), -np.eye(3)])
@@ -240,9 +236,6 @@ def _matrix(ellipse: Affine) -> NDArray[np.float64]:
 
 class Bounds:
     """Bounds of the images of one stack.
-
-    Args:
-        renderer: of the stack's scene.
 
     Raises:
         SceneError: the light is sampled at random, so that differences of images have no meaning.

@@ -36,9 +36,6 @@ def file_name(world: World, frame: int, order: int) -> str:
 class Photography:
     """Exposes and writes the frames of one stack.
 
-    Args:
-        world: the stack's scene and everything derived from it.
-
     Attributes:
         paper_exposure_s: fixed exposure time of the `paper` frames.
     """
@@ -114,7 +111,6 @@ def render_stack(
 
     Args:
         out: the stack's folder; it must not exist. It appears once the stack is complete.
-        variant: Mitsuba's variant.
         progress: called after each frame.
 
     Returns:
@@ -319,7 +315,6 @@ def render_image(
 
     Args:
         exposure: one of the scene's `exposures.kinds`; None: the first of them.
-        variant: Mitsuba's variant.
 
     Returns:
         H x W x 3 (R, G, B), uint8 or uint16.
@@ -350,7 +345,6 @@ class LiveCamera:
 
     Args:
         scene: its motion is not used, but must be possible.
-        variant: Mitsuba's variant.
 
     Raises:
         SceneError: the scene is impossible.

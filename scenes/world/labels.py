@@ -20,11 +20,7 @@ from scenes.world.world import World
 
 
 def spot_labels(world: World, frame: int) -> dict[str, Any]:
-    """The fields of `formats.stack.FrameLabels` that follow from geometry, for one frame.
-
-    Args:
-        world: the scene and everything derived from it.
-    """
+    """The fields of `formats.stack.FrameLabels` that follow from geometry, for one frame."""
     scene, spots = world.scene, world.truth
 
     def at(column: object) -> Any:
@@ -97,9 +93,6 @@ def uniform_irradiance(world: World) -> np.ndarray:
     """Indirect irradiance per colour channel, mW/mm2, by the closed form.
 
     It is zero on a plane, and if it is off or traced by the integrator.
-
-    Args:
-        world: the scene and everything derived from it.
     """
     scene = world.scene
     if scene.phantom.kind == "plane" or scene.phantom.indirect != "closed form":
@@ -119,7 +112,6 @@ def peak_irradiance(world: World, *, distance: float) -> float:
     """Largest irradiance on a plane square to the beam, mW/mm2.
 
     Args:
-        world: the scene and everything derived from it.
         distance: distance from the tip, mm.
     """
     power, table = world.scene.source.power_mw, world.table
@@ -138,9 +130,6 @@ def paper_exposure(world: World) -> float:
     With it, a wall of the mean colour has grey level 200, the threshold of the paper's tracker,
     where its irradiance is `paper_level` times the peak of the beam at `paper_distance_mm`. Each
     channel is clipped at full scale, as in the camera.
-
-    Args:
-        world: the scene and everything derived from it.
 
     Raises:
         SceneError: the scene has `paper` frames, and the exposure is longer than the time between

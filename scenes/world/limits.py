@@ -25,7 +25,6 @@ def check_poses(
     only the tip is checked.
 
     Args:
-        geometry: the geometry of the scene.
         times: n times, s.
         tip: n x 3, mm.
         axis: n x 3, unit vectors.
@@ -100,7 +99,6 @@ def check_window(geometry: SceneGeometry, *, times: np.ndarray, contours: np.nda
     """Refuse a scene whose spot leaves the window, unless window_offset_px is set.
 
     Args:
-        geometry: the geometry of the scene.
         times: n times, s.
         contours: image points of the spot's contour, n x points x 2, px.
 
@@ -137,7 +135,6 @@ def check_view(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarr
     """Refuse a scene in which the iris, or a lens's edge, hides a part of the spot.
 
     Args:
-        geometry: the geometry of the scene.
         times: n times, s.
         contours: points of the spot's contour on the wall, n x points x 3, mm.
 

@@ -68,9 +68,6 @@ class Trajectory(NamedTuple):
 def trajectory(geometry: SceneGeometry) -> Trajectory:
     """The scene's motion.
 
-    Args:
-        geometry: the geometry of the scene.
-
     Raises:
         SceneError: the motion is impossible, or its file cannot be read.
     """
