@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from formats.inputs import InputError
 from scenes.description.settings import (
@@ -22,6 +22,7 @@ from scenes.description.settings import (
     MicroscopeSettings,
     Motion,
     Phantom,
+    SceneTable,
     SecondTool,
     Seed,
     SourceSettings,
@@ -35,10 +36,8 @@ _Velocity = Annotated[float, Field(ge=-100, le=100)]
 _Turning = Annotated[float, Field(ge=-90, le=90)]
 
 
-class Unrest(BaseModel):
+class Unrest(SceneTable):
     """What else does not keep still: the view, the eye and the source's power."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     drift_mm_s: tuple[_Velocity, _Velocity] = Field(
         (0.0, 0.0),
@@ -92,10 +91,8 @@ _EFFECTIVE: tuple[tuple[str, str, str, tuple[object, ...]], ...] = (
 """Keys of a table, and the values of another of its keys with which they have an effect."""
 
 
-class Scene(BaseModel):
+class Scene(SceneTable):
     """One trial: all settings that an image stack depends on."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     schema_version: Literal[1] = Field(1, alias="schema")
     seed: Seed = Field(0, description="Random seed of the camera noise.")
@@ -162,7 +159,11 @@ class Scene(BaseModel):
             phantom = phantom.model_dump(exclude_unset=True)
         if not (isinstance(viewing, Mapping) and isinstance(phantom, Mapping)):
             return content
-        if viewing.get("eye", "none") == "none" or not _readable(viewing):
+        if viewing.get("eye", "none") == "none":
+            return content
+        try:
+            Viewing.model_validate(viewing)
+        except ValidationError:  # which the validation of [viewing] will report
             return content
         retina = retina_of(dict(viewing))
         for key, own in retina.items():
@@ -301,12 +302,3 @@ class Scene(BaseModel):
                 "miss the plane. Lower one of them."
             )
         return self
-
-
-def _readable(viewing: Mapping[str, Any]) -> bool:
-    """Whether [viewing] has the types that its validation will accept."""
-    try:
-        Viewing.model_validate(viewing)
-    except ValidationError:
-        return False
-    return True

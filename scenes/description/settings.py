@@ -22,11 +22,13 @@ Angle = Annotated[float, Field(ge=-3600, le=3600)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
-class _Settings(BaseModel):
+class SceneTable(BaseModel):
+    """A table of a scene file: frozen, without other keys, with finite numbers."""
+
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Withdrawal(_Settings):
+class Withdrawal(SceneTable):
     """The tip withdraws along the beam at constant speed."""
 
     kind: Literal["withdrawal"] = Field(
@@ -44,7 +46,7 @@ class Withdrawal(_Settings):
     speed_mm_s: Positive = Field(0.1, description="Speed of the tip.")
 
 
-class _NamedMotion(_Settings):
+class _NamedMotion(SceneTable):
     """A motion that needs the key `kind`; without that key the motion is a withdrawal."""
 
     model_config = ConfigDict(json_schema_extra={"required": ["kind"]})
@@ -113,7 +115,7 @@ class Recorded(_NamedMotion):
 UNNAMED = "withdrawal"
 """The motion of a scene without `motion.kind`."""
 
-MOTIONS: dict[str, type[_Settings]] = {
+MOTIONS: dict[str, type[SceneTable]] = {
     "withdrawal": Withdrawal,
     "scan": Scan,
     "hand": Hand,
@@ -138,7 +140,7 @@ Motion = Annotated[
 ]
 
 
-class Clocks(_Settings):
+class Clocks(SceneTable):
     """Clocks of the camera and of the robot. Times are those of the camera's clock."""
 
     camera_hz: float = Field(
@@ -173,48 +175,44 @@ _NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 _Positive = Annotated[float, Field(ge=1e-3, le=1e15)]
 
 
-class CameraSettings(BaseModel):
+class CameraSettings(SceneTable):
     """The camera: its data sheet (EMVA 1288) and its image format.
 
     The defaults describe an 8-bit USB microscope with a full well of 5,000 electrons. Its temporal
     noise is 3 DN per channel at 180 DN.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    full_well_e: _Positive = Field(
-        default=5000.0, description="Full well: electrons at full scale."
-    )
+    full_well_e: _Positive = Field(5000.0, description="Full well: electrons at full scale.")
     read_noise_e: _NonNegative = Field(
-        default=10.0,
+        10.0,
         description="Read noise: temporal standard deviation of a dark pixel, electrons.",
     )
     dark_signal_e: _NonNegative = Field(
-        default=0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
+        0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
     )
     prnu: float = Field(
-        default=0.0,
+        0.0,
         ge=0,
         lt=1,
         description="PRNU: standard deviation of the pixels' gain, relative to its mean.",
     )
     dsnu_e: _NonNegative = Field(
-        default=0.0, description="DSNU: standard deviation of the pixels' dark signal, electrons."
+        0.0, description="DSNU: standard deviation of the pixels' dark signal, electrons."
     )
     black_level_dn: _NonNegative = Field(
-        default=4.0, description="Mean value of a dark image before the response curve, DN."
+        4.0, description="Mean value of a dark image before the response curve, DN."
     )
-    bit_depth: int = Field(default=8, ge=8, le=16, description="Bits per channel in the file.")
+    bit_depth: int = Field(8, ge=8, le=16, description="Bits per channel in the file.")
     response: Literal["linear", "srgb"] | Annotated[float, Field(ge=0.01, le=100)] = Field(
-        default="linear",
+        "linear",
         description='Response curve: "linear", "srgb" (IEC 61966-2-1), or a number g for x^(1/g).',
     )
     bayer: Literal["none", "RGGB", "BGGR", "GRBG", "GBRG"] = Field(
-        default="none",
+        "none",
         description="Bayer filter: colours of the first two rows. Other colours are interpolated.",
     )
     jpeg_quality: int = Field(
-        default=0,
+        0,
         ge=0,
         le=100,
         description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG.",
@@ -226,17 +224,13 @@ class CameraSettings(BaseModel):
         return self.read_noise_e**2 + 1 / (12 * self.system_gain**2)
 
     @model_validator(mode="after")
-    def _black_is_below_white(self) -> CameraSettings:
+    def _is_possible(self) -> CameraSettings:
         if self.black_level_dn >= self.full_scale_dn:
             raise InputError(
                 f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="
                 f"{self.black_level_dn:g} DN, full scale {self.full_scale_dn} DN at bit_depth="
                 f"{self.bit_depth}. Lower black_level_dn or raise bit_depth."
             )
-        return self
-
-    @model_validator(mode="after")
-    def _jpeg_has_eight_bits(self) -> CameraSettings:
         if self.jpeg_quality and self.bit_depth != 8:
             raise InputError(
                 f"CameraSettings(jpeg_quality=...) needs 8 bits; got jpeg_quality="
@@ -260,17 +254,15 @@ class CameraSettings(BaseModel):
         return (height, width, 3) if self.bayer == "none" else (height, width)
 
 
-_FileName = Annotated[str, Field(max_length=4096)]
+FileName = Annotated[str, Field(max_length=4096)]
 _Aside = Annotated[float, Field(ge=-1e3, le=1e3)]
 _Nanometres = Annotated[float, Field(ge=100, le=2000)]
 
 
-class Viewing(BaseModel):
+class Viewing(SceneTable):
     """What the microscope looks through: nothing, or a viewing lens and the eye's own optics."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    eye: _FileName = Field(
+    eye: FileName = Field(
         "none",
         description="'none', an eye (navarro, liou-brennan, atchison), or the path of an eye file. "
         "An eye brings the shape of its retina. source.medium fills it; 'vitreous' is its own.",
@@ -281,7 +273,7 @@ class Viewing(BaseModel):
     refraction_d: float = Field(
         0.0, ge=-30, le=30, description="Refraction in dioptres, for eyes that depend on it."
     )
-    lens: _FileName = Field(
+    lens: FileName = Field(
         "none",
         description="'none', a viewing lens (flat, biconcave, wide-field-60, -90, -120, -130), or "
         "the path of a lens file.",
@@ -358,10 +350,9 @@ Pixels = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Coefficient = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Spread = Annotated[float, Field(ge=1e-4, le=1)]
 _Ratio = Annotated[float, Field(ge=0.5, le=2)]
-FileName = Annotated[str, Field(max_length=4096)]
 
 
-class Phantom(_Settings):
+class Phantom(SceneTable):
     """The wall that the light falls on."""
 
     kind: Literal["eyeball", "plane"] = "eyeball"
@@ -445,7 +436,7 @@ class Phantom(_Settings):
         return self.radius_mm * mean ** (0.5 / p)
 
 
-class SourceSettings(_Settings):
+class SourceSettings(SceneTable):
     """The fibre's light."""
 
     kind: Literal["lens", "cone", "photons"] = Field(
@@ -473,7 +464,7 @@ class SourceSettings(_Settings):
     )
 
 
-class SpotSettings(_Settings):
+class SpotSettings(SceneTable):
     """Where the beam's axis meets the wall, and from which direction."""
 
     eccentricity_mm: Length = Field(0.0, description="c, distance of the spot from the eye's axis.")
@@ -486,7 +477,7 @@ class SpotSettings(_Settings):
     )
 
 
-class Instrument(_Settings):
+class Instrument(SceneTable):
     """The lighting instrument: a shaft with a bare fibre at its end."""
 
     visible: bool = Field(True, description="Whether the instrument is in the images.")
@@ -497,7 +488,7 @@ class Instrument(_Settings):
     )
 
 
-class SecondTool(_Settings):
+class SecondTool(SceneTable):
     """A second tool without light in another trocar; it hides the wall and casts shadows."""
 
     visible: bool = Field(False, description="Whether the second tool is in the eye.")
@@ -520,7 +511,7 @@ REAL_PINHOLE_HEIGHT_MM = 200.0
 """Of a microscope over an eye: `scene init --microscope real`, and every view into an eye."""
 
 
-class MicroscopeSettings(_Settings):
+class MicroscopeSettings(SceneTable):
     """The microscope: a pinhole camera whose window is centred on the position of [spot]."""
 
     pinhole_height_mm: Annotated[float, AllowInfNan()] = Field(
@@ -573,7 +564,7 @@ class MicroscopeSettings(_Settings):
     )
 
 
-class Exposures(_Settings):
+class Exposures(SceneTable):
     """Exposure: how bright the images are."""
 
     kinds: tuple[Literal["paper", "metered"], ...] = Field(
