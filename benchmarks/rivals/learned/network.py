@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -294,23 +293,6 @@ SCALED = ("x", "y", "semi_major", "semi_minor", "distance")
 _PASSES = 2  # the first window is the blob's, the second the first ellipse's
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trust:
-    """What the split `validation` says about the network's own words.
-
-    Attributes:
-        factors: by which the sigmas of `SCALED` are multiplied.
-        least_presence: logit below which a window counts as empty.
-    """
-
-    factors: Mapping[str, float]
-    least_presence: float
-
-
-UNJUDGED = Trust(factors=dict.fromkeys(SCALED, 1.0), least_presence=-math.inf)
-"""Takes the network at its word."""
-
-
 class Learned(NamedTuple):
     """What the estimator says about a frame; lengths px and mm.
 
@@ -333,11 +315,17 @@ class LearnedEstimator:
 
     It knows the light sources of the set that it was trained on, and no others: its distances are
     theirs.
+
+    Args:
+        trust: what the split `validation` says of the network's own words: `factors` by which the
+            sigmas of `SCALED` are multiplied, and `least_presence`, the logit below which a window
+            counts as empty; None takes the network at its word.
     """
 
-    def __init__(self, network: SpotNetwork, trust: Trust = UNJUDGED) -> None:
+    def __init__(self, network: SpotNetwork, trust: Mapping[str, Any] | None = None) -> None:
         self._network = network
-        self._trust = trust
+        said = trust or {"factors": dict.fromkeys(SCALED, 1.0), "least_presence": -math.inf}
+        self._factors, self._least_presence = said["factors"], said["least_presence"]
 
     @classmethod
     def load(cls, weights: Path = WEIGHTS) -> LearnedEstimator:
@@ -350,10 +338,8 @@ class LearnedEstimator:
         with in_file(about):
             try:
                 trust = json.loads(read_text(about))["trust"]
-                known = Trust(
-                    factors={name: float(trust["factors"][name]) for name in SCALED},
-                    least_presence=float(trust["least_presence"]),
-                )
+                factors = {name: float(trust["factors"][name]) for name in SCALED}
+                known = {"factors": factors, "least_presence": float(trust["least_presence"])}
             except (OSError, ValueError, KeyError, TypeError) as error:
                 raise InputError(f"cannot be read: {error}. Train again.") from error
         return cls(load_network(weights), known)
@@ -369,7 +355,7 @@ class LearnedEstimator:
             x, y, a, b, _ = said.ellipse
             inside = 0 <= x < image.shape[1] and 0 <= y < image.shape[0]
             guess = Guess(x, y, math.sqrt(a * b)) if inside else None
-        unseen = guess is None or said is None or said.presence < self._trust.least_presence
+        unseen = guess is None or said is None or said.presence < self._least_presence
         return None if unseen else said
 
     def _said(self, image: np.ndarray, guess: Guess, microscope: MicroscopeFile) -> Learned:
@@ -378,7 +364,7 @@ class LearnedEstimator:
         place = place_of(window, microscope).astype(np.float32)
         mean, log_sigma, presence = map(np.asarray, _forward(self._network, seen, place))
         numbers, sigmas = mean.astype(float), np.exp(log_sigma.astype(float))
-        factors = self._trust.factors
+        factors = self._factors
         each = np.array([factors[name] for name in SCALED[:4]] + [1.0])
         distance = math.exp(numbers[5])
         return Learned(

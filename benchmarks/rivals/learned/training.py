@@ -13,7 +13,7 @@ import importlib.metadata
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -34,7 +34,6 @@ from benchmarks.rivals.learned.network import (
     LearnedEstimator,
     PixelSquare,
     SpotNetwork,
-    Trust,
     blob_in,
     cut,
     evened,
@@ -302,7 +301,19 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         state = _state(out, _rule(1), seed=0)
     network, done = state.network, int(state.epoch)
     if done < stop:
-        network = _trained(splits, out, epochs=epochs, stop=stop, seed=seed)
+        with progress("Reading", total=sum(map(len, splits.values()))) as advance:
+            samples, validation = (
+                samples_of(stacks, seed, progress=advance) for stacks in splits.values()
+            )
+        with progress("Training", total=stop) as advance:
+
+            def show(epoch: dict[Any, float]) -> None:
+                losses = f"loss {epoch['train']:.3f}, validation {epoch['validation']:.3f}"
+                advance(note=f"{losses}, size {100 * epoch['size_error']:.2f} %")
+
+            network = train(
+                *(samples, validation, out), epochs=epochs, stop=stop, seed=seed, show=show
+            )
     trust, found = judged(network, splits["validation"])
     with written_whole(out / "weights.eqx", replace=True) as partial:
         eqx.tree_serialise_leaves(partial, network)
@@ -315,7 +326,7 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
             split: sum(len(entry.open().labels) for entry in stacks)
             for split, stacks in splits.items()
         },
-        "trust": vars(trust),
+        "trust": trust,
         "validation": found,
         "weights_sha256": hashlib.sha256((out / "weights.eqx").read_bytes()).hexdigest(),
         "versions": versions() | {name: importlib.metadata.version(name) for name in _LIBRARIES},
@@ -324,29 +335,13 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
     print(f"Wrote {out / 'weights.eqx'}.")
 
 
-def _trained(
-    splits: Mapping[str, Sequence[SetStack]], out: Path, *, epochs: int, stop: int, seed: int
-) -> SpotNetwork:
-    with progress("Reading", total=sum(map(len, splits.values()))) as advance:
-        samples, validation = (
-            samples_of(splits[split], seed, progress=advance) for split in ("train", "validation")
-        )
-    with progress("Training", total=stop) as advance:
-
-        def show(epoch: dict[Any, float]) -> None:
-            losses = f"loss {epoch['train']:.3f}, validation {epoch['validation']:.3f}"
-            advance(note=f"{losses}, size {100 * epoch['size_error']:.2f} %")
-
-        return train(samples, validation, out, epochs=epochs, stop=stop, seed=seed, show=show)
-
-
 _SHARE = 0.683  # of the errors within one sigma
 _REFUSED = 0.01  # part of the visible spots that may be refused
 
 
 def judged(
     network: SpotNetwork, stacks: Sequence[SetStack]
-) -> tuple[Trust, dict[str, int | dict[str, float]]]:
+) -> tuple[dict[str, Any], dict[str, int | dict[str, float]]]:
     """Measure all frames, and choose factors with which 68.3 % of the errors lie within a sigma.
 
     Returns:
@@ -376,10 +371,10 @@ def judged(
                 sigmas.append([*np.sqrt(variances), said.sigma_distance_mm])
     z = np.abs(errors) / np.array(sigmas)
     factors = np.quantile(z, _SHARE, axis=0)
-    trust = Trust(
-        factors=dict(zip(SCALED, factors.tolist(), strict=True)),
-        least_presence=float(np.quantile(presences, _REFUSED)),
-    )
+    trust = {
+        "factors": dict(zip(SCALED, factors.tolist(), strict=True)),
+        "least_presence": float(np.quantile(presences, _REFUSED)),
+    }
     rms, within = np.sqrt(np.mean(np.square(errors), axis=0)), np.mean(z < 2 * factors, axis=0)
     return trust, {
         "frames": len(presences),
