@@ -397,7 +397,17 @@ def _render(
     left = list(missing)
     while left:
         busy = []
-        for stack, error in _tried(left, out, client):
+        # One message with all tasks costs the scheduler half of what a message a task costs.
+        futures = client.map(
+            render_planned,
+            [stack.scene.model_dump(mode="json", by_alias=True) for stack in left],
+            [str(_folder(out, stack)) for stack in left],
+            wanted=versions(),
+            pure=False,
+        )
+        rendering = dict(zip(futures, left, strict=True))
+        for future in as_completed(rendering):
+            stack, error = rendering[future], future.exception()
             if isinstance(error, BeingWrittenError):
                 busy.append(stack)
                 continue
@@ -416,23 +426,6 @@ def _render(
         raise SetError(
             "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
         )
-
-
-def _tried(
-    stacks: Sequence[PlannedStack], out: Path, client: Client
-) -> Iterator[tuple[PlannedStack, BaseException | None]]:
-    """Each stack when a worker has tried to render it, and the error if there was one."""
-    # One message with all tasks costs the scheduler half of what a message a task costs.
-    futures = client.map(
-        render_planned,
-        [stack.scene.model_dump(mode="json", by_alias=True) for stack in stacks],
-        [str(_folder(out, stack)) for stack in stacks],
-        wanted=versions(),
-        pure=False,
-    )
-    rendering = dict(zip(futures, stacks, strict=True))
-    for future in as_completed(rendering):
-        yield rendering[future], future.exception()
 
 
 def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:

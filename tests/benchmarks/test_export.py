@@ -195,6 +195,7 @@ def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
 ) -> None:
     outs = [tmp_path / "first", tmp_path / "second"]
     for out in outs:
+        out.mkdir()
         webdataset_format.write(stacks_of(drawn), out, lambda: None, shard_bytes=150_000)
     digests = [
         {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in out.glob("*.tar")}

@@ -31,34 +31,28 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
         to: Format to write; see docs/datasets.md.
         out: File (hdf5) or folder to write; it must not exist yet.
     """
-    from benchmarks.sets.read import set_files, stacks_of
+    from benchmarks.sets.read import copy_description, qualified_name, set_files, stacks_of
 
     with progress("Exporting", total=None) as advance, written_whole(out) as whole:
         stacks = stacks_of(folder)
         write = _writer(to)
-        require_space(out, _least_bytes(stacks))
-        images = sum(_checked(entry) for entry in stacks)
+        pictures = (path for entry in stacks for path in (entry.folder / "frames").glob("*.png"))
+        require_space(out, sum(path.stat().st_size for path in pictures))  # none compresses more
+        images = 0
+        for entry in stacks:  # some formats only copy the files
+            stack = entry.open()
+            stack.verify()
+            if not stack.labels:
+                raise InputError(f"the stack {entry.folder} has no frames. Render it again.")
+            images += len(stack.labels)
         if to != "hdf5":
             whole.mkdir()
+            for entry in stacks:
+                copy_description(entry, whole / qualified_name(entry))
         write(stacks, whole, partial(advance, note=f"of {images}"))
         for path in set_files(stacks) if to != "hdf5" else ():
             shutil.copyfile(path, whole / path.name)
     print(f"Wrote {out}.")
-
-
-def _least_bytes(stacks: Sequence[SetStack]) -> int:
-    """Least size of the export: that of the images, which no format compresses more."""
-    images = (path for entry in stacks for path in (entry.folder / "frames").glob("*.png"))
-    return sum(path.stat().st_size for path in images)
-
-
-def _checked(entry: SetStack) -> int:
-    """Number of images of a stack, after a check for damage; some formats only copy the files."""
-    stack = entry.open()
-    stack.verify()
-    if not stack.labels:
-        raise InputError(f"the stack {entry.folder} has no frames. Render it again.")
-    return len(stack.labels)
 
 
 def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tifffile import TiffWriter
 
-from benchmarks.sets.read import SetStack, copy_description, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, exposures_of, qualified_name
 from formats.microscope import read_microscope
 from formats.stack import FrameLabels, Stack
 
@@ -26,7 +26,6 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
     for entry in stacks:
         stack = entry.open()
         folder = out / qualified_name(entry)
-        copy_description(entry, folder)
         scale_um = 1e3 * read_microscope(stack.folder / "microscope.json").scale_mm_px
         for exposure in exposures_of(stack):
             _write_recording(folder / f"{exposure}.ome.tif", stack, exposure, scale_um, progress)
@@ -48,7 +47,13 @@ def _write_recording(
         "PhysicalSizeXUnit": "µm",
         "PhysicalSizeY": scale_um,
         "PhysicalSizeYUnit": "µm",
-        **_times(rows),
+        # OME's DeltaT is the start of an exposure; our times are its middle.
+        "Plane": {
+            "DeltaT": [row.time_s - row.exposure_s / 2 for row in rows],
+            "DeltaTUnit": ["s"] * len(rows),
+            "ExposureTime": [row.exposure_s for row in rows],
+            "ExposureTimeUnit": ["s"] * len(rows),
+        },
     }
     bytes_ = len(rows) * (frame.nbytes + mask.nbytes)
     with TiffWriter(path, ome=True, bigtiff=bytes_ > _CLASSIC_BYTES) as file:
@@ -73,17 +78,3 @@ def _write_series(
         compressionargs={"level": 1},
         metadata={**metadata, "axes": "TYXS" if colour else "TYX"},
     )
-
-
-def _times(rows: Sequence[FrameLabels]) -> dict[str, Any]:
-    """Start and duration of each exposure, as OME defines them."""
-    # OME's DeltaT is the start of an exposure; our times are its middle.
-    began = [row.time_s - row.exposure_s / 2 for row in rows]
-    return {
-        "Plane": {
-            "DeltaT": began,
-            "DeltaTUnit": ["s"] * len(rows),
-            "ExposureTime": [row.exposure_s for row in rows],
-            "ExposureTimeUnit": ["s"] * len(rows),
-        }
-    }

@@ -13,7 +13,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.sets.read import SetStack, copy_description, qualified_name, split_name
+from benchmarks.sets.read import SetStack, qualified_name, split_name
 
 _SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
 
@@ -26,8 +26,6 @@ def write(
     shard_bytes: int = _SHARD_BYTES,
 ) -> None:
     """Write the shards; each ends with the sample that reaches `shard_bytes`."""
-    for entry in stacks:
-        copy_description(entry, out / qualified_name(entry))
     for part, group in itertools.groupby(stacks, key=split_name):
         samples = itertools.chain.from_iterable(map(_samples, group))
         for shard in itertools.count():
