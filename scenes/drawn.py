@@ -11,12 +11,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from statistics import NormalDist
-from typing import Protocol
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
+from formats.spots import Spot
 from scenes.walls.fundus import fundus
 
 Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
@@ -51,26 +51,6 @@ _SHAFT_LEVEL = 5.0
 _SOFT_DISC = erf_edge(2.0)
 
 
-class MeasuredEllipse(Protocol):
-    """A measured ellipse, such as `formats.spots.Spot`: centre and semi-axes, px."""
-
-    @property
-    def x_px(self) -> float:
-        """Centre, u."""
-
-    @property
-    def y_px(self) -> float:
-        """Centre, v."""
-
-    @property
-    def semi_major_px(self) -> float:
-        """Longer semi-axis."""
-
-    @property
-    def semi_minor_px(self) -> float:
-        """Shorter semi-axis."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Truth:
     """The half-maximum ellipse of a spot, px and rad."""
@@ -85,7 +65,7 @@ class Truth:
         """The same ellipse, shifted."""
         return replace(self, x=self.x + dx, y=self.y + dy)
 
-    def errors(self, spot: MeasuredEllipse) -> tuple[float, float, float, float]:
+    def errors(self, spot: Spot) -> tuple[float, float, float, float]:
         """Errors (estimate minus truth) of x, y, semi-major and semi-minor axis, px."""
         return (
             spot.x_px - self.x,
@@ -126,10 +106,16 @@ class Drawing:
 
 def light_of(drawing: Drawing, shape: tuple[int, int] = SHAPE) -> np.ndarray:
     """Noise-free values of the three channels, neither clipped nor rounded, (H, W, 3)."""
-    if drawing.amplitude == 0:
-        spot = np.zeros(shape)
-    else:
-        spot = drawing.amplitude * drawing.profile(*_radius_and_distance(drawing.truth, shape))
+    spot = np.zeros(shape)
+    if drawing.amplitude:
+        truth, (v, u) = drawing.truth, np.mgrid[: shape[0], : shape[1]].astype(float)
+        c, s = math.cos(truth.angle), math.sin(truth.angle)
+        x = ((u - truth.x) * c + (v - truth.y) * s) / truth.semi_major
+        y = ((v - truth.y) * c - (u - truth.x) * s) / truth.semi_minor
+        t = np.maximum(np.hypot(x, y), 1e-9)
+        # The signed distance to the contour is exact to first order.
+        gradient = np.hypot(x / truth.semi_major, y / truth.semi_minor) / t
+        spot = drawing.amplitude * drawing.profile(t, (t - 1) / np.maximum(gradient, 1e-9))
     if drawing.path_px is not None:
         spot = _moved(spot, *drawing.path_px)
     if drawing.lit is not None:
@@ -154,17 +140,6 @@ def frame_of(
     image += noise
     np.clip(np.rint(image, out=image), 0, 255, out=image)
     return image.astype(np.uint8)
-
-
-def _radius_and_distance(truth: Truth, shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
-    """Elliptical radius, and signed distance to the contour (exact to first order)."""
-    v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
-    c, s = math.cos(truth.angle), math.sin(truth.angle)
-    x = ((u - truth.x) * c + (v - truth.y) * s) / truth.semi_major
-    y = ((v - truth.y) * c - (u - truth.x) * s) / truth.semi_minor
-    t = np.maximum(np.hypot(x, y), 1e-9)
-    gradient = np.hypot(x / truth.semi_major, y / truth.semi_minor) / t
-    return t, (t - 1) / np.maximum(gradient, 1e-9)
 
 
 def _moved(light: np.ndarray, x: float, y: float) -> np.ndarray:
@@ -210,22 +185,19 @@ def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.nda
     return wall / wall.mean(axis=(0, 1)).max()
 
 
-def behind_shaft(tip: tuple[float, float], heading: float, width_px: float) -> np.ndarray:
-    """Visible fraction of the wall behind a shaft from the tip in a direction (rad)."""
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    along = (u - tip[0]) * math.cos(heading) + (v - tip[1]) * math.sin(heading)
-    across = (v - tip[1]) * math.cos(heading) - (u - tip[0]) * math.sin(heading)
-    return 1 - np.clip(np.minimum(along, width_px / 2 - np.abs(across)) + 0.5, 0, 1)
-
-
 def with_shaft(
     drawing: Drawing, rng: np.random.Generator, reach: float, width_px: float
 ) -> Drawing:
     """A drawing with a shaft. Its tip ends `reach` semi-minor axes before the spot's centre."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     truth, heading = drawing.truth, rng.uniform(0, 2 * math.pi)
     away = reach * truth.semi_minor
     tip = truth.x + away * math.cos(heading), truth.y + away * math.sin(heading)
-    return replace(drawing, seen=behind_shaft(tip, heading, width_px))
+    right, down = u - tip[0], v - tip[1]
+    along = right * math.cos(heading) + down * math.sin(heading)
+    across = down * math.cos(heading) - right * math.sin(heading)
+    hidden = np.clip(np.minimum(along, width_px / 2 - np.abs(across)) + 0.5, 0, 1)
+    return replace(drawing, seen=1 - hidden)
 
 
 def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawing:
