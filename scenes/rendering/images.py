@@ -101,7 +101,7 @@ class Images:
         return self.world.reflections.image(view_px)[..., None].astype(np.float32)
 
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from scenes.rendering.pixels import pixel_means
+        from scenes.rendering.loaded_scene import pixel_means
 
         return pixel_means(self.mitsuba_scene, pixels, samples=self.world.scene.microscope.samples)
 

@@ -1,7 +1,13 @@
-"""A loaded Mitsuba scene: rigid transforms, its wall, and radiance along lines of sight."""
+"""A loaded Mitsuba scene: its wall, and radiance along lines of sight, in pixels and within them.
+
+Import after `load_mitsuba`. Pixels and places within pixels lie on a regular grid.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
@@ -42,3 +48,81 @@ def radiance_along(mitsuba_scene: Any, *, start: np.ndarray, direction: np.ndarr
     colours = dr.ravel(light)
     dr.eval(colours)
     return np.array(colours).reshape(-1, 3)
+
+
+@dr.syntax
+def pixel_means(
+    mitsuba_scene: Any, pixels: np.ndarray, *, samples: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """The same values as `mi.render` with a box filter and a stratified sampler without jitter.
+
+    Args:
+        mitsuba_scene: a scene with `SpotIntegrator`.
+        pixels: indices of n pixels, counted along rows from the top left.
+        samples: samples per pixel, rounded up to a square as in Mitsuba's sampler.
+
+    Returns:
+        Radiance, n x 3, and the fraction of each pixel that shows the wall, n.
+    """
+    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
+    size = mi.Vector2f(sensor.film().size())
+    side = math.isqrt(samples - 1) + 1
+    index, width = mi.UInt32(pixels), sensor.film().size()[0]
+    corner = mi.Vector2f(index % width, index // width)
+    radiance, wall = dr.zeros(mi.Color3f, pixels.size), dr.zeros(mi.Float, pixels.size)
+    sample = mi.UInt32(0)
+    while sample < side * side:
+        place = corner + (mi.Vector2f(sample % side, sample // side) + 0.5) / side
+        ray, part = sensor.sample_ray(0.0, 0.5, mi.Point2f(place / size), mi.Point2f(0.5))
+        light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
+        radiance += light * part
+        wall += seen[0]
+        sample += 1
+    colours, part = dr.ravel(radiance / side**2), wall / side**2
+    dr.eval(colours, part)  # in one kernel
+    return np.array(colours).reshape(-1, 3), np.array(part)
+
+
+def fine_image(
+    mitsuba_scene: Any, window: tuple[int, int, int, int], *, factor: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Radiance at several places of each pixel of a window.
+
+    Args:
+        mitsuba_scene: a scene with `SpotIntegrator`.
+        window: top, bottom, left and right, px.
+        factor: places along a side of a pixel.
+
+    Returns:
+        Radiance, rows x columns x 3, and 1 where the wall is seen, rows x columns; both float32.
+    """
+    top, bottom, left, right = window
+    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
+    rows, columns = (bottom - top) * factor, (right - left) * factor
+    index, corner = dr.arange(mi.UInt32, rows * columns), mi.Vector2f(left, top)
+    # As data, so that every window uses the same kernel.
+    side = mi.UInt32(columns)
+    dr.make_opaque(side, corner)
+    place = (mi.Vector2f(index % side, index // side) + 0.5) / factor + corner
+    size = mi.Vector2f(sensor.film().size())
+    ray, part = sensor.sample_ray(0.0, 0.5, mi.Point2f(place / size), mi.Point2f(0.5))
+    light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
+    colours, wall = dr.ravel(light * part), mi.Float(seen[0])
+    dr.eval(colours, wall)
+    return np.array(colours).reshape(rows, columns, 3), np.array(wall).reshape(rows, columns)
+
+
+@contextmanager
+def more_even_light(mitsuba_scene: Any, added: float) -> Iterator[None]:
+    """Add irradiance from all sides to every surface within a block."""
+    parameters = mi.traverse(mitsuba_scene)
+    even = mi.Color3f(parameters["integrator.uniform"])
+    more = even + added
+    dr.make_opaque(even, more)
+    parameters["integrator.uniform"] = more
+    parameters.update()
+    try:
+        yield
+    finally:
+        parameters["integrator.uniform"] = even
+        parameters.update()

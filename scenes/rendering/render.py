@@ -240,7 +240,10 @@ class Renderer:
         added: float = 0.0,
     ) -> np.ndarray:
         """Radiance within pixels, with more even light; NaN where no wall is seen."""
-        from scenes.rendering.pixels import fine_image, more_even_light  # needs Mitsuba's variant
+        from scenes.rendering.loaded_scene import (  # needs Mitsuba's variant
+            fine_image,
+            more_even_light,
+        )
 
         tip, axis, moment = pose
         colours = []
