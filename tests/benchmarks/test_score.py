@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import io
 import json
 import math
@@ -17,7 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.reporting import Picture, rows_of
+from benchmarks.reporting import Picture, rows_of, where
 from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score import spots as spots_of_set
 from benchmarks.sets.score.judging import Score, images_of, score, with_derived
@@ -314,17 +313,16 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
     command = ["score", str(drawn), str(tracked), "--mode", "subpixel"]
     done = call([*command, "--out", str(tmp_path / "score")])
     assert done.exit_code == 0, done.output
-    with (tmp_path / "score" / "score.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
+    rows = pd.read_csv(tmp_path / "score" / "score.csv")
     read, run = (
-        [{**row, "estimator": ""} for row in rows if row["estimator"] == name]
+        where(rows, estimator=name).drop(columns="estimator").reset_index(drop=True)
         for name in ("tracked", "subpixel")
     )
-    assert read == run
-    total = next(r for r in run if r["condition"] == "all" and r["quantity"] == "semi_minor_px")
+    pd.testing.assert_frame_equal(read, run, check_exact=True)
+    (total,) = rows_of(where(run, condition="all", quantity="semi_minor_px"))
     # Drawn spots of a clean edge: the estimator's own tests hold 0.05 px.
-    assert float(total["rmse"]) < 0.05
-    assert total["missed"] == "0"
+    assert total.rmse < 0.05
+    assert total.missed == 0
     found = json.loads((tmp_path / "score" / "score.json").read_text())
     assert found["outcomes"]["subpixel"] == {"found": 15, "hidden": 1}
     for name in ("report.html", "leaderboard.csv", "figures/standings_semi_minor_px.svg"):
@@ -350,11 +348,10 @@ def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_pa
         command = ["score", str(stack), "--mode", "pixels", *given, "--out", str(out)]
         done = call(command)
         assert done.exit_code == 0, done.output
-        with (out / "score.csv").open(newline="") as file:
-            rows = list(csv.DictReader(file))
-        total = next(r for r in rows if r["condition"] == "all" and r["quantity"] == "distance_mm")
-        assert total["n"] == "6"
-        rmse.append(float(total["rmse"]))
+        rows = pd.read_csv(out / "score.csv")
+        (total,) = rows_of(where(rows, condition="all", quantity="distance_mm"))
+        assert total.n == 6
+        rmse.append(total.rmse)
     # The file's beam is that of the scene, known to 1e-6. On printed paper one frame of a cone is
     # known to 3 to 6 um; four times that is a wrong pose.
     assert rmse[0] == pytest.approx(rmse[1], rel=0.2)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from collections.abc import Sequence
@@ -154,21 +153,15 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plain(path: Path, drawn: Path, *, off: float, columns: str = "ellipse") -> Path:
     """The labels, off by some px, as somebody without eyespot writes them."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        if columns == "distance":
-            writer.writerow(["file_name", "distance_mm", "sigma_distance_mm"])
-        else:
-            names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "sigma_semi_minor_px")
-            writer.writerow(["file_name", *names])
-        for row in rows_of(images_of(stacks_of(drawn)).reset_index(names="image")):
-            name = row.image
-            place = (row.half_max_x_px, row.half_max_y_px)
-            axes = (row.half_max_semi_major_px + off, row.half_max_semi_minor_px + off)
-            if columns == "distance":
-                writer.writerow([name, row.d_mm + off, 0.1])
-            else:
-                writer.writerow([name, *place, *axes, 0.1])
+    images = images_of(stacks_of(drawn))
+    if columns == "distance":
+        table = pd.DataFrame({"distance_mm": images.d_mm + off, "sigma_distance_mm": 0.1})
+    else:
+        names = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
+        table = pd.DataFrame({name: images[f"half_max_{name}"] for name in names})
+        table[["semi_major_px", "semi_minor_px"]] += off
+        table["sigma_semi_minor_px"] = 0.1
+    table.to_csv(path, index_label="file_name")
     return path
 
 
@@ -183,17 +176,14 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
     command = ["score", str(drawn), "--entries", str(entries), "--out", str(out)]
     done = call(command)
     assert done.exit_code == 0, done.output
-    with (out / "leaderboard.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    ranked = [(row["entry"], row["rank"]) for row in rows if row["quantity"] == E1]
-    assert ranked == [("a network", "1"), ("theirs", "2")]
-    first = rows[0]
-    assert (first["command"], first["versions"], first["seed"]) == ("predict.py", "torch 2", "7")
-    assert float(first["ms_per_frame"]) == 4.5
-    assert float(first["median"]) == pytest.approx(0.1)
-    (distance,) = (row for row in rows if row["quantity"] == "distance_mm")
-    assert distance["entry"] == "regression"
-    assert float(distance["median"]) == pytest.approx(0.05)
+    rows = pd.read_csv(out / "leaderboard.csv")
+    ranked = rows[rows.quantity == E1]
+    assert [*zip(ranked.entry, ranked["rank"], strict=True)] == [("a network", 1), ("theirs", 2)]
+    first = rows.iloc[0]
+    assert (first.command, first.versions, first.seed) == ("predict.py", "torch 2", 7)
+    assert (first.ms_per_frame, first["median"]) == (4.5, pytest.approx(0.1))
+    (distance,) = rows_of(rows[rows.quantity == "distance_mm"])
+    assert (distance.entry, distance.median) == ("regression", pytest.approx(0.05))
     page = (out / "report.html").read_text()
     assert "a network" in page and "predict.py" in page
 
