@@ -42,12 +42,13 @@ def make(
         dry_run: Print the number of frames, size and time; render nothing.
     """
     from benchmarks.sets import make as cluster
-    from benchmarks.sets.make import check, estimate, make_set
+    from benchmarks.sets.make import estimate, make_set
     from benchmarks.sets.spec import load_spec, plan
+    from scenes import check_scene
 
     settings, part = load_spec(spec, changes), _shard(shard)
     with in_file(shortened(spec)[1:-1]):
-        planned = part.of(plan(settings, check) if dry_run else plan(settings))
+        planned = part.of(plan(settings, check_scene) if dry_run else plan(settings))
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "

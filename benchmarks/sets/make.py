@@ -46,7 +46,6 @@ from formats.inputs import InputError, in_file, object_in, read_text, shortened
 from formats.manifest import MANIFEST
 from formats.stack import StackWriter
 from formats.whole_files import BeingWrittenError, require_space, sweep, written_whole
-from scenes.world.world import World
 
 # Renders one stack; a separate file, so that workers import little else.
 
@@ -335,15 +334,6 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _BETWEEN_TRIES_S = 1.0
 
 
-def check(scene: scenes.Scene) -> None:
-    """Refuse a scene that cannot be rendered.
-
-    Raises:
-        SceneError: with the reason.
-    """
-    World(scene).check()
-
-
 def make_set(
     spec: SetSpec,
     out: Path,
@@ -370,7 +360,7 @@ def make_set(
         SceneError: see `plan`.
     """
     out = Path(out).absolute()
-    planned = plan(spec, check)
+    planned = plan(spec, scenes.check_scene)
     if redrawn := sum(stack.redrawn > 0 for stack in planned):
         say(f"{redrawn} of {len(planned)} stacks are drawn again; their scenes were impossible.")
     share = shard.of(planned)

@@ -21,7 +21,6 @@ from distributed import Client
 from benchmarks.sets import make
 from benchmarks.sets.make import (
     Shard,
-    check,
     estimate,
     local_workers,
     make_set,
@@ -29,7 +28,7 @@ from benchmarks.sets.make import (
 )
 from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
-from scenes import SceneError
+from scenes import SceneError, check_scene
 
 SPEC = """\
 name = "tiny"
@@ -263,7 +262,7 @@ def test_scenes_that_cannot_be_are_drawn_again_before_any_is_rendered(spec_file,
     changes = ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9"]
     wide = load_spec(spec_file, changes)
     assert any(stack.scene.source.cone_k < 15 for stack in plan(wide))
-    possible = plan(wide, check)
+    possible = plan(wide, check_scene)
     assert all(stack.scene.source.cone_k > 15 for stack in possible)
     assert len(possible) == len(plan(wide))
     never = load_spec(spec_file, [*changes, "source.cone_k = 14"])

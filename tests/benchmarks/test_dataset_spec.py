@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.sets.make import check
 from benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
-from scenes import Scene, SceneError, changed, scene_toml
+from scenes import Scene, SceneError, changed, check_scene, scene_toml
 
 PLAIN = """\
 name = "plain"
@@ -161,7 +160,7 @@ def test_no_two_stacks_share_noise_wall_motion_or_place(name):
 @pytest.mark.parametrize("name", named_specs())
 def test_every_scene_of_a_named_set_can_be_rendered(name):
     spec = load_spec(name)
-    assert plan(spec, check) == plan(spec)  # none is drawn again
+    assert plan(spec, check_scene) == plan(spec)  # none is drawn again
 
 
 def test_no_two_named_sets_share_a_seed_or_lack_the_licence():
