@@ -101,28 +101,11 @@ _SMALLEST_FIELD_MM = 0.5
 """Half the width of the smallest field that is worth a look: a spot is as wide."""
 
 
-def bare_camera(scene: Scene, wall: optics.Surface) -> SceneCamera:
-    """The camera with the principal point (0, 0), seen in green.
-
-    Raises:
-        SceneError: the pinhole lies too low, or the microscope sees nothing useful.
-    """
-    settings = scene.microscope
-    if scene.viewing.through_an_eye:
-        return _through_the_eye(scene, wall, channel=1)
-    return optics.microscope(
-        scale=settings.scale_mm_px,
-        pinhole_height=settings.pinhole_height_mm,
-        eye_radius=scene.phantom.radius_mm,
-        distortion=settings.distortion,
-    )
-
-
 def colour_cameras(scene: Scene, wall: optics.Surface) -> tuple[PathCamera, ...]:
     """Cameras for red, green and blue, each with the principal point (0, 0).
 
     Raises:
-        SceneError: as for `bare_camera`.
+        SceneError: the pinhole lies too low, or the microscope sees nothing useful.
     """
     green = _through_the_eye(scene, wall, channel=1)
     red, blue = (_through_the_eye(scene, wall, channel=k) for k in (0, 2))
@@ -300,10 +283,20 @@ class SceneGeometry:
         """The microscope, with its window centred on [spot].
 
         Raises:
-            SceneError: it sees nothing useful through [viewing].
+            SceneError: it sees nothing useful through [viewing], or its pinhole lies too low.
         """
         settings = self.scene.microscope
-        return bare_camera(self.scene, self.wall).centred_on(
+        camera: SceneCamera = (
+            _through_the_eye(self.scene, self.wall, channel=1)
+            if self.scene.viewing.through_an_eye
+            else optics.microscope(
+                scale=settings.scale_mm_px,
+                pinhole_height=settings.pinhole_height_mm,
+                eye_radius=self.scene.phantom.radius_mm,
+                distortion=settings.distortion,
+            )
+        )
+        return camera.centred_on(
             self.spot_frame.origin,
             width=settings.width_px,
             height=settings.height_px,

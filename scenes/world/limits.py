@@ -71,43 +71,52 @@ def check_poses(
         )
 
 
-def check_light(
-    *, times: np.ndarray, contours: np.ndarray, tip: np.ndarray, axis: np.ndarray
+def check_spots(
+    geometry: SceneGeometry,
+    *,
+    times: np.ndarray,
+    contours: np.ndarray,
+    contours_px: np.ndarray,
+    tip: np.ndarray,
+    axis: np.ndarray,
 ) -> None:
-    """Refuse a scene in which a part of the spot's edge lies behind the tip, where no light is.
+    """Refuse a scene in which a part of a spot has no light, is hidden, or leaves the window.
+
+    No light is behind the tip. The iris, or a lens's edge, may hide a part. A spot may leave the
+    window if window_offset_px is set.
 
     Args:
         times: n times, s.
-        contours: points of the spot's contour on the wall, n x points x 3, mm.
+        contours: points of the spots' contours on the wall, n x points x 3, mm.
+        contours_px: their images, n x points x 2, px.
         tip: n x 3, mm.
         axis: n x 3, unit vectors.
 
     Raises:
-        SceneError: a part is cut off; the message gives the first time and what to change.
+        SceneError: that is so; the message gives the first time and what to change. Or the
+            distortion folds the image.
     """
     ahead = np.sum((contours - tip[:, None]) * axis[:, None], axis=-1).min(axis=1)
-    if np.all(ahead > -_CONTACT_MM):
-        return
-    first = int(np.argmax(ahead <= -_CONTACT_MM))
-    raise SceneError(
-        f"at {times[first]:.3f} s a part of the spot's edge lies {-ahead[first]:.3f} mm behind the "
-        "tip, where there is no light. Raise the distance in [motion]."
-    )
-
-
-def check_window(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarray) -> None:
-    """Refuse a scene whose spot leaves the window, unless window_offset_px is set.
-
-    Args:
-        times: n times, s.
-        contours: image points of the spot's contour, n x points x 2, px.
-
-    Raises:
-        SceneError: the spot leaves the window; the message gives the first time, the extent of the
-            spot and what to change. Or the distortion folds the image.
-    """
-    camera = geometry.microscope
-    settings = geometry.scene.microscope
+    if not np.all(ahead > -_CONTACT_MM):
+        first = int(np.argmax(ahead <= -_CONTACT_MM))
+        raise SceneError(
+            f"at {times[first]:.3f} s a part of the spot's edge lies {-ahead[first]:.3f} mm behind "
+            "the tip, where there is no light. Raise the distance in [motion]."
+        )
+    camera, settings = geometry.microscope, geometry.scene.microscope
+    if isinstance(camera, PathCamera) and not np.all(seen := np.asarray(camera.sees(contours))):
+        first = int(np.argmin(seen.all(axis=1)))
+        reach = np.hypot(contours[first, :, 0], contours[first, :, 1]).max()
+        viewing = geometry.scene.viewing
+        hides, remedy = f"a pupil of {viewing.pupil_mm:g} mm", "raise viewing.pupil_mm"
+        if camera.widest < camera.pupil:
+            # Lines of sight farther out miss a surface, or are reflected totally.
+            hides, remedy = "the path, whose surfaces end there,", "choose another viewing.lens"
+        raise SceneError(
+            f"at {times[first]:.3f} s a part of the spot is hidden: {hides} shows c <= "
+            f"{float(camera.field(geometry.wall)):.2f} mm through viewing.lens {viewing.lens!r}, "
+            f"and the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or {remedy}."
+        )
     if isinstance(camera, optics.Microscope) and any(settings.distortion):
         edge = geometry.window_border
         point, _ = camera.ray(edge)
@@ -119,43 +128,13 @@ def check_window(geometry: SceneGeometry, *, times: np.ndarray, contours: np.nda
                 "window. Lower it, or spot.eccentricity_mm, or raise pinhole_height_mm."
             )
     width, height = settings.width_px, settings.height_px
-    inside = (contours >= 0) & (contours <= (width - 1, height - 1))  # false for NaN too
-    if inside.all() or any(settings.window_offset_px):
-        return
-    first = int(np.argmin(inside.all(axis=(1, 2))))
-    low, high = contours[first].min(axis=0), contours[first].max(axis=0)
-    raise SceneError(
-        f"at {times[first]:.3f} s the spot leaves the {width} x {height} px window: it reaches "
-        f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Shorten the path "
-        "in [motion], or raise microscope.width_px and height_px or scale_mm_px."
-    )
-
-
-def check_view(geometry: SceneGeometry, *, times: np.ndarray, contours: np.ndarray) -> None:
-    """Refuse a scene in which the iris, or a lens's edge, hides a part of the spot.
-
-    Args:
-        times: n times, s.
-        contours: points of the spot's contour on the wall, n x points x 3, mm.
-
-    Raises:
-        SceneError: a part is hidden; the message gives the first time and what to change.
-    """
-    camera = geometry.microscope
-    if not isinstance(camera, PathCamera):
-        return
-    seen = np.asarray(camera.sees(contours))
-    if seen.all():
-        return
-    first = int(np.argmin(seen.all(axis=1)))
-    reach = np.hypot(contours[first, :, 0], contours[first, :, 1]).max()
-    viewing = geometry.scene.viewing
-    hides, remedy = f"a pupil of {viewing.pupil_mm:g} mm", "raise viewing.pupil_mm"
-    if camera.widest < camera.pupil:
-        # Lines of sight farther out miss a surface, or are reflected totally.
-        hides, remedy = "the path, whose surfaces end there,", "choose another viewing.lens"
-    raise SceneError(
-        f"at {times[first]:.3f} s a part of the spot is hidden: {hides} shows c <= "
-        f"{float(camera.field(geometry.wall)):.2f} mm through viewing.lens {viewing.lens!r}, and "
-        f"the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or {remedy}."
-    )
+    # False for NaN, too.
+    inside = (contours_px >= 0) & (contours_px <= (width - 1, height - 1))
+    if not inside.all() and not any(settings.window_offset_px):
+        first = int(np.argmin(inside.all(axis=(1, 2))))
+        low, high = contours_px[first].min(axis=0), contours_px[first].max(axis=0)
+        raise SceneError(
+            f"at {times[first]:.3f} s the spot leaves the {width} x {height} px window: it reaches "
+            f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Shorten the "
+            "path in [motion], or raise microscope.width_px and height_px or scale_mm_px."
+        )

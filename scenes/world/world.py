@@ -23,7 +23,7 @@ from scenes.world.geometry import (
     scene_pencils,
     scene_reflections,
 )
-from scenes.world.limits import check_light, check_poses, check_view, check_window
+from scenes.world.limits import check_poses, check_spots
 from scenes.world.motion import Trajectory, frame_times, trajectory
 
 _LEAST_POWER = 1e-3
@@ -213,15 +213,14 @@ class World(SceneGeometry):
             half_angle=self.cone.half_angle,
             apex_offset=self.cone.apex_offset,
         )
-        check_light(times=self.times, contours=np.asarray(truth.contour), **poses)
         views = self.unrest.views(self.times)
         truth = truth._replace(
             cone=_shifted(truth.cone, views),
             half_max=_shifted(truth.half_max, views),
             contour_px=np.asarray(truth.contour_px) + views[:, None],
         )
-        check_view(self, times=self.times, contours=np.asarray(truth.contour))
-        check_window(self, times=self.times, contours=np.asarray(truth.contour_px))
+        contours, images = np.asarray(truth.contour), np.asarray(truth.contour_px)
+        check_spots(self, times=self.times, contours=contours, contours_px=images, **poses)
         return truth
 
     @cached_property
