@@ -232,7 +232,18 @@ def expose(
         InputError: image or exposure are negative or not finite.
     """
     light = np.array(linear, dtype=np.float32, order="C")
-    _check_light(light, exposure, settings)
+    if not 0 <= exposure < math.inf:
+        raise InputError(f"expose(exposure=...) must be finite and not negative; got {exposure:g}.")
+    if light.size == 0:
+        raise InputError(f"expose(linear=...) must contain pixels; got shape {light.shape}.")
+    low, high = float(light.min()), float(light.max())
+    # Electrons are summed in single precision; 1e30 is far below its largest number.
+    if not (low >= 0 and high * exposure * settings.full_well_e < 1e30):
+        raise InputError(
+            f"expose(linear=...) must be finite and not negative; got values from "
+            f"{low:g} to {high:g} at exposure={exposure:g}. Clip negative values, or lower the "
+            f"exposure."
+        )
     if settings.bayer != "none":
         light = mosaic(light, bayer=settings.bayer)
     curve = response_table(settings)
@@ -328,21 +339,6 @@ def _poisson(mean: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.
         n += 1
         chance *= mean
         chance *= np.float32(1 / n)
-
-
-def _check_light(light: NDArray[np.float32], exposure: float, settings: CameraSettings) -> None:
-    if not 0 <= exposure < math.inf:
-        raise InputError(f"expose(exposure=...) must be finite and not negative; got {exposure:g}.")
-    if light.size == 0:
-        raise InputError(f"expose(linear=...) must contain pixels; got shape {light.shape}.")
-    low, high = float(light.min()), float(light.max())
-    # Electrons are summed in single precision; 1e30 is far below its largest number.
-    if not (low >= 0 and high * exposure * settings.full_well_e < 1e30):
-        raise InputError(
-            f"expose(linear=...) must be finite and not negative; got values from "
-            f"{low:g} to {high:g} at exposure={exposure:g}. Clip negative values, or lower the "
-            f"exposure."
-        )
 
 
 def metered_exposure(

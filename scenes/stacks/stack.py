@@ -28,13 +28,8 @@ from scenes.world.motion import frame_count, kinematics, longest_exposure
 from scenes.world.world import World
 
 
-def file_name(world: World, frame: int, order: int) -> str:
-    """File name, within the stack, of a frame's image with the order-th kind of exposure."""
-    return f"frames/{frame * len(world.scene.exposures.kinds) + order:06d}.png"
-
-
 class Photography:
-    """Exposes and writes the frames of one stack.
+    """Exposes the frames of one stack.
 
     Attributes:
         paper_exposure_s: fixed exposure time of the `paper` frames.
@@ -61,35 +56,6 @@ class Photography:
         seed = [self._world.scene.seed, frame, order]
         raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
         return raw, self._camera.written(raw)
-
-    def write(
-        self,
-        writer: StackWriter,
-        light: np.ndarray,
-        *,
-        order: int,
-        exposure_s: float,
-        mask: np.ndarray,
-        labels: dict[str, Any],
-    ) -> None:
-        """Expose a frame with the order-th kind of exposure, and write it with its labels."""
-        scene, frame = self._world.scene, labels["frame"]
-        raw, written = self.images(light, exposure_s=exposure_s, frame=frame, order=order)
-        saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
-        row = FrameLabels(
-            file_name=file_name(self._world, frame, order),
-            mask_file_name=f"masks/{frame:06d}.png",
-            exposure=scene.exposures.kinds[order],
-            exposure_s=exposure_s,
-            saturated_fraction=float(saturated.mean()) if saturated.size else 0.0,
-            **labels,
-        )
-        writer.add(
-            written,
-            row,
-            np.uint8(255) * mask if order == 0 else None,
-            light if scene.exposures.keep_linear else None,
-        )
 
 
 # Frames that may wait for noise and encoding. More would only use memory.
@@ -156,14 +122,16 @@ def _render_frames(
 
     A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
     """
-    frames, kinds = range(renderer.world.times.size), renderer.scene.exposures.kinds
+    scene, kinds = renderer.scene, renderer.scene.exposures.kinds
+    frames = range(renderer.world.times.size)
     names = {
-        f: [file_name(renderer.world, f, order) for order in range(len(kinds))] for f in frames
+        f: [f"frames/{f * len(kinds) + order:06d}.png" for order in range(len(kinds))]
+        for f in frames
     }
     missing = [frame for frame in frames if not all(map(writer.has, names[frame]))]
     for _ in range(len(frames) - len(missing)):
         progress()
-    bounds = Bounds(renderer) if renderer.scene.exposures.bound else None
+    bounds = Bounds(renderer) if scene.exposures.bound else None
 
     def metered(frame: int, sharp: LinearFrame) -> tuple[np.ndarray, list[float]]:
         """The mask of the spot, and the exposure times in the order of exposures.kinds."""
@@ -179,8 +147,21 @@ def _render_frames(
         """Write the image of each exposure: its light, its time and the labels of its bound."""
         spot = spot_labels(renderer.world, frame) | {"visible_fraction": sharp.visible_fraction}
         for order, (light, duration, bound) in enumerate(exposed):
-            photography.write(
-                writer, light, order=order, exposure_s=duration, mask=mask, labels=spot | bound
+            raw, written = photography.images(light, exposure_s=duration, frame=frame, order=order)
+            saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
+            labels = FrameLabels(
+                file_name=names[frame][order],
+                mask_file_name=f"masks/{frame:06d}.png",
+                exposure=kinds[order],
+                exposure_s=duration,
+                saturated_fraction=float(saturated.mean()) if saturated.size else 0.0,
+                **(spot | bound),
+            )
+            writer.add(
+                written,
+                labels,
+                np.uint8(255) * mask if order == 0 else None,
+                light if scene.exposures.keep_linear else None,
             )
 
     waiting: tuple[int, LinearFrame, Future[tuple[np.ndarray, list[float]]]] | None = None
