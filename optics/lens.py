@@ -132,18 +132,29 @@ def _lit_extent(limit: ArrayLike, waist: ArrayLike | None) -> Float[Array, ""]:
     return jnp.asarray(limit) if waist is None else jnp.minimum(limit, 2.6 * jnp.asarray(waist))
 
 
-def glue_lens(**values: ArrayLike | None) -> GlueLens:
+def glue_lens(
+    *,
+    core_radius: ArrayLike,
+    glue_length: ArrayLike,
+    aperture_radius: ArrayLike,
+    sag: ArrayLike,
+    glue_index: ArrayLike,
+    numerical_aperture: ArrayLike,
+    launch_radius: ArrayLike | None = None,
+    launch_aperture: ArrayLike | None = None,
+) -> GlueLens:
     """Make a lens and check its values, except under tracing.
 
-    Args:
-        values: attributes of `GlueLens`; those of the launch may be left out.
+    Args: the attributes of `GlueLens`.
 
     Raises:
         InputError: a value outside its range; the message says which, and what to change.
     """
-    given: dict[str, Any] = {"launch_radius": None, "launch_aperture": None} | values
-    given = {name: None if x is None else jnp.asarray(x, float) for name, x in given.items()}
-    lens = GlueLens(**given)
+    drop = core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture
+    launch = (
+        None if x is None else jnp.asarray(x, float) for x in (launch_radius, launch_aperture)
+    )
+    lens = GlueLens(*(jnp.asarray(x, float) for x in drop), *launch)
     if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
         _check(lens)
     return lens
