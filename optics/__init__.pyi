@@ -47,7 +47,6 @@ from .models import paper_angle_s_d_e as paper_angle_s_d_e
 from .models import paper_foreshortening as paper_foreshortening
 from .models import paper_pinhole_distance as paper_pinhole_distance
 from .models import planar_distance as planar_distance
-from .models import planar_semi_minor as planar_semi_minor
 from .models import plane_point as plane_point
 from .models import sagitta as sagitta
 from .models import small_plane_distance as small_plane_distance

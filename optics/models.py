@@ -30,12 +30,6 @@ def array_namespace(*values: ArrayLike) -> Any:
     return next((space for space in spaces if space is not np), np)
 
 
-def planar_semi_minor(*, distance: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
-    """e1' in px of a spot at distance d (mm) on a plane; inverse of `planar_distance`."""
-    xp = array_namespace(distance, scale, k, b)
-    return (xp.asarray(distance) - b) / (scale * k)
-
-
 def square_spot_radius(
     *, distance: ArrayLike, k: ArrayLike, b: ArrayLike, eye_radius: ArrayLike
 ) -> Batch:

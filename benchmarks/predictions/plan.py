@@ -57,7 +57,6 @@ ELLIPSE = 4
 
 _WITHIN = 1.959964  # standard deviations to either side that hold 95 %
 
-
 _Positive = Annotated[float, Field(gt=0)]
 _Table = list[list[float | None]]
 
@@ -308,6 +307,7 @@ def _stated(scene: Scene, key: str, sigma: float) -> tuple[float, float]:
             f"{key} is {found!r}, not a number with an uncertainty. Name a key of the scene such as"
             " phantom.radius_mm."
         )
+    changed(scene, {key: found})  # refuses what follows from keys, such as phantom.mean_radius_mm
     return found, sigma
 
 

@@ -115,7 +115,12 @@ def test_the_intervals_contain_the_stated_uncertainties_and_the_noise(planned):
 
 @pytest.mark.parametrize(
     ("key", "word"),
-    [("phantom.radius", "radius_mm"), ("phantom.wall", "not a number"), ("spots.x", "spots")],
+    [
+        ("phantom.radius", "radius_mm"),
+        ("phantom.wall", "not a number"),
+        ("phantom.mean_radius_mm", "unknown key"),
+        ("spots.x", "spots"),
+    ],
 )
 def test_an_uncertain_key_that_is_none_is_bad_input(key, word):
     with pytest.raises(InputError, match=word):

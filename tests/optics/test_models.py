@@ -157,7 +157,7 @@ def test_models_agree_at_the_pole_up_to_the_sagitta():
 
 def test_planar_and_square_models_invert():
     d = jnp.linspace(0.2, 6.0, 30)
-    axis = optics.planar_semi_minor(distance=d, scale=SCALE, k=K, b=B)
+    axis = (d - B) / (SCALE * K)  # the radius of a cone's section, in pixels
     np.testing.assert_allclose(optics.planar_distance(semi_minor_px=axis, scale=SCALE, k=K, b=B), d)
     radius = optics.square_spot_radius(distance=d, k=K, b=B, eye_radius=R_EYE)
     again = optics.sphere_distance(spot_radius=radius, k=K, b=B, eye_radius=R_EYE)

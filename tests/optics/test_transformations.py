@@ -135,9 +135,6 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
     "planar_distance": of(
         optics.planar_distance, {"semi_minor_px": 60.0, "scale": SCALE, "k": 20.0, "b": -5.0}
     ),
-    "planar_semi_minor": of(
-        optics.planar_semi_minor, {"distance": 3.0, "scale": SCALE, "k": 20.0, "b": -5.0}
-    ),
     "sagitta": of(optics.sagitta, {"spot_radius": 0.5, "eye_radius": R_EYE}),
     "sphere_distance": of(
         optics.sphere_distance, {"spot_radius": 0.5, "k": 20.0, "b": -5.0, "eye_radius": R_EYE}
