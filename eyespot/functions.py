@@ -135,7 +135,7 @@ def score(
     spots: Sequence[File] = (),
     *,
     mode: Literal["auto", "literal", "subpixel", "pixels", "both"] | None = None,
-    unrelated: bool = False,
+    unrelated: bool | None = None,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
     out: File | None = None,
@@ -147,7 +147,8 @@ def score(
         folder: a labelled set or a stack; None for the sample set that comes with eyespot.
         spots: spots files with image names relative to the set.
         mode: also measure the images with our estimator; None: auto if there are no spots.
-        unrelated: let `mode` measure every image by itself.
+        unrelated: let `mode` measure every image by itself; None: if most true spots of a stack lie
+            too far from the one before to be followed.
         against: true ellipse to compare with.
         split: the only split to score.
         out: new folder for the page, its tables and figures.

@@ -30,7 +30,6 @@ from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_len
 from calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
 from calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from calibration.recordings import Recording, is_stack, read_recording
-from calibration.solvers import correlations
 from calibration.spots.cone_fit import PARAMETERS
 from estimator import Ranger
 from estimator.run.progress_bar import progress, say
@@ -96,8 +95,6 @@ def _residuals(fitted: Fitted, recordings: Sequence[Recording]) -> Iterator[dict
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 _MOST_BYTES = 2**23  # of a report with its figures
-_STRONG = 0.9
-"""Correlations above this are named under the table; the report lists all."""
 
 SOFT_EDGE = 0.1
 """Edge width over semi-minor axis above which a spot's edge is soft.
@@ -454,15 +451,9 @@ def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
     goodness = fitted.chi_squared_per_degree
     title = f"{fitted.used} of {frames} frames, recordings: {len(recordings)}"
     title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
-    names, rho = list(fitted.values), correlations(fitted.covariance)
-    pairs = [
-        f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
-        for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-        # False for NaN, where a parameter was not fitted, and for 1, where one follows the other.
-        if _STRONG < abs(rho[i, j]) < 1 - 1e-9
-    ]
-    strong = f"Strong correlations: {', '.join(pairs)}." if pairs else None
-    table = Table(title=in_terminal(title), caption=strong)
+    strong = fitted.strong_correlations
+    caption = f"Strong correlations: {strong}." if strong else None
+    table = Table(title=in_terminal(title), caption=caption)
     for heading in ("parameter", "value", "± σ", "unit"):
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
     for name, value, error, unit in fitted.rows:

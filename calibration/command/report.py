@@ -1,4 +1,4 @@
-"""The page of a fit: parameters, residuals, correlations."""
+"""The page of a fit: parameters and residuals."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from calibration.recordings import Recording
-from calibration.solvers import SIGNIFICANCE, accepted_range, correlations, slow_power
+from calibration.solvers import SIGNIFICANCE, accepted_range, slow_power
 from formats.inputs import in_figure
 
 
@@ -78,7 +78,6 @@ def render(
             data_sha256=data_sha256,
             software=software,
             figures=figures,
-            correlations=correlations(fitted.covariance),
             kinds=[
                 (name, float(np.mean(values**2)), *slow_power(values))
                 for name, values in fitted.residuals.items()

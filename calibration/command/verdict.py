@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from calibration.pixels.fit import Failure
 from calibration.pixels.misfit import Misfit
 from calibration.recordings import Recording
-from calibration.solvers import SIGNIFICANCE, accepted_range, slow_power
+from calibration.solvers import SIGNIFICANCE, accepted_range, correlations, slow_power
 from formats.calibration import QUANTITIES
 
 
@@ -95,6 +95,17 @@ class Fitted:
             *((name, value, error, QUANTITIES[name].unit) for (name, value), error in in_file),
             *self.others,
         ]
+
+    @property
+    def strong_correlations(self) -> str:
+        """Pairs of fitted parameters with a correlation above 0.9, in words; empty if none."""
+        names, rho = list(self.values), correlations(self.covariance)
+        return ", ".join(
+            f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
+            for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
+            # False for NaN, where a parameter was not fitted, and for 1, where one follows another.
+            if 0.9 < abs(rho[i, j]) < 1 - 1e-9
+        )
 
     @property
     def unit(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -278,8 +279,9 @@ def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not() -> Non
 
 
 def test_images_that_are_no_sequence_are_measured_each_by_itself(
-    drawn: Path, monkeypatch: pytest.MonkeyPatch
+    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    folder = shutil.copytree(drawn, tmp_path / "set")
     followed = []
 
     def spied(source: Source, reader: object, **given: object) -> list[SpotRecord]:
@@ -287,10 +289,21 @@ def test_images_that_are_no_sequence_are_measured_each_by_itself(
         return track_whole_source(source, reader, **given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(spots_of_set, "track_whole_source", spied)
-    for words, follows in (([], True), (["--unrelated"], False)):
+
+    def follows(words: list[str]) -> set[bool]:
         followed.clear()
-        assert call(["score", str(drawn), "--mode", "subpixel", *words]).exit_code == 0
-        assert set(followed) == {follows}
+        assert call(["score", str(folder), "--mode", "subpixel", *words]).exit_code == 0
+        return set(followed)
+
+    assert follows([]) == {True}
+    assert follows(["--unrelated"]) == {False}
+    # 100 px from one image to the next are more than the 80 px over which a spot is followed.
+    for file in folder.rglob("metadata.jsonl"):
+        rows = [json.loads(line) for line in file.read_text().splitlines()]
+        rows = [row | {"half_max_x_px": 100.0 * row["frame"]} for row in rows]
+        file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    assert follows([]) == {False}
+    assert follows(["--sequence"]) == {True}
 
 
 def per_stack(drawn: Path, folder: Path) -> Path:

@@ -20,7 +20,7 @@ def score(
     mode: Literal["auto", "literal", "subpixel", "pixels", "both"] | None = None,
     calibration: Path | None = None,
     sample: bool = False,
-    unrelated: bool = False,
+    unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
     against: Literal["half_max", "cone"] = "half_max",
     split: str | None = None,
     out: Annotated[Path | None, OUT] = None,
@@ -38,7 +38,8 @@ def score(
         calibration: The beam of the modes auto and pixels, from `eyespot fit` (default: each
             stack's true one).
         sample: Score on the small set that comes with eyespot.
-        unrelated: Let --mode measure every image by itself, for stacks that are no sequences.
+        unrelated: Let --mode measure each image alone (default: if most true spots of a stack lie
+            too far from the one before to be followed).
         against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
         split: Score only this split, such as test (default: all that have spots).
         out: Folder for the page report.html, tables and figures; it must not exist yet.

@@ -287,7 +287,7 @@ def run(
     entries: Path | None = None,
     mode: Mode | Literal["both"] | None = None,
     calibration: Path | None = None,
-    unrelated: bool = False,
+    unrelated: bool | None = None,
     against: Against = "half_max",
     split: str | None = None,
     out: Path | None = None,
@@ -366,7 +366,8 @@ def run(
         words = ["eyespot", "score", folder, *spots_files]
         options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
         options |= {"out": out}
-        words += ["--unrelated"] * unrelated
+        if unrelated is not None:
+            words.append("--unrelated" if unrelated else "--sequence")
         given_options = [[f"--{name}", value] for name, value in options.items() if value]
         words += [*chain(*given_options), "--against", against]
         with matplotlib.rc_context(page.STYLE):

@@ -24,7 +24,7 @@ from benchmarks.sets.read import (
     qualified_name,
     true_beam,
 )
-from estimator import open_source, track_whole_source
+from estimator import SubpixelSettings, open_source, track_whole_source
 from estimator.run.progress_bar import say
 from formats.calibration import Calibration
 from formats.inputs import (
@@ -41,6 +41,7 @@ from formats.inputs import (
 )
 from formats.microscope import read_microscope
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
+from formats.stack import FrameLabels
 
 # The small labelled set that comes with eyespot.
 
@@ -205,7 +206,7 @@ def track_set(
     mode: Mode,
     *,
     calibration: Calibration | None = None,
-    unrelated: bool = False,
+    unrelated: bool | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> list[SpotRecord]:
     """Measure every frame of a set; each stack and exposure is one recording.
@@ -218,7 +219,8 @@ def track_set(
     Args:
         mode: mode of the estimator, with its default settings.
         calibration: of the beam, for auto and pixels; None for each stack's true one.
-        unrelated: measure every image by itself, without following the spot.
+        unrelated: measure every image by itself, without following the spot; None: in stacks most
+            of whose spots lie too far from the one before to be followed.
 
     Returns:
         Records with image names relative to the set.
@@ -244,11 +246,12 @@ def _track(
     exposure: str,
     mode: Mode,
     calibration: Calibration | None,
-    unrelated: bool,
+    unrelated: bool | None,
     progress: Callable[[], None],
 ) -> list[SpotRecord]:
     opened = entry.open()
-    first = opened.exposed(exposure)[0]
+    labels = opened.exposed(exposure)
+    first = labels[0]
     # Nothing says what the source of a stack is that was not rendered.
     knows_beam = mode == "pixels" or (mode == "auto" and "scene" in opened.description)
     reader = own_reader(
@@ -257,8 +260,20 @@ def _track(
         click=(first.half_max_x_px, first.half_max_y_px),
         beam=calibration or (true_beam(opened) if knows_beam else None),
     )
+    if unrelated is None:
+        unrelated = not _is_sequence(labels)
     source = replace(open_source(entry.folder, exposure=exposure), unrelated=unrelated)
     return track_whole_source(source, reader, progress=lambda record: progress())
+
+
+def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
+    """Whether at least half of the true spots can be followed from the one before."""
+    limits = SubpixelSettings()
+    spots = [(of.half_max_x_px, of.half_max_y_px, of.half_max_semi_minor_px) for of in labels]
+    x, y, size = np.array(spots).T
+    jump, growth = np.hypot(np.diff(x), np.diff(y)), np.abs(np.diff(np.log(size)))
+    near = (jump <= limits.max_jump_px) & (growth <= math.log(limits.max_growth))
+    return bool(2 * near.sum() >= near.size)
 
 
 def _files(folder: Path) -> list[Path]:
