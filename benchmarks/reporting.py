@@ -229,6 +229,8 @@ def column_of(name: str, values: pd.Series) -> Column:
         sizes = values[np.isfinite(values)].abs()
         if (sizes % 1 > 0).any():
             digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 6))
+            while digits and (sizes.round(digits) == sizes.round(digits - 1)).all():
+                digits -= 1
     return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
 
 

@@ -83,6 +83,7 @@ app = App(
     help_epilogue="Set EYESPOT_TRACEBACK=1 in the environment to see where an error comes from.",
     help_format="plaintext",  # importing a markdown parser would double the time of --help
     version=lambda: _version(),
+    version_flags=["--version", "-v"],
     default_parameter=_PLAIN,
     # Called from Python a command returns its results; the command line shows files.
     result_action="sys_exit",

@@ -343,7 +343,7 @@ def _report(
                 "frames of a plane in air. Squares are in air; open circles are flagged "
                 "ambiguous. In the grey bands one radius belongs to several distances; the "
                 "dotted green line is the solution farthest from the truth. Dashed: the "
-                f"clinically acceptable {ACCEPTABLE_ERROR_MM:g} mm.",
+                f"{ACCEPTABLE_ERROR_MM:g} mm that the paper calls acceptable.",
                 data="medium_error.csv",
             ),
             page.Table.of(

@@ -504,8 +504,8 @@ def _report(
                 "The spot is the most precise of the three sensors. Standard deviation of d, for "
                 f"noise of {CONTOUR_PX:g} px for each of 128 points of the spot's edge, "
                 f"{MARK_PX:g} px in x and y for a tip and for a shadow's tip, {WALL_PX:g} px for "
-                "the wall's texture in a pair; the last three are assumptions. Dashed: the "
-                "clinically acceptable error. A line ends where the window or the iris hides a "
+                "the wall's texture in a pair; the last three are assumptions. Dashed: what "
+                "the paper calls acceptable. A line ends where the window or the iris hides a "
                 "mark, or the instrument hides its shadow.",
                 data="expected.csv",
             ),
@@ -527,7 +527,7 @@ def _report(
         sections=[
             page.Section(
                 "Methods",
-                "Spot: the exact spot with the ellipse's centre and area, as `--model area`. "
+                "Spot: the exact spot with the ellipse's centre and area, as --model area. "
                 "Shadow: the line of sight of the shadow's tip meets the wall; from there a line "
                 "to the light guide meets the tip's line of sight at the tip. Stereo: two lines of "
                 "sight meet at the tip, two more on the wall below it. The labels say where marks "

@@ -513,7 +513,7 @@ def _figure(
 
     def draw(axes: Axes, _: str, name: str) -> None:
         panels[name](axes)
-        axes.legend(loc="lower right")
+        axes.legend()
 
     first, *_ = panels
     return page.small_multiples(

@@ -321,9 +321,9 @@ def film(findings: ValidateFindings, *, frames: int = 5) -> Figure:
         left, top = round(row.half_max_x_px) - half, round(row.half_max_y_px) - half
         around = np.pad(stack.image(row), ((2 * half,) * 2, (2 * half,) * 2, (0, 0)))
         tiles.append(around[top + 2 * half :, left + 2 * half :][: 2 * half, : 2 * half])
-        for kind, colour, dashes in (("", page.SKY, "-"), ("half_max_", page.ORANGE, "--")):
+        for kind, colour, width in (("half_max_", "white", 3.0), ("", page.BLUE, 1.0)):
             x, y, major, minor, angle = (getattr(row, f"{kind}{name}") for name in paper.ELLIPSE)
-            centre, style = (x - left + 2 * half * n, y - top), {"color": colour, "ls": dashes}
+            centre, style = (x - left + 2 * half * n, y - top), {"color": colour, "lw": width}
             turn = math.degrees(angle)
             axes.add_patch(Ellipse(centre, 2 * major, 2 * minor, angle=turn, fill=False, **style))
         foot = 2 * half * n + half, 2 * half
@@ -577,8 +577,8 @@ def report(findings: ValidateFindings) -> page.Report:
             page.Picture(
                 "film",
                 film(findings),
-                "The tip withdraws from the eyeball phantom. Blue: the measured ellipse. Orange, "
-                "dashed: the true contour at half of the peak.",
+                "The tip withdraws from the eyeball phantom. Blue: the measured ellipse. White: "
+                "the true contour at half of the peak.",
                 inline="jpeg",
             ),
             page.Picture(
