@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import importlib.metadata
+import logging
 import os
 import re
 import sys
 from pathlib import Path
+from threading import Thread
 from typing import Any
 
 import myst_nb.core.render
+from jupyter_cache import get_cache
+from jupyter_cache.executors import load_executor
 from myst_nb.core.utils import coalesce_streams
 
 import eyespot  # noqa: F401  first: what it lets JAX keep is compiled once for all pages and examples
@@ -126,9 +130,24 @@ def _whole_streams(outputs: list[Any]) -> list[Any]:
 myst_nb.core.render.coalesce_streams = _whole_streams
 
 
+def _run_pages(folder: str) -> None:
+    """Run the cells of pages that changed; myst-nb finds their outputs, and reports failures."""
+    for name in ("jupyter_cache", "traitlets"):
+        logging.getLogger(name).setLevel(logging.WARNING)
+    cache = get_cache(folder)
+    for page in sorted(_HERE.rglob("*.md")):
+        if "{code-cell}" in page.read_text(encoding="utf-8"):
+            cache.add_nb_to_project(str(page), read_data={"type": "plugin", "name": "myst_nb_md"})
+    load_executor("local-serial", cache).run_and_cache(timeout=nb_execution_timeout)
+
+
 def setup(app: Any) -> None:
     """Write the pages that come from the code, and read docstrings as they are meant."""
     from docs.generated import write_pages
 
     write_pages(_HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", _as_rst)
+    # Beside the gallery's examples, as neither uses two cores.
+    pages = Thread(target=_run_pages, args=(str(app.outdir.parent / ".jupyter_cache"),))
+    pages.start()
+    app.connect("env-before-read-docs", lambda *_: pages.join())
