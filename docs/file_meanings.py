@@ -23,7 +23,7 @@ def attributes_of(owner: type) -> dict[str, str]:
         if colon:
             found |= dict.fromkeys(names.split(", "), meaning)
     # "cone_*" explains every label that begins so.
-    fields = getattr(owner, "__dataclass_fields__", {})
+    fields = inspect.get_annotations(owner)
     for pattern in [name for name in found if name.endswith("*")]:
         meaning = found.pop(pattern)
         found |= {name: meaning for name in fields if name.startswith(pattern[:-1])}

@@ -55,7 +55,7 @@ KINDS = (
         "Stack: a line of `metadata.jsonl`",
         "True values of one image. `eyespot render` writes it, `eyespot score` reads it; Hugging "
         "Face `datasets` reads the file as it is.",
-        models=("formats.stack:_Row",),
+        models=("formats.stack:FrameLabels",),
         meanings=("formats.stack:FrameLabels",),
     ),
     FileKind(

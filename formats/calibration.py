@@ -45,10 +45,6 @@ CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "
 MODELS = (*CONE_MODELS, "lens")
 
 
-class CalibrationError(InputError):
-    """A calibration that cannot be used; the text names file, key, value and remedy."""
-
-
 _ASKEW = math.radians(20)  # of a fibre against its tool; more is another tool
 _LARGE, _BRIGHTEST = 1e6, 1e12
 """End of a range that has none by nature; squares and products of such values stay finite."""
@@ -104,11 +100,11 @@ def check_parameters(model: str, values: Mapping[str, float]) -> None:
     """Refuse values that no fit of a model can give.
 
     Raises:
-        CalibrationError: unknown model, a parameter that is missing or not of this model, or a
+        InputError: unknown model, a parameter that is missing or not of this model, or a
             value out of range.
     """
     if model not in MODELS:
-        raise CalibrationError(f"model must be one of {', '.join(MODELS)}; got {shortened(model)}.")
+        raise InputError(f"model must be one of {', '.join(MODELS)}; got {shortened(model)}.")
     names = set(values)
     for name in names:
         quantity(name)
@@ -116,43 +112,36 @@ def check_parameters(model: str, values: Mapping[str, float]) -> None:
         required, optional = set(_LENS_REQUIRED), set(LENS_PARAMETERS) | {"brightness"}
     else:
         if len(names & {"k", "half_angle"}) != 1:
-            raise CalibrationError(
-                f"model {model} takes either k or half_angle; got {_listed(names)}."
-            )
+            raise InputError(f"model {model} takes either k or half_angle; got {_listed(names)}.")
         required, optional = {"b"}, {"k", "half_angle"}
     missing, strange = required - names, names - required - optional - _COMMON
     if missing or strange:
-        raise CalibrationError(
+        raise InputError(
             f"parameters of the model {model}: missing {_listed(missing)}; not of this model "
             f"{_listed(strange)}. Fit this model, or name the model that was fitted."
         )
 
     for name, value in values.items():
-        _check_value(name, value)
+        unit, low, high, low_included = QUANTITIES[name]
+        # NaN fails every comparison.
+        if not ((value >= low if low_included else value > low) and value < high):
+            raise InputError(
+                f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, "
+                f"{high:.6g}) {unit}; got {value}. Fit again, or restore the value."
+            )
 
 
 def quantity(name: str) -> Quantity:
     """Unit and range of a parameter.
 
     Raises:
-        CalibrationError: there is no such parameter.
+        InputError: there is no such parameter.
     """
     if name not in QUANTITIES:
-        raise CalibrationError(
+        raise InputError(
             f"parameters.{shortened(name)[1:-1]} is unknown; known are {', '.join(QUANTITIES)}."
         )
     return QUANTITIES[name]
-
-
-def _check_value(name: str, value: float) -> None:
-    unit, low, high, low_included = QUANTITIES[name]
-    above = value >= low if low_included else value > low
-    # NaN fails every comparison.
-    if not (above and value < high):
-        raise CalibrationError(
-            f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, {high:.6g}) "
-            f"{unit}; got {value}. Fit again, or restore the value."
-        )
 
 
 def _listed(names: set[str]) -> str:
@@ -177,10 +166,9 @@ class Calibration:
     """Parameters of a model, their errors, and their origin.
 
     Attributes:
-        model: the model that was fitted, one of `model_parameters.MODELS`.
-        values: by name in the units of `model_parameters.QUANTITIES`, in the covariance's order. A
-            model of a cone has b and either k or half_angle; a lens has what `optics.glue_lens`
-            takes.
+        model: the model that was fitted, one of `MODELS`.
+        values: by name in the units of `QUANTITIES`, in the covariance's order. A model of a cone
+            has b and either k or half_angle; a lens has what `optics.glue_lens` takes.
         covariance: symmetric, in products of those units.
         medium: name of the medium between tip and wall; another medium needs another calibration.
         medium_index: its refractive index.
@@ -205,19 +193,19 @@ class Calibration:
         """Reject what no fit can give.
 
         Raises:
-            CalibrationError: naming key, value and remedy.
+            InputError: naming key, value and remedy.
         """
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
         object.__setattr__(self, "covariance", np.asarray(self.covariance, float))
         check_parameters(self.model, self.values)
         _check_covariance(self.covariance, len(self.values))
         if not 1 <= self.medium_index <= 2:
-            raise CalibrationError(
+            raise InputError(
                 f"medium index must lie in [1, 2]; got {self.medium_index}. Air has 1, vitreous "
                 "1.336."
             )
         if not re.fullmatch("[0-9a-f]{64}", self.data_sha256):
-            raise CalibrationError(
+            raise InputError(
                 "fitted_on sha256 must be 64 hexadecimal digits, lower case; got "
                 f"{shortened(self.data_sha256)}. Fit again to get a true one."
             )
@@ -269,12 +257,12 @@ def read_calibration(path: str | Path) -> Calibration:
     """Read a calibration file.
 
     Raises:
-        CalibrationError: not a calibration file, of another schema, or with a value that no fit
+        InputError: not a calibration file, of another schema, or with a value that no fit
             can give; the text names the file, the key, the value and what to do.
         OSError: the file cannot be read.
     """
     path = Path(path)
-    with in_file(path, CalibrationError):
+    with in_file(path):
         with in_file("not a calibration file"):
             content = object_in(read_text(path))
         return _calibration(content)
@@ -322,20 +310,24 @@ def _calibration(content: dict[str, Any]) -> Calibration:
     for name, entry in file.parameters.items():
         unit = quantity(name).unit
         if entry.unit != unit:
-            raise CalibrationError(
+            raise InputError(
                 f"parameters.{name} must be in {unit!r}; got unit {shortened(entry.unit)}. "
                 "Convert value, sigma and covariance."
             )
-    names = list(file.parameters)
+    names, rows = list(file.parameters), file.covariance.matrix
     if file.covariance.order != names:
-        raise CalibrationError(
+        raise InputError(
             f"covariance order must list the parameters in their order, {names}; got "
             f"{shortened(file.covariance.order)}. Sort rows and columns of the matrix likewise."
+        )
+    if len({len(row) for row in rows}) > 1:
+        raise InputError(
+            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
         )
     calibration = Calibration(
         model=file.model,
         values={name: entry.value for name, entry in file.parameters.items()},
-        covariance=_matrix(file.covariance.matrix),
+        covariance=np.array(rows, float),
         medium=file.medium.name,
         medium_index=file.medium.index,
         fitted_on=file.fitted_on.description,
@@ -346,42 +338,34 @@ def _calibration(content: dict[str, Any]) -> Calibration:
     for name, entry in file.parameters.items():
         expected = calibration.sigma(name)
         if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
-            raise CalibrationError(
+            raise InputError(
                 f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. Change "
                 "both, or fit again."
             )
     return calibration
 
 
-def _matrix(rows: list[list[float]]) -> np.ndarray:
-    if len({len(row) for row in rows}) > 1:
-        raise CalibrationError(
-            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
-        )
-    return np.array(rows, float)
-
-
 def _check_covariance(matrix: np.ndarray, count: int) -> None:
     if matrix.shape != (count, count):
-        raise CalibrationError(
+        raise InputError(
             f"covariance must be {count}x{count}, a row and a column a parameter; got shape "
             f"{matrix.shape}."
         )
     if not (np.abs(matrix) <= _LARGEST).all():
-        raise CalibrationError(
+        raise InputError(
             f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "
             "data do not determine."
         )
     deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(deviation, deviation)
     if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > _SAME * scale).any():
-        raise CalibrationError(
+        raise InputError(
             "covariance must be symmetric with no negative variance. Restore the matrix."
         )
     fixed = deviation == 0
     correlation = matrix / np.where(scale > 0, scale, 1.0)
     if matrix[fixed].any() or np.linalg.eigvalsh(correlation).min() < -_SAME:
-        raise CalibrationError(
+        raise InputError(
             "covariance must be positive semi-definite: no correlation may exceed 1. Restore the "
             "matrix."
         )

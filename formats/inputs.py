@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from rich.markup import escape
 
-_LONGEST = 200  # characters of a value in a message
 _MOST_LINES = 3  # of a message
 
 
@@ -38,10 +37,13 @@ class InputError(ValueError):
 def shortened(value: object) -> str:
     """A value from outside as a message shows it: as Python writes it, at most 200 characters."""
     try:
-        text = repr(value)
+        return _cut(repr(value), 200)
     except ValueError:  # Python writes no whole number of more than 4,300 digits
-        text = f"{type(value).__name__} with very large numbers"
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+        return f"{type(value).__name__} with very large numbers"
+
+
+def _cut(text: str, longest: int = 300) -> str:
+    return text if len(text) <= longest else f"{text[:longest]}…"
 
 
 def at_most_three(problems: list[str]) -> str:
@@ -148,7 +150,7 @@ def toml_in(text: str) -> dict[str, Any]:
     except RecursionError as fault:
         raise InputError("not a TOML file: nested too deeply to be read.") from fault
     except ValueError as fault:  # also a number of more digits than Python reads
-        raise InputError(f"not a TOML file: {_said(fault)}.") from fault
+        raise InputError(f"not a TOML file: {_cut(' '.join(f'{fault}'.split()))}.") from fault
     check_values(content)
     return content
 
@@ -207,24 +209,14 @@ def check_values(content: object) -> None:
 
 
 def _check_text(text: str) -> None:
-    if "\0" in text or not (text.isascii() or _is_unicode(text)):
+    try:
+        is_text = "\0" not in text and (text.isascii() or bool(text.encode()))
+    except UnicodeEncodeError:
+        is_text = False
+    if not is_text:
         raise InputError(
             f"text must be Unicode without NUL; got {shortened(text)}. Remove the character."
         )
-
-
-def _is_unicode(text: str) -> bool:
-    try:
-        text.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _said(fault: ValueError) -> str:
-    """A reader's own words; it may quote a whole key."""
-    text = " ".join(f"{fault}".split())
-    return text if len(text) <= 200 else f"{text[:200]}…"
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -267,6 +259,7 @@ _RULES = {
     "less_than_equal": "must be at most {le:g}",
     "less_than": "must be below {lt:g}",
     "none_required": "must be null",
+    "literal_error": "must be {expected}",
     "value_error": "{error}",
 }
 """Pydantic's kinds of fault in our words; others have pydantic's."""
@@ -291,10 +284,6 @@ def _fault(fault: ValidationError) -> str:
 
 def _key(place: tuple[int | str, ...]) -> str:
     return _cut(".".join(map(str, place))) or "the file"
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= 300 else f"{text[:300]}…"
 
 
 def object_in(text: str) -> dict[str, Any]:

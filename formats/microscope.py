@@ -7,6 +7,7 @@ pinhole's height and the eye's radius come with the call.
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -225,10 +226,6 @@ _UNIT = 1e-3  # of a normal's length, as people round it
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
-class MicroscopeFileError(InputError):
-    """A file describes no microscope that this version can use; the text says why."""
-
-
 _MOST = {
     "width_px": _MOST_PX,
     "height_px": _MOST_PX,
@@ -283,20 +280,22 @@ class MicroscopeFile:
         for name, most in _MOST.items():
             value = getattr(self, name)
             if not 0 < value <= most:
-                raise MicroscopeFileError(
-                    f"{name} must be positive and at most {most:g}; got {value}."
-                )
+                raise InputError(f"{name} must be positive and at most {most:g}; got {value}.")
         reach = self.pinhole_height_mm + self.eye_radius_mm
         if not (reach > 0 or -math.inf < reach < 0):
-            raise MicroscopeFileError(
+            raise InputError(
                 "pinhole_height_mm must lie above or below the retinal pole, which is at "
                 f"-eye_radius_mm; got {self.pinhole_height_mm} mm with eye_radius_mm = "
                 f"{self.eye_radius_mm}. It counts from the eyeball's centre, up."
             )
-        if self.plane_normal is not None:
-            _check_normal(self.plane_normal)
+        normal = self.plane_normal or (0.0, 0.0, 1.0)
+        if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
+            raise InputError(
+                f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. "
+                "A plane square to the microscope's axis has (0, 0, 1)."
+            )
         if not (np.abs(self.principal_point_px) <= _MOST_PX).all():
-            raise MicroscopeFileError(
+            raise InputError(
                 f"principal_point_px must lie within {_MOST_PX} px of the frame; got "
                 f"{self.principal_point_px}."
             )
@@ -365,15 +364,17 @@ def read_microscope(
             file's, or the eyeball.
 
     Raises:
-        MicroscopeFileError: the file is neither, of another schema, contradicts itself, lacks
+        InputError: the file is neither, of another schema, contradicts itself, lacks
             something, or already holds what was given; the text says which key.
         OSError: the file cannot be read.
     """
     path = Path(path)
     given = {"pinhole_height_mm": pinhole_height_mm, "eye_radius_mm": eye_radius_mm}
-    with in_file(path, MicroscopeFileError):
+    with in_file(path):
         text = read_text(path, most_bytes=_MOST_BYTES)
-        content = _json_in(text)
+        content: dict[str, Any] = {}
+        with suppress(InputError):  # or else it is YAML or XML
+            content = object_in(text)
         if "schema" not in content:
             return _from_calibration(content or calibration_in(text), given, plane_normal)
         twice = [name for name, value in given.items() if value is not None]
@@ -382,17 +383,10 @@ def read_microscope(
             twice += ["plane_normal"] * ("plane_normal" in content)
             content["plane_normal"] = list(plane_normal)
         if twice:
-            raise MicroscopeFileError(
+            raise InputError(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
         return _ours(content)
-
-
-def _json_in(text: str) -> dict[str, Any]:
-    try:
-        return object_in(text)
-    except InputError:
-        return {}  # YAML or XML
 
 
 def _numbers(*shape: int) -> PlainValidator:
@@ -486,7 +480,14 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         paper_exposure_s=file.paper_exposure_s,
         plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
         viewing_path=file.viewing_path,
-        retina=_retina(file),
+        retina=None
+        if file.retina_semi_axes_mm is None
+        else Retina(
+            semi_axes_mm=tuple(file.retina_semi_axes_mm),
+            tilt_deg=file.retina_tilt_deg,
+            tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
+            shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
+        ),
         noise=None if file.camera is None else file.camera.noise(file.response),
     )
     _agrees_with_its_matrix(microscope)
@@ -503,22 +504,11 @@ def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
     said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
     implied = (focal, focal, *microscope.principal_point_px)
     if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
-        raise MicroscopeFileError(
+        raise InputError(
             f"camera_matrix has (fx, fy, cx, cy) = {_listed(said)} px, but (pinhole_height_mm + "
             f"eye_radius_mm)/scale_mm_px and principal_point_px say {_listed(implied)} px. Change "
             "both alike."
         )
-
-
-def _retina(file: _PinholeFile) -> Retina | None:
-    if file.retina_semi_axes_mm is None:
-        return None
-    return Retina(
-        semi_axes_mm=tuple(file.retina_semi_axes_mm),
-        tilt_deg=file.retina_tilt_deg,
-        tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
-        shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
-    )
 
 
 def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
@@ -526,25 +516,25 @@ def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
     path, retina = microscope.viewing_path, microscope.retina
     if path is not None:
         if microscope.distortion.any():
-            raise MicroscopeFileError(
+            raise InputError(
                 "distortion must be 0 with a viewing_path, which contains the lenses' distortion; "
                 f"got {microscope.distortion.tolist()}. Undistort the images first."
             )
         said, implied = microscope.inverse_working_distance, path.inverse_working_distance
         if not math.isclose(said, implied, rel_tol=_SAME, abs_tol=_SAME):
-            raise MicroscopeFileError(
+            raise InputError(
                 f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {said:.6g}/mm, but "
                 f"viewing_path says {implied:.6g}/mm on the axis. Change both alike."
             )
     if retina is not None and microscope.plane_normal is not None:
-        raise MicroscopeFileError(
+        raise InputError(
             f"plane_normal {microscope.plane_normal} and retina_semi_axes_mm "
             f"{list(retina.semi_axes_mm)} describe two walls. Remove one."
         )
     if retina is not None and not math.isclose(
         retina.semi_axes_mm[2], microscope.eye_radius_mm, rel_tol=_SAME
     ):
-        raise MicroscopeFileError(
+        raise InputError(
             f"eye_radius_mm must be the semi-axis along z of retina_semi_axes_mm, "
             f"{retina.semi_axes_mm[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
             "alike."
@@ -561,7 +551,7 @@ def _from_calibration(
     matrix = camera.matrix
     fx, fy, skew = matrix[0, 0], matrix[1, 1], matrix[0, 1]
     if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
-        raise MicroscopeFileError(
+        raise InputError(
             f"camera_matrix must have square pixels without skew to {_SQUARE:g} of fx; got fx = "
             f"{fx:g} px, fy = {fy:g} px, skew = {skew:g} px. Calibrate with "
             "cv2.CALIB_FIX_ASPECT_RATIO."
@@ -583,18 +573,10 @@ def _from_calibration(
 
 def _given(name: str, value: float | None) -> float:
     if value is None or not math.isfinite(value):
-        raise MicroscopeFileError(
+        raise InputError(
             f"a camera calibration does not hold {name}. Give it with the file, in mm; got {value}."
         )
     return value
-
-
-def _check_normal(normal: tuple[float, float, float]) -> None:
-    if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
-        raise MicroscopeFileError(
-            f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. A "
-            "plane square to the microscope's axis has (0, 0, 1)."
-        )
 
 
 def _pair(values: np.ndarray) -> tuple[float, float]:

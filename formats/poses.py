@@ -46,24 +46,13 @@ class Pose:
         object.__setattr__(self, "rotation", unit_quaternion(self.rotation))
 
     @classmethod
-    def along(
-        cls,
-        axis: Vector,
-        *,
-        time_s: float,
-        position_mm: Vector,
-    ) -> Self:
+    def along(cls, axis: Vector, *, time_s: float, position_mm: Vector) -> Self:
         """The pose that rotates the tool's +z axis to a unit vector by the smallest angle."""
         x, y, z = _of_unit_length(axis, "A pose's axis must be a unit vector")
         # z cross axis, and 1 + z . axis: twice the half-angle's quaternion.
         turn = (-y, x, 0.0, 1 + z)
         size = math.hypot(*turn)
-        rotation = (
-            1.0,
-            0.0,
-            0.0,
-            0.0,
-        )  # opposite direction: any perpendicular axis
+        rotation = (1.0, 0.0, 0.0, 0.0)  # opposite direction: any perpendicular axis
         if size > 1e-6:
             rotation = (turn[0] / size, turn[1] / size, 0.0, turn[3] / size)
         return cls(time_s=time_s, position_mm=position_mm, rotation=rotation)

@@ -11,7 +11,7 @@ import importlib
 import io
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -94,15 +94,10 @@ _MEANINGS = {
 
 
 class Outline(NamedTuple):
-    """Where a spot is in an image, and how large (pixel centres at integers).
+    """Where a spot is in an image, and how large: fields of `Spot`, with other defaults.
 
     Attributes:
-        x_px: centre, to the right, px.
-        y_px: centre, downwards, px.
-        semi_major_px: half of the longer axis, px.
-        semi_minor_px: half of the shorter axis, px.
-        angle_rad: semi-major axis from +u (right) towards +v (down).
-        edge_width_px: as of `Spot`; 0 where it is not known.
+        edge_width_px: 0 where it is not known.
         measured: whether it is that of a spot, and not of something bright that may be one.
     """
 
@@ -148,21 +143,14 @@ class Spot:
     saturated: float
 
     @property
-    def ellipse(self) -> tuple[float, ...]:
+    def ellipse(self) -> tuple[float, float, float, float, float]:
         """Its five parameters, in the order of `PARAMETERS`, px and rad."""
         return self.x_px, self.y_px, self.semi_major_px, self.semi_minor_px, self.angle_rad
 
     @property
     def outline(self) -> Outline:
         """Its ellipse and how wide its edge is."""
-        return Outline(
-            x_px=self.x_px,
-            y_px=self.y_px,
-            semi_major_px=self.semi_major_px,
-            semi_minor_px=self.semi_minor_px,
-            angle_rad=self.angle_rad,
-            edge_width_px=self.edge_width_px,
-        )
+        return Outline(*self.ellipse, self.edge_width_px)
 
     @property
     def sigma_semi_minor_px(self) -> float:
@@ -204,7 +192,7 @@ HISTORY = {
 _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6
 
-_UPPER = [(i, j) for i in range(5) for j in range(i, 5)]
+_UPPER = np.triu_indices(5)
 _VALUES = (
     "x_px",
     "y_px",
@@ -221,10 +209,10 @@ _PLACE = _VALUES[:4]
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
-_POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in _UPPER)
+_POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=True))
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
 _LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance")
-_COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in _UPPER)
+_COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
 COLUMNS = (
     "frame",
     "file_name",
@@ -451,7 +439,7 @@ def _check_columns(names: Collection[str]) -> None:
 def _line(record: SpotRecord) -> list[str]:
     spot = record.result if isinstance(record.result, Spot) else None
     values = [getattr(spot, name) for name in _VALUES] if spot else [math.nan] * len(_VALUES)
-    covariance = [spot.covariance[i, j] if spot else math.nan for i, j in _UPPER]
+    covariance = spot.covariance[_UPPER] if spot else [math.nan] * len(_COVARIANCES)
     return [
         str(record.frame),
         record.file_name,
@@ -474,18 +462,22 @@ def _line(record: SpotRecord) -> list[str]:
 def _pose_cells(pose: RecordedPose | None) -> list[float]:
     if pose is None:
         return [math.nan] * len(_POSES)
-    covariance = [float(pose.covariance[i, j]) for i, j in _UPPER]
-    return [*map(float, pose.tip_mm), *map(float, pose.axis), *covariance, pose.chi_squared]
+    return [*pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared]
 
 
 def _pose(values: dict[str, float]) -> RecordedPose | None:
     if math.isnan(values["tip_x_mm"]):
         return None
     place = np.array([values[name] for name in _POSE])
-    covariance = np.empty((5, 5))
-    for (i, j), name in zip(_UPPER, _POSE_COVARIANCES, strict=True):
-        covariance[i, j] = covariance[j, i] = values[name]
+    covariance = _covariance(values, _POSE_COVARIANCES)
     return RecordedPose(place[:3], place[3:], covariance, values["chi_squared"])
+
+
+def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
+    """The symmetric matrix with these values at and above its diagonal."""
+    upper = np.zeros((5, 5))
+    upper[_UPPER] = [values[name] for name in names]
+    return upper + np.triu(upper, 1).T
 
 
 def _cell(value: float) -> str:
@@ -496,18 +488,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
     version = row["schema_version"]
     found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
     check_schema(found, HISTORY, remedy="Write the file again.")
-    values = {
-        name: number_in(row.get(name, ""), name)
-        for name in (
-            "time_s",
-            *_VALUES,
-            *_DISTANCES,
-            *_COVARIANCES,
-            *_INTERVAL,
-            *_POSES,
-            "significance",
-        )
-    }
+    values = {name: number_in(row.get(name, ""), name) for name in COLUMNS if name not in _KINDS}
     frame = number_in(row["frame"], "frame")
     if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
         raise InputError(
@@ -538,12 +519,9 @@ def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
         return NoSpot(Reason(row["reason"]), values["significance"])
     if row["status"] != "spot":
         raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
-    covariance = np.empty((5, 5))
-    for (i, j), name in zip(_UPPER, _COVARIANCES, strict=True):
-        covariance[i, j] = covariance[j, i] = values[name]
     _check_ellipse(values)
     measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
-    return Spot(covariance=covariance, **measured)
+    return Spot(covariance=_covariance(values, _COVARIANCES), **measured)
 
 
 def _check_ellipse(values: dict[str, float]) -> None:

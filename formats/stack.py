@@ -23,14 +23,14 @@ import shutil
 import threading
 from collections.abc import Collection, Iterator
 from contextlib import suppress
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Self, TypeVar, get_type_hints
+from typing import Annotated, Any, Self, TypeVar
 
 import cv2
 import numpy as np
 import tomli_w
-from pydantic import ConfigDict, Field, create_model
+from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
 from formats.images import read_image
@@ -48,7 +48,7 @@ from formats.inputs import (
     shortened,
     validated,
 )
-from formats.manifest import MANIFEST, Fingerprint, differences, read_manifest, write_manifest
+from formats.manifest import MANIFEST, differences, read_manifest, write_manifest
 from formats.whole_files import (
     STOPPED,
     empty,
@@ -80,12 +80,7 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 """A whole number that NumPy and HDF5 can have, too."""
 
 
-class StackError(InputError):
-    """A folder is not a stack, or not one that this version reads; the text says which file."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FrameLabels:
+class FrameLabels(Strict):
     """True values of one image; lengths mm, angles rad, eye frame; image quantities px.
 
     Attributes:
@@ -116,6 +111,8 @@ class FrameLabels:
         speed_mm_s: of the tip in the middle of the exposure.
         saturated_fraction: part of the mask's pixels with a channel at full scale.
     """
+
+    model_config = ConfigDict(allow_inf_nan=True)
 
     file_name: str
     mask_file_name: str
@@ -178,10 +175,8 @@ class FrameLabels:
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""
-        return {n: v for n, v in vars(self).items() if not (n in _OPTIONAL and math.isnan(v))}
-
-
-_OPTIONAL = {field.name for field in fields(FrameLabels) if field.default is not MISSING}
+        needed = {name for name, key in FrameLabels.model_fields.items() if key.is_required()}
+        return {n: v for n, v in vars(self).items() if n in needed or not math.isnan(v)}
 
 
 @dataclass(frozen=True)
@@ -213,11 +208,11 @@ class Stack:
         """Noise-free radiance (RGB, float32, mW/(mm2 sr)) behind an image.
 
         Raises:
-            StackError: the stack was rendered without `keep_linear`.
+            InputError: the stack was rendered without `keep_linear`.
         """
         name = linear_name(labels)
         if not self.path_of(name).is_file():
-            raise StackError(
+            raise InputError(
                 f"{self.folder / name} is missing. Render the stack with exposures.keep_linear = "
                 "true."
             )
@@ -256,9 +251,9 @@ class Stack:
         """Path of a file that the labels or the manifest name.
 
         Raises:
-            StackError: the name leads out of the folder, see `inside`.
+            InputError: the name leads out of the folder, see `inside`.
         """
-        with in_file(self.folder, StackError):
+        with in_file(self.folder):
             return inside(self.folder, name)
 
     def described(self, key: str, kind: type[_Kind]) -> _Kind:
@@ -269,7 +264,7 @@ class Stack:
             kind: of the value; a whole number counts as a float.
 
         Raises:
-            StackError: it is missing or of another kind.
+            InputError: it is missing or of another kind.
         """
         found: Any = self.description
         for part in key.split("."):
@@ -277,7 +272,7 @@ class Stack:
         if kind is float and type(found) is int:
             found = float(found)
         if type(found) is not kind or (isinstance(found, float) and not math.isfinite(found)):
-            raise StackError(
+            raise InputError(
                 f"{self.folder / 'stack.toml'}: {key} must be a finite {kind.__name__}; got "
                 f"{shortened(found)}. Render the stack again."
             )
@@ -288,9 +283,9 @@ class Stack:
         try:
             return read_image(path).image
         except FileNotFoundError as error:
-            raise StackError(f"{path} is missing. Render the stack again.") from error
+            raise InputError(f"{path} is missing. Render the stack again.") from error
         except InputError as error:
-            raise StackError(f"{path} {error}. Render the stack again.") from error
+            raise InputError(f"{path} {error}. Render the stack again.") from error
 
     def images(self, exposure: str) -> Iterator[np.ndarray]:
         """Images (RGB) of one kind of exposure, in order."""
@@ -300,48 +295,32 @@ class Stack:
         """Compare the folder with its manifest.
 
         Raises:
-            StackError: naming the first file that is missing, changed or unexpected.
+            InputError: naming the first file that is missing, changed or unexpected.
         """
-        for difference in differences(self.folder, self._manifest()):
-            raise StackError(f"{self.folder / difference}.")
-
-    def _manifest(self) -> dict[str, Fingerprint]:
         try:
-            return read_manifest(self.folder, remedy="Render the stack again.")
+            listed = read_manifest(self.folder, remedy=_AGAIN)
         except FileNotFoundError as error:
-            raise StackError(f"{self.folder / MANIFEST} is missing.") from error
-        except InputError as error:
-            raise StackError(f"{error}") from error
-
-
-class _AnyRow(Strict):
-    model_config = ConfigDict(allow_inf_nan=True)
-
-
-_COLUMNS: dict[str, Any] = {
-    name: (kind, math.nan if name in _OPTIONAL else ...)
-    for name, kind in get_type_hints(FrameLabels, include_extras=True).items()
-}
-_Row = create_model("_Row", __base__=_AnyRow, **_COLUMNS)
-"""A line of metadata.jsonl: the fields of `FrameLabels`."""
+            raise InputError(f"{self.folder / MANIFEST} is missing.") from error
+        for difference in differences(self.folder, listed):
+            raise InputError(f"{self.folder / difference}.")
 
 
 def read_stack(folder: Path) -> Stack:
     """Open a stack and read its labels; images are read later, one by one.
 
     Raises:
-        StackError: the folder is not a stack, has another schema, a label line is broken, or labels
+        InputError: the folder is not a stack, has another schema, a label line is broken, or labels
             and frames do not match; the message names the file and the line.
     """
     folder = Path(folder)
     try:
-        with in_file(folder / "stack.toml", StackError):
+        with in_file(folder / "stack.toml"):
             description = read_toml(folder / "stack.toml")
             check_schema(description.get("schema"), HISTORY, remedy=_AGAIN)
-        with in_file(folder / "metadata.jsonl", StackError):
+        with in_file(folder / "metadata.jsonl"):
             text = read_text(folder / "metadata.jsonl", most_bytes=_MOST_LABEL_BYTES)
     except FileNotFoundError as error:
-        raise StackError(
+        raise InputError(
             f"{folder} is not a stack: {Path(error.filename).name} is missing."
         ) from error
     lines = text.removesuffix("\n").split("\n") if text else []
@@ -351,20 +330,18 @@ def read_stack(folder: Path) -> Stack:
 
 
 def _parse(folder: Path, number: int, line: str) -> FrameLabels:
-    with in_file(f"{folder / 'metadata.jsonl'}, line {number}", StackError):
-        row = FrameLabels(**vars(validated(_Row, object_in(line), remedy=_AGAIN)))
+    with in_file(f"{folder / 'metadata.jsonl'}, line {number}"):
+        row = validated(FrameLabels, object_in(line), remedy=_AGAIN)
         for name in (row.file_name, row.mask_file_name):
             inside(folder, name)
-        _check_numbers(row)
+        for name, value in row:
+            # What is unknown is NaN or infinite; with other numbers nothing could be computed.
+            known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+            if known and not abs(value) <= _LARGEST:
+                raise InputError(
+                    f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}"
+                )
     return row
-
-
-def _check_numbers(row: FrameLabels) -> None:
-    """Refuse numbers with which nothing can be computed; what is unknown is NaN or infinite."""
-    for name, value in vars(row).items():
-        known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
-        if known and not abs(value) <= _LARGEST:
-            raise InputError(f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}")
 
 
 def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
@@ -374,12 +351,12 @@ def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
     for number, row in enumerate(labels, 1):
         where = f"{folder / 'metadata.jsonl'}, line {number}"
         if row.file_name in seen:
-            raise StackError(f"{where}: {row.file_name} has a line already.")
+            raise InputError(f"{where}: {row.file_name} has a line already.")
         if row.file_name not in frames:
-            raise StackError(f"{where}: {folder / row.file_name} is missing.")
+            raise InputError(f"{where}: {folder / row.file_name} is missing.")
         seen.add(row.file_name)
     if unlabelled := sorted(frames - seen):
-        raise StackError(
+        raise InputError(
             f"{folder / unlabelled[0]} has no line in metadata.jsonl, which ends after line "
             f"{len(labels)}. Render the stack again."
         )

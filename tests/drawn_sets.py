@@ -80,7 +80,7 @@ def labels_of(index: int, **known: Any) -> FrameLabels:
         medium="air",
         seed=0,
     )
-    return replace(labels, **known)
+    return labels.model_copy(update=known)
 
 
 def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -> Path:
@@ -134,12 +134,17 @@ def write_set(folder: Path, images: int = 4) -> Path:
             labels = [labels_of(index) for index in range(images)]
             if name == "b":
                 labels = [
-                    replace(row, exposure=kind, file_name=f"frames/{2 * row.frame + order:06d}.png")
+                    row.model_copy(
+                        update={
+                            "exposure": kind,
+                            "file_name": f"frames/{2 * row.frame + order:06d}.png",
+                        }
+                    )
                     for row in labels
                     for order, kind in enumerate(("paper", "metered"))
                 ]
             if split == "adverse":
-                labels[1] = replace(labels[1], visible_fraction=0.0)
+                labels[1] = labels[1].model_copy(update={"visible_fraction": 0.0})
             write_stack(folder / split / name, labels, seed=number)
     describe_set(folder, STACKS)
     return folder

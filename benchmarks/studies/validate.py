@@ -542,7 +542,7 @@ def report(findings: ValidateFindings) -> page.Report:
     """The report of a run.
 
     Raises:
-        StackError: the stack of the film is missing or broken.
+        InputError: the stack of the film is missing or broken.
     """
     spots, rendered = spot_table(findings), findings.rendered
     # Up to which c each model keeps the acceptable error, by the pinhole's height; NaN: to the end.

@@ -112,7 +112,8 @@ class Given(BaseModel):
                 raise InputError(
                     f"{shortened(name)[1:-1]} is unknown; known are {known}."
                 ) from error
-            rule = problem.get("ctx", {}).get("error", problem["msg"])
+            said = problem["msg"].replace("Input should be", "must be")
+            rule = problem.get("ctx", {}).get("error", said)
             raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
 
 

@@ -10,7 +10,6 @@ import tomllib
 import tracemalloc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -242,7 +241,7 @@ def lengths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Stacks of 24 and of 60 images of the same spot."""
 
     def stack(count: int) -> Path:
-        labels = [replace(labels_of(0), file_name=f"frames/{n:06d}.png") for n in range(count)]
+        labels = [labels_of(0, file_name=f"frames/{n:06d}.png") for n in range(count)]
         return write_stack(tmp_path_factory.mktemp("length") / "stack", labels)
 
     return stack(24), stack(60)

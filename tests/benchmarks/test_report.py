@@ -38,8 +38,9 @@ from benchmarks.sets.read import plain_spot
 from benchmarks.studies import validate
 from benchmarks.studies.validate import ValidateFindings, claims, report
 from benchmarks.study import Study
+from formats.inputs import InputError
 from formats.spots import NoSpot, Reason, Spot
-from formats.stack import FrameLabels, StackError, StackWriter
+from formats.stack import FrameLabels, StackWriter
 from scenes.description.settings import Withdrawal
 from tests.drawn_sets import labels_of
 
@@ -365,7 +366,7 @@ def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Pat
     changed = paper_like_run(stacks=out / "stacks")
     change(changed.planes, "plane 1", source="cone", b_mm=-1.0)
     study = study_in(out)
-    with pytest.raises(StackError, match="cone-sphere-1"):
+    with pytest.raises(InputError, match="cone-sphere-1"):
         study.publish(report, changed)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (out / ".report.partial").exists()

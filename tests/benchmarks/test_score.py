@@ -46,7 +46,7 @@ def in_memory(count: int, stacks: int = 1, **known: Any) -> pd.DataFrame:
     """Images of a set that lies on no disk."""
     rows = {
         f"test/{n % stacks:04d}/frames/{n:06d}.png": image_row(
-            replace(labels_of(0), frame=n, **known), stack=f"test/{n % stacks:04d}"
+            labels_of(0, frame=n, **known), stack=f"test/{n % stacks:04d}"
         )
         for n in range(count)
     }

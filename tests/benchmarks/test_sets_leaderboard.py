@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +30,7 @@ def judged(
     images = []
     for stack, own in enumerate(errors):
         for frame, error in enumerate(own):
-            labels = replace(labels_of(0), frame=frame, file_name=f"{frame}.png", medium=medium)
+            labels = labels_of(0, frame=frame, file_name=f"{frame}.png", medium=medium)
             found = math.isfinite(error)
             result = {
                 "outcome": Outcome.FOUND if found else Outcome.MISSED,

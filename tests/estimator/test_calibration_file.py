@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from formats.calibration import Calibration, CalibrationError, read_calibration, write_calibration
+from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.inputs import InputError
 
 LENS = {
     "core_radius": 0.25,
@@ -149,7 +150,7 @@ def put(*keys, value):
 )
 def test_nonsense_is_refused_with_file_key_and_remedy(edited, change, told):
     path = edited(change)
-    with pytest.raises(CalibrationError, match=told) as error:
+    with pytest.raises(InputError, match=told) as error:
         read_calibration(path)
     assert str(error.value).startswith(str(path))
 
@@ -158,7 +159,7 @@ def test_nonsense_is_refused_with_file_key_and_remedy(edited, change, told):
 def test_what_is_no_calibration_file_is_refused(tmp_path, content):
     path = tmp_path / "c.json"
     path.write_bytes(content)
-    with pytest.raises(CalibrationError, match="not a calibration file"):
+    with pytest.raises(InputError, match="not a calibration file"):
         read_calibration(path)
 
 
@@ -179,7 +180,7 @@ def test_what_is_no_calibration_file_is_refused(tmp_path, content):
     ],
 )
 def test_a_model_has_its_own_parameters(changed, told):
-    with pytest.raises(CalibrationError, match=told):
+    with pytest.raises(InputError, match=told):
         calibration(**changed)
 
 

@@ -12,7 +12,8 @@ import yaml
 
 from estimator import SubpixelSettings, TrackState, measure
 from formats.camera import LensDistortion
-from formats.microscope import MicroscopeFileError, read_microscope
+from formats.inputs import InputError
+from formats.microscope import read_microscope
 from formats.spots import Spot
 
 FOCAL, CENTRE, SIZE = 800.0, np.array([162.25, 118.5]), (320, 240)
@@ -235,7 +236,7 @@ def test_binning_and_region_move_the_image_as_they_move_its_pixels(tmp_path, bin
 def test_what_does_not_describe_one_camera_is_refused_with_its_key(tmp_path, text, words):
     path = tmp_path / "camera.yaml"
     path.write_text(text)
-    with pytest.raises(MicroscopeFileError, match=words) as caught:
+    with pytest.raises(InputError, match=words) as caught:
         read_microscope(path, **EYE)
     assert "\n" not in str(caught.value)
 
@@ -244,7 +245,7 @@ def test_references_that_multiply_are_refused_at_once(tmp_path):
     lines = ["a0: &a0 [1, 1]"] + [f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 60)]
     path = tmp_path / "camera.yaml"
     path.write_text("\n".join(lines))
-    with pytest.raises(MicroscopeFileError, match="reference"):
+    with pytest.raises(InputError, match="reference"):
         read_microscope(path, **EYE)
 
 

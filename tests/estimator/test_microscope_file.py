@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import optics
-from formats.microscope import MicroscopeFileError, read_microscope
+from formats.inputs import InputError
+from formats.microscope import read_microscope
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])
@@ -187,14 +188,14 @@ def test_undistorted_points_lie_in_the_ideal_microscopes_image(written):
 @pytest.mark.parametrize("missing", ["pinhole_height_mm", "eye_radius_mm"])
 def test_what_opencv_does_not_hold_must_be_given(written, missing):
     given = {name: value for name, value in EYE.items() if name != missing}
-    with pytest.raises(MicroscopeFileError, match=f"does not hold {missing}"):
+    with pytest.raises(InputError, match=f"does not hold {missing}"):
         read_microscope(written(ROS, ".yaml"), **given)
 
 
 def test_what_stands_in_the_file_must_not_be_given_too(written):
-    with pytest.raises(MicroscopeFileError, match="eye_radius_mm is in the file already"):
+    with pytest.raises(InputError, match="eye_radius_mm is in the file already"):
         read_microscope(written(ours()), eye_radius_mm=12.0)
-    with pytest.raises(MicroscopeFileError, match="plane_normal is in the file already"):
+    with pytest.raises(InputError, match="plane_normal is in the file already"):
         read_microscope(written(ours(plane_normal=None)), plane_normal=(0.0, 0.0, 1.0))
 
 
@@ -224,7 +225,7 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
 )
 def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, told):
     path = written(ours(**changed))
-    with pytest.raises(MicroscopeFileError, match=told) as error:
+    with pytest.raises(InputError, match=told) as error:
         read_microscope(path)
     assert str(error.value).startswith(str(path))
 
@@ -245,13 +246,13 @@ def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, tol
 )
 def test_nonsense_in_a_ros_file_is_refused(written, old, new, told):
     assert old in ROS
-    with pytest.raises(MicroscopeFileError, match=told):
+    with pytest.raises(InputError, match=told):
         read_microscope(written(ROS.replace(old, new, 1), ".yaml"), **EYE)
 
 
 @pytest.mark.parametrize("content", ["", "hello", "[1, 2", "{}", "\x00\x01", "%YAML:1.0\n---\n"])
 def test_what_is_no_microscope_file_is_refused(written, content):
-    with pytest.raises(MicroscopeFileError):
+    with pytest.raises(InputError):
         read_microscope(written(content, ".yaml"), **EYE)
 
 
@@ -330,5 +331,5 @@ def test_a_retina_is_an_ellipsoid_through_the_pole(written):
     ],
 )
 def test_a_path_that_contradicts_itself_is_refused(written, changed, said):
-    with pytest.raises(MicroscopeFileError, match=said):
+    with pytest.raises(InputError, match=said):
         read_microscope(written(through_a_path(**changed)))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import math
 import os
@@ -262,7 +261,8 @@ def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, 
 
 def stack_labels(k: int, exposure: str) -> FrameLabels:
     """Labels that the tracker must not see: nothing in them is true but the time."""
-    untrue = {field.name: 1e6 for field in dataclasses.fields(FrameLabels) if field.type == "float"}
+    fields = FrameLabels.model_fields.items()
+    untrue = {name: 1e6 for name, field in fields if field.annotation is float}
     vector = (1e6, 1e6, 1e6)
     return FrameLabels(
         **untrue

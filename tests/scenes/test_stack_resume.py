@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from formats.inputs import InputError
-from formats.stack import Stack, StackError, StackWriter, read_stack
+from formats.stack import Stack, StackWriter, read_stack
 from formats.whole_files import BeingWrittenError
 from scenes import (
     Scene,
@@ -167,16 +167,16 @@ def test_two_processes_do_not_write_one_stack(tmp_path):
 
 def test_a_frame_without_a_line_and_a_line_without_a_frame_are_named(copy):
     (copy / "frames" / "000007.png").rename(copy / "frames" / "000099.png")
-    with pytest.raises(StackError, match=r"metadata\.jsonl, line 8: .*000007\.png is missing"):
+    with pytest.raises(InputError, match=r"metadata\.jsonl, line 8: .*000007\.png is missing"):
         read_stack(copy)
     (copy / "frames" / "000099.png").rename(copy / "frames" / "000007.png")
     lines = copy / "metadata.jsonl"
     text = lines.read_text().splitlines(keepends=True)
     lines.write_text("".join(text[:-1]))
-    with pytest.raises(StackError, match=r"000019\.png has no line in .* ends after line 19"):
+    with pytest.raises(InputError, match=r"000019\.png has no line in .* ends after line 19"):
         read_stack(copy)
     lines.write_text("".join([*text, text[2]]))
-    with pytest.raises(StackError, match=r"line 21: frames/000002\.png has a line already"):
+    with pytest.raises(InputError, match=r"line 21: frames/000002\.png has a line already"):
         read_stack(copy)
 
 
@@ -199,7 +199,7 @@ def test_a_broken_label_line_is_named(copy, change, message):
     lines = (copy / "metadata.jsonl").read_text().splitlines()
     lines[2] = change(lines[2])
     (copy / "metadata.jsonl").write_text("\n".join(lines) + "\n")
-    with pytest.raises(StackError, match=rf"metadata\.jsonl, {message}"):
+    with pytest.raises(InputError, match=rf"metadata\.jsonl, {message}"):
         read_stack(copy)
 
 
@@ -209,13 +209,13 @@ def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
     frame = copy / stack.labels[4].file_name
     content = frame.read_bytes()
     frame.write_bytes(content[: len(content) // 2])
-    with pytest.raises(StackError, match=r"000004\.png is truncated"):
+    with pytest.raises(InputError, match=r"000004\.png is truncated"):
         stack.image(stack.labels[4])
     frame.write_bytes(content[:-20] + bytes([content[-20] ^ 1]) + content[-19:])
-    with pytest.raises(StackError, match=r"000004\.png differs from its checksum"):
+    with pytest.raises(InputError, match=r"000004\.png differs from its checksum"):
         stack.verify()
     frame.unlink()
-    with pytest.raises(StackError, match=r"000004\.png is missing, though"):
+    with pytest.raises(InputError, match=r"000004\.png is missing, though"):
         stack.verify()
 
 

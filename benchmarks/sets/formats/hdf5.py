@@ -21,8 +21,8 @@ import h5py
 import numpy as np
 
 from benchmarks.sets.read import SetStack, qualified_name, set_files
-from formats.inputs import check_values, in_file, read_text
-from formats.stack import Stack, StackError
+from formats.inputs import InputError, check_values, in_file, read_text
+from formats.stack import Stack
 
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
@@ -122,7 +122,7 @@ def _write_images(group: h5py.Group, stack: Stack, progress: Callable[[], None])
     for index, row in enumerate(stack.labels):
         for dataset, image in ((frames, stack.image(row)), (masks, stack.mask(row))):
             if (image.shape, image.dtype) != (dataset.shape[1:], dataset.dtype):
-                raise StackError(
+                raise InputError(
                     f"{stack.folder / row.file_name}: size or depth differ from the first image's. "
                     "Render the stack again."
                 )
