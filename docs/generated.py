@@ -13,7 +13,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docs.messages import errors_page, reasons_page
+from docs.messages import cell, errors_page, reasons_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
 from scenes import Scene
@@ -121,11 +121,7 @@ def _table(model: type[BaseModel]) -> Iterator[str]:
     for key, field in model.model_fields.items():
         default = "" if field.is_required() else f"`{json.dumps(field.default, default=str)}`"
         about = field.description or "Which kind of this table it is."
-        yield f"| `{key}` | {unit_of(key)} | {default} | {_cell(about)} |"
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", "\\|").replace("\n", " ")
+        yield f"| `{key}` | {unit_of(key)} | {default} | {cell(about)} |"
 
 
 def _files() -> Iterator[str]:
@@ -146,7 +142,7 @@ def _files() -> Iterator[str]:
         yield "|---|---|---|---|"
         for key, type_name, required, meaning in rows_of(schema):
             must = "yes" if required else ""
-            yield f"| `{key}` | {_cell(type_name)} | {must} | {_cell(meaning)} |"
+            yield f"| `{key}` | {cell(type_name)} | {must} | {cell(meaning)} |"
 
 
 def _schema_name(kind: FileKind) -> str:

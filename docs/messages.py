@@ -14,10 +14,10 @@ from calibration.command.verdict import Fault, remedy
 from estimator.distance.budget import Cause
 from estimator.distance.range import WallMemory
 from estimator.run import exit_codes
+from eyespot.command_line import PACKAGES
 from formats.spots import Reason
 
 HOME = Path(__file__).resolve().parents[1]
-PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
 _ERRORS = (
     *("InputError", "SceneError"),
@@ -67,7 +67,7 @@ def reasons_page() -> Iterator[str]:
             yield f"| {name} | all | nothing: the values are right within their stated errors |"
         for advice in dict.fromkeys(filter(None, tries.values())):
             models = ", ".join(model for model, said in tries.items() if said == advice)
-            yield f"| {name} | {models} | {_cell(advice)} |"
+            yield f"| {name} | {models} | {cell(advice)} |"
 
 
 def errors_page() -> Iterator[str]:
@@ -79,12 +79,12 @@ def errors_page() -> Iterator[str]:
     yield "| code | meaning |"
     yield "|---|---|"
     for code, meaning in re.findall(r"^ *(\d+) +(.*(?:\n {5,}\S.*)*)", codes, flags=re.MULTILINE):
-        yield f"| {code} | {_cell(' '.join(meaning.split()))} |"
+        yield f"| {code} | {cell(' '.join(meaning.split()))} |"
     yield "\nAn error of the operating system is shown with its own words and a remedy:\n"
     yield "| error | remedy |"
     yield "|---|---|"
     for number, advice in sorted(exit_codes._REMEDIES.items()):
-        yield f"| {errno.errorcode[number]} | {_cell(advice)} |"
+        yield f"| {errno.errorcode[number]} | {cell(advice)} |"
     yield f"\n## Messages of wrong input ({len(found)})\n"
     yield "A message names what is wrong, with value and unit, the rule, and the way out. The words"
     yield "in braces are replaced by values. In Python these are `formats.inputs.InputError`."
@@ -149,8 +149,9 @@ def _rows(meanings: Mapping[str, str]) -> Iterator[str]:
     yield "| value | meaning and remedy |"
     yield "|---|---|"
     for value, meaning in meanings.items():
-        yield f"| `{value}` | {_cell(meaning)} |"
+        yield f"| `{value}` | {cell(meaning)} |"
 
 
-def _cell(text: str) -> str:
+def cell(text: str) -> str:
+    """A text as a cell of a table in Markdown."""
     return text.replace("|", "\\|").replace("\n", " ")
