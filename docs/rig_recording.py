@@ -1,7 +1,8 @@
 """Records what ROS prints in docs/tutorials/rig.md: `tools/try-rig-node record` runs it.
 
-It follows the page: it makes the recording with the page's first cell, starts the node under ROS 1
-and under ROS 2, plays the recording, and writes the outputs to docs/tutorials/recorded.
+It follows the page: it makes calibration and recording with the cells of the tutorials, starts the
+node under ROS 1 and under ROS 2, plays the recording, and writes the outputs to
+docs/tutorials/recorded.
 """
 
 from __future__ import annotations
@@ -27,7 +28,6 @@ from tests.estimator.test_rig_node import RosSession
 from tests.estimator.test_rig_ros2 import LOOPBACK
 
 HOME = Path(__file__).resolve().parents[1]
-PAGE = HOME / "docs" / "tutorials" / "rig.md"
 RECORDED = HOME / "docs" / "tutorials" / "recorded"
 MADE = HOME / "out" / "docs" / "rig"
 TOPICS = [f"/eyespot/{name}" for name in ("spot", "axes", "range", "status")]
@@ -38,23 +38,25 @@ _SETTLED_S = 3.0  # after the last image
 def main() -> None:
     """Make the recording, play it twice, and write what was printed."""
     RECORDED.mkdir(exist_ok=True)
-    _run_first_cell()
+    _run_cells("beam", 2)
+    _run_cells("rig", 1)
     with tempfile.TemporaryDirectory() as folder:
         _ros1(Path(folder))
     with tempfile.TemporaryDirectory() as folder:
         _ros2(Path(folder))
 
 
-def _run_first_cell() -> None:
-    """The page's first cell, which renders, fits and writes the bags."""
-    cell = re.search(r"%%bash\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
-    assert cell
+def _run_cells(page: str, count: int) -> None:
+    """The first cells of commands of a tutorial, which render, fit and write the bags."""
+    text = (HOME / "docs" / "tutorials" / f"{page}.md").read_text(encoding="utf-8")
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    shutil.rmtree(MADE, ignore_errors=True)
-    MADE.mkdir(parents=True)
-    subprocess.run(
-        ["bash", "-e", "-c", cell[1]], cwd=MADE, env=os.environ | {"PATH": path}, check=True
-    )
+    made = MADE.with_name(page)
+    shutil.rmtree(made, ignore_errors=True)
+    made.mkdir(parents=True)
+    for cell in re.findall(r"%%bash\n(.*?)```", text, flags=re.DOTALL)[:count]:
+        subprocess.run(
+            ["bash", "-e", "-c", cell], cwd=made, env=os.environ | {"PATH": path}, check=True
+        )
 
 
 def _ros1(folder: Path) -> None:
