@@ -191,9 +191,18 @@ def image_of_page(page: TiffPage) -> DecodedImage:
         light = most - image.astype(np.float32)
         image = np.rint(light[..., :3] * light[..., 3:] / most).astype(image.dtype)
     elif kind == "PALETTE" and page.colormap is not None:
-        image, full_scale = _coloured(image, page.colormap), None
+        palette, full_scale = page.colormap, None
+        if not (palette % 257).any() or not (palette % 256).any():  # 16 bits that have 8
+            palette = (palette >> 8).astype(np.uint8)
+        image = np.moveaxis(palette[:, image], 0, 2)
     elif kind == "CFA":
-        image = _demosaiced(image, page)
+        pattern, size = map(page.tags.valueof, ("CFAPattern", "CFARepeatPatternDim"))
+        code = _MOSAICS.get(tuple(pattern or ()))
+        if code is None or size != (2, 2) or image.dtype.kind != "u":
+            raise InputError(
+                f"has a raw mosaic with the CFAPattern {pattern}; Bayer's 2 x 2 are read"
+            )
+        image = cv2.cvtColor(image, code)
     if spare and (1 not in page.extrasamples):  # 1: multiplied by alpha already
         alpha = samples[..., -1]
         if 2 not in page.extrasamples and alpha.min() != alpha.max():
@@ -227,21 +236,6 @@ def _samples(image: np.ndarray, page: TiffPage) -> tuple[np.ndarray, float | Non
     if kind == "i" and image.min() < 0:
         return image.astype(np.float32), full_scale
     return image.astype(f"u{image.dtype.itemsize}"), full_scale
-
-
-def _coloured(image: np.ndarray, palette: np.ndarray) -> np.ndarray:
-    """Indices as colours; of 8 bits where the palette's 16 have no more."""
-    if not (palette % 257).any() or not (palette % 256).any():
-        palette = (palette >> 8).astype(np.uint8)
-    return np.moveaxis(palette[:, image], 0, 2)
-
-
-def _demosaiced(image: np.ndarray, page: TiffPage) -> np.ndarray:
-    pattern, size = map(page.tags.valueof, ("CFAPattern", "CFARepeatPatternDim"))
-    code = _MOSAICS.get(tuple(pattern or ()))
-    if code is None or size != (2, 2) or image.dtype.kind != "u":
-        raise InputError(f"has a raw mosaic with the CFAPattern {pattern}; Bayer's 2 x 2 are read")
-    return cv2.cvtColor(image, code)
 
 
 _MOST_BYTES = 2**30  # that many pixels as RGB floats, uncompressed, and some more

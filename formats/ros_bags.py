@@ -40,17 +40,6 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     # Old ROS 2 bags contain no message definitions; those of the messages used here have never
     # changed.
     types = get_typestore(Stores.ROS2_HUMBLE)
-    _check_files(path)
-    with _damage_reported(f"{path}"):
-        reader = AnyReader([path], default_typestore=types)
-        reader.open()
-    try:
-        yield reader
-    finally:
-        reader.close()
-
-
-def _check_files(path: Path) -> None:
     # rosbags takes the last part of a name in metadata.yaml, so only a link leads out of a bag.
     with in_file(path):
         files = [inside(path, file.name) for file in path.iterdir()] if path.is_dir() else [path]
@@ -59,6 +48,13 @@ def _check_files(path: Path) -> None:
             size = check_regular(file)
             if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
                 raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
+    with _damage_reported(f"{path}"):
+        reader = AnyReader([path], default_typestore=types)
+        reader.open()
+    try:
+        yield reader
+    finally:
+        reader.close()
 
 
 @contextmanager

@@ -482,7 +482,10 @@ class StackWriter:
         try:
             if kind is None:
                 with errors_named(self._partial, self.folder):
-                    self._finish()
+                    lines = [self._lines[name] for name in sorted(self._lines)]
+                    _write_text(self._partial / _LABELS, "".join(lines))
+                    write_manifest(self._partial, schema=SCHEMA)
+                    give_name(self._partial, self.folder)
             elif self._described and not self._lines:
                 shutil.rmtree(self._partial)
             else:  # frames of a stopped run, or nothing at all
@@ -503,12 +506,6 @@ class StackWriter:
                 os.truncate(path, before)  # the next line would end a half one
                 raise
             self._lines[labels.file_name] = line
-
-    def _finish(self) -> None:
-        lines = [self._lines[name] for name in sorted(self._lines)]
-        _write_text(self._partial / _LABELS, "".join(lines))
-        write_manifest(self._partial, schema=SCHEMA)
-        give_name(self._partial, self.folder)
 
     def _lines_left(self) -> dict[str, str]:
         """Label lines of the images that a stopped run has finished, by the image's name."""
