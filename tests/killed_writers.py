@@ -311,7 +311,7 @@ def main(*, quick: bool) -> None:
         (scenes, "load_mitsuba", lambda: None),
         (scenes, "render_stack", render_stub),
         (make, "_render", render_set_stub),
-        (make, "check", lambda scene: None),  # JAX does not survive a fork
+        (scenes, "check_scene", lambda scene: None),  # JAX does not survive a fork
         (card, "histograms", picture_stub),
         (card, "samples", picture_stub),
     ]
