@@ -117,10 +117,8 @@ class DropSearch:
 
     def descend(self, start: np.ndarray, limits: np.ndarray, *, steps: int) -> None:
         """Go from a drop, numbers of `LIMITS`, down the gradient within limits, 2 x 4."""
-        span, adam = (
-            np.ptp(limits, axis=0) + 1e-9,
-            optax.adam(0.06),
-        )  # noise of a table stops others
+        span = np.ptp(limits, axis=0) + 1e-9
+        adam = optax.adam(0.06)  # the noise of a table stops others
         place = (start - limits[0]) / span
         state = adam.init(place)
         for _ in range(steps):
@@ -318,7 +316,7 @@ def design(
     defaults = "source.medium=vitreous", "microscope.height_px=600"
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
-    count, random, starts, steps = (4, 12, 1, 14) if quick else (6, 500, 3, 25)
+    count, random, starts, steps = (4, 12, 1, 14) if quick else (6, 500, 2, 25)
     search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):

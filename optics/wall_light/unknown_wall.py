@@ -29,9 +29,15 @@ from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes, squar
 COUNT, REACH, BESIDE_PX = 26, 2.0, 6.0
 """Cells along a side of the window; half of its side over the half-maximum ellipse's, and beside
 it. They are those of the mode pixels."""
-ROUNDED_PX = (0.125, 0.375, 0.625, 0.875)
-"""By which cells of whole pixels are larger. An edge that is sharper than a cell says more or less
-of the distance as cells cut it; nobody chooses how, so variances are means over these lattices."""
+LATTICES = (
+    (0.125, -0.375, 0.125),
+    (0.375, -0.125, -0.375),
+    (0.625, 0.125, 0.375),
+    (0.875, 0.375, -0.125),
+)
+"""By how much, px, cells are larger than whole pixels; and how far the spot's middle is from a
+cell's corner to the right and downwards, over a cell's side. An edge that is sharper than a cell
+says more or less of the distance as cells cut it: variances are means over these lattices."""
 LENGTHS_MM, CONTRASTS = (0.08, 0.25, 1.0), (0.02, 0.05, 0.07)
 """Grain, vessels and shading of a wall: correlation lengths, and relative standard deviations."""
 MODEL_ERROR = 0.003
@@ -97,10 +103,11 @@ def spot_cells(
     pose = BeamFrame(*map(np.asarray, (tip, axis, meeting.distance, *along, *across)))
     middle, right = np.asarray(camera.project(jnp.stack([meeting.point, meeting.point + along[0]])))
     px_mm = float(np.linalg.norm(right - middle))
-    sides = 2 * (REACH * half_maximum_mm * px_mm + BESIDE_PX) / COUNT + np.array(ROUNDED_PX)
+    lattices = np.array(LATTICES)
+    sides = 2 * (REACH * half_maximum_mm * px_mm + BESIDE_PX) / COUNT + lattices[:, 0]
     light, seen = [], []
-    for side in sides:
-        corner, step = middle - 0.5 * side * COUNT, np.array([side, 0.0])
+    for side, off in zip(sides, lattices[:, 1:], strict=True):
+        corner, step = middle - (0.5 * COUNT + off) * side, np.array([side, 0.0])
         lattice = square_lattice(camera, wall, corner=corner, right=step, count=COUNT)
         for part in parts:
             own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
