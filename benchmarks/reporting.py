@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullLocator
 
 from calibration.command.report import templates
 
@@ -90,6 +91,10 @@ def small_multiples(
             names = ", ".join(str(key) for key in (row, column) if key != "")
             axes.set_title(title(row, column) if title else names)
             draw(axes, row, column)
+            if axes.get_yscale() == "log":  # plain numbers instead of powers of ten
+                axes.yaxis.set_major_locator(LogLocator(subs=(1, 3)))
+                axes.yaxis.set_major_formatter("{x:g}")
+                axes.yaxis.set_minor_locator(NullLocator())
         line[0].set_ylabel(y if isinstance(y, str) else y(row))
     for axes, column in zip(grid[-1], columns, strict=True):
         axes.set_xlabel(x if isinstance(x, str) else x(column))

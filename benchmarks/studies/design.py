@@ -260,7 +260,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         found = rows[rows.doubt == ""]
         ratio = rms(found.error_mm / found.sigma_mm)
         claim = Claim(
-            name=f"{lens}, {mode}",
+            name=f"{lens}, {mode}".replace("_", " "),
             sentence=f"In {len(found)} of {len(rows)} frames read blind, d is off by "
             f"{ratio:.2f} times its bound (RMS), {1e3 * rms(found.error_mm):.1f} µm.",
             value=ratio,
@@ -268,7 +268,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
             high=1.2 if mode == "pixels" else math.inf,
         )
         claims.append(claim)
-    made = {str(x): Column(f"{100 * x:+g} %: σ, µm", 1, 1e3) for x in OFF_BY}
+    made = {str(x): Column(f"{100 * x:+g} %: σ, µm".replace("-", "−"), 1, 1e3) for x in OFF_BY}
     made, otherwise = {"number": Column("number")} | made, "One number of it, made otherwise."
     tolerance = Table.of(tables["tolerance"], made, otherwise, data="tolerance.csv")
     return Report(
@@ -276,9 +276,10 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         answer=f"The best drop measures every distance to {1e3 * best.worst_mm:.1f} µm (standard "
         f"deviation) in one frame of an unknown wall with {1e3 * dose:.1f} µJ/mm² on the retina, "
         f"and to 50 µm with {1e3 * best.for_50_um_mj_mm2:.3f} µJ/mm².",
-        lead=f"It has {numbers} (mm). The bound of one frame was made small along its gradient.",
+        lead=f"The drop: {numbers} (lengths in mm). The bound of one frame was made small along "
+        "its gradient.",
         first=[
-            Picture("sigma", figure, "The best drop against others.", data="sigma.csv"),
+            Picture("sigma", figure, "All light, outline alone, less light.", data="sigma.csv"),
             Table.of(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
         ],
         claims=claims,
