@@ -270,7 +270,7 @@ class SpotRecord:
         sigma_distance_mm: its standard deviation.
         pose_age_s: age of the robot's pose at the frame's time; NaN if unknown.
         distance_low_mm: begin of the 95 % interval of the distance, which contains the model's
-            correction; NaN if unknown, as in files of version 1.
+            correction, if there is one; NaN if unknown, as in files of version 1.
         distance_high_mm: its end.
         largest_cause: what makes it wide: one of `Cause`; empty if unknown.
         pose: tip and axis of the mode pixels; None of the others.

@@ -210,8 +210,7 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:
             details[name] = getattr(spot, name)
     if distance is not None:
         details["sigma_distance_mm"] = distance.sigma_mm
-        if budget := reading.budget:
-            details["distance_low_mm"], details["distance_high_mm"] = budget.interval_mm
+        details["distance_low_mm"], details["distance_high_mm"] = reading.interval_mm
         details |= {f"other_distance_{n}_mm": d for n, d in enumerate(distance.others_mm, 1)}
     largest = reading.budget.largest if reading.budget else None
     said = {"largest_cause": largest.cause.value} if largest else {}

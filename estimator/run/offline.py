@@ -217,7 +217,7 @@ def _readings(
 def record_of(frame: Frame, reading: Reading) -> SpotRecord:
     """The line of a spots file for a frame."""
     budget = reading.budget
-    low, high = budget.interval_mm if budget else (math.nan, math.nan)
+    low, high = reading.interval_mm
     return SpotRecord(
         frame=frame.index,
         file_name=frame.file_name,

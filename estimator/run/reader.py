@@ -34,6 +34,7 @@ _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05
 """Of the poses that a velocity is taken from: ten of the rig's, half of a frame."""
 _ROBOT_MM = 0.005  # standard deviation of a place by the robot, against another one
+_NORMAL_95 = 1.96  # standard deviations on either side that contain 95 % of a normal's values
 
 
 class Reading(NamedTuple):
@@ -63,6 +64,13 @@ class Reading(NamedTuple):
     def sigma_distance_mm(self) -> float:
         """Standard deviation of the distance; NaN where there is none."""
         return self.range.sigma_mm if self.range else math.nan
+
+    @property
+    def interval_mm(self) -> tuple[float, float]:
+        """The 95 % interval of the distance: the budget's, else 1.96 sigma on either side."""
+        half = _NORMAL_95 * self.sigma_distance_mm
+        stated = self.distance_mm - half, self.distance_mm + half
+        return self.budget.interval_mm if self.budget else stated
 
     @property
     def doubt(self) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from pathlib import Path
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -16,9 +17,10 @@ from estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
 from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
 from estimator.distance.tilted_cone import ConeView, distance_of, spot_image
+from estimator.run.reader import Reading
 from formats.calibration import write_calibration
 from formats.inputs import InputError
-from formats.spots import read_spots
+from formats.spots import NoSpot, Reason, read_spots
 from formats.stack import read_stack
 from formats.stated import Stated, read_stated
 from scenes import load_scene, render_stack
@@ -131,6 +133,14 @@ def test_degrees_of_freedom_are_those_of_the_gums_end_gauge():
     # G.2: t_95(16) = 2.12.
     low, high = budget.interval_mm
     assert (high - low) / 2 == pytest.approx(2.12 * budget.sigma_mm, rel=0.005)
+
+
+def test_without_a_budget_the_interval_is_that_of_a_normal_distribution():
+    found = Range(distance_mm=2.0, sigma_mm=0.01)
+    low, high = Reading("pixels", NoSpot(Reason.SATURATED), found).interval_mm
+    normal = NormalDist(2.0, 0.01)
+    assert normal.cdf(high) - normal.cdf(low) == pytest.approx(0.95, abs=1e-5)
+    assert low + high == pytest.approx(4.0)
 
 
 def test_the_linear_part_is_that_of_another_program():
