@@ -83,6 +83,7 @@ def render(
     """
     from estimator.run.progress_bar import progress, say
     from estimator.viewer import check_recording_path, record_stack
+    from formats.whole_files import refuse_existing
     from scenes.description.scene_file import load_scene
     from scenes.stacks.stack import render_stack, write_preview
     from scenes.world.motion import frame_count
@@ -98,6 +99,7 @@ def render(
         write_preview(settings, image, variant=variant)
         print(f"Wrote {image}.")
         return
+    refuse_existing(out)  # before anything is promised
     frames, kinds = frame_count(settings), settings.exposures.kinds
     print(
         f"Rendering {frames} frames: up to a minute to prepare, then 0.1 to 1 s each.", flush=True
