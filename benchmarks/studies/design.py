@@ -317,7 +317,7 @@ def design(
     defaults = "source.medium=vitreous", "microscope.height_px=600"
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
-    count, random, starts, steps = (4, 12, 1, 14) if quick else (6, 500, 2, 25)
+    count, random, starts, steps = (4, 12, 1, 5) if quick else (6, 500, 2, 25)
     search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
