@@ -24,7 +24,7 @@ from estimator.detector.ellipse import (
     robust_step,
 )
 from estimator.detector.levels import Levels
-from estimator.detector.tuning import RAYS, Rays, Refine, Saturated, Sharp
+from estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
 from formats.spots import NoSpot, Reason
 
 _ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
@@ -37,43 +37,73 @@ def hidden_edge(
 
     The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width)
     by damped Gauss-Newton steps (Levenberg 1944): the plateau follows from the flank's curvature,
-    so the edge must be a Gaussian-blurred step. The pixels themselves are averaged over the
-    contour, because samples between a saturated pixel and its neighbour would be too dark.
+    so the edge must be a Gaussian-blurred step.
 
     Args:
-        patch: signal round the spot.
-        ellipse: about which the contour is averaged.
-        inliers: rays that show it.
+        ellipse: about which the contour is averaged over the inliers' rays.
         levels: of the spot, the peak unknown.
         reach: of the profile, units of the radius.
 
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
-    bins = max(int(2 * reach * ellipse.axes()[1] / Saturated.BIN_PX), Saturated.FEWEST_BINS)
-    x, mean, number = _pixel_profile(patch, ellipse, inliers, reach, bins)
-    bright = np.flatnonzero(mean > Saturated.READABLE * patch.ceiling)
-    first = int(bright[-1]) + 1 if bright.size else 0
-    x, y = x[first:], (mean[first:] - levels.background) / patch.ceiling
-    root = np.sqrt(number[first:])
-    if x.size < Saturated.FEWEST_BINS:
+    bins = max(int(2 * reach * ellipse.axes()[1] / 0.25), 8)  # a quarter of a px wide
+    flank = _visible_flank(patch, ellipse, inliers, reach, bins, levels.background)
+    if flank is None:
         return None
-    start = np.array([math.log(1.4), float(x[0]), math.log(levels.width)])
+    start = np.array([math.log(1.4), float(flank[0][0]), math.log(levels.width)])
     try:
-        fitted, covariance, misfit = _flank(start, x, y, root)
+        fitted, covariance, misfit = _flank(start, *flank)
     except np.linalg.LinAlgError:  # too little of the flank to separate height, place and width
         return None
-    peak, variance = (
-        levels.background + patch.ceiling * math.exp(fitted[0]),
-        float(covariance[1, 1]),
+    peak = levels.background + patch.ceiling * math.exp(fitted[0])
+    variance = float(covariance[1, 1])
+    vague = not (
+        peak < 2 * Saturated.READABLE * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2
     )
-    if not (peak < 2 * Saturated.READABLE * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2):
-        return None
-    if abs(fitted[1]) > reach:  # not on the profile
-        return None
-    if misfit > Saturated.MISFIT:  # a lamp's reflex, which has a halo
+    # A lamp's reflex has a halo, and misfits.
+    if vague or abs(fitted[1]) > reach or misfit > Saturated.MISFIT:
         return None
     return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
+
+
+def _visible_flank(
+    patch: Patch,
+    ellipse: AffineEllipse,
+    inliers: np.ndarray,
+    reach: float,
+    bins: int,
+    background: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+    """Mean light of bins along the edge beyond what is at full scale; None for too few of them.
+
+    Pixels are averaged over the contour, because samples between a saturated pixel and its
+    neighbour would be too dark.
+
+    Returns:
+        Radius offsets of the bins; light over the background, in full scales; and the roots of the
+        numbers of pixels.
+    """
+    height, width = patch.signal.shape
+    u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
+    v = np.arange(height, dtype=np.float32) + np.float32(patch.y0 - ellipse.centre[1])
+    to_circle = np.linalg.inv(ellipse.shape).astype(np.float32)
+    cos = to_circle[0, 0] * u + to_circle[0, 1] * v[:, None]
+    sin = to_circle[1, 0] * u + to_circle[1, 1] * v[:, None]
+    offset = np.sqrt(cos * cos + sin * sin) - 1
+    band = np.abs(offset) < reach
+    ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
+    offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
+    index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
+    number = np.bincount(index, minlength=bins)
+    filled = number > 0
+    number = number[filled]
+    x, mean = (np.bincount(index, of, bins)[filled] / number for of in (offset, signal))
+    bright = np.flatnonzero(mean > Saturated.READABLE * patch.ceiling)
+    first = int(bright[-1]) + 1 if bright.size else 0
+    if x.size - first < 8:  # three parameters and five degrees of freedom
+        return None
+    return x[first:], (mean[first:] - background) / patch.ceiling, np.sqrt(number[first:])
 
 
 def _flank(
@@ -84,20 +114,28 @@ def _flank(
     Raises:
         LinAlgError: the flank does not determine them.
     """
-    fitted = start
-    residual, jacobian = _linearised(fitted, x, y, root)
-    damping = 1e-3
-    for _ in range(Saturated.STEPS):
+
+    def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        amplitude, width = math.exp(at[0]), math.exp(at[2])
+        z = (at[1] - x) / width
+        edge = amplitude * np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z.tolist()])
+        density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+        jacobian = np.stack([edge, density / width, -density * z], axis=1)
+        return (y - edge) * root, jacobian * root[:, None]
+
+    fitted, damping = start, 1e-3
+    residual, jacobian = linearised(fitted)
+    for _ in range(25):
         gram = jacobian.T @ jacobian
         gram.flat[::4] *= 1 + damping
         step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
-        trial_residual, trial_jacobian = _linearised(fitted + step, x, y, root)
+        trial_residual, trial_jacobian = linearised(fitted + step)
         if trial_residual @ trial_residual < residual @ residual:
             fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
             damping /= 4
         else:
             damping *= 8
-        if np.abs(step).max() < Saturated.SMALLEST_STEP:
+        if np.abs(step).max() < 1e-5:  # a thousandth of a px
             break
     information = jacobian.T @ jacobian
     size = np.sqrt(np.diag(information))
@@ -123,19 +161,12 @@ def hidden_bell(
     """
     from scipy.optimize import least_squares
 
-    x, y, number = _pixel_profile(
-        patch, ellipse, inliers, Saturated.BELL_REACH, Saturated.BELL_BINS
-    )
-    bright = np.flatnonzero(y > Saturated.READABLE * patch.ceiling)
-    first = int(bright[-1]) + 1 if bright.size else 0
-    t, y, root = (
-        1 + x[first:],
-        (y[first:] - levels.background) / patch.ceiling,
-        np.sqrt(number[first:]),
-    )
-    if t.size < Saturated.FEWEST_BINS:
+    # From its centre to where a Gaussian has 6 % left; texture in such bins is hardly correlated.
+    flank = _visible_flank(patch, ellipse, inliers, 1.0, 32, levels.background)
+    if flank is None:
         return None
-    root /= root.mean()
+    x, y, root = flank
+    t, root = 1 + x, root / root.mean()
 
     def residuals(at: np.ndarray, error: float) -> np.ndarray:
         height, radius, power, tail = at
@@ -145,13 +176,9 @@ def hidden_bell(
         return np.append((y - np.exp(height - falling)) * root / error, prior)
 
     fitted, error = np.array([0.1, 0.0, math.log(2), 0.1]), Saturated.MISFIT
+    bounds = [-2, -1, math.log(Saturated.CUSP), 1e-3], [2, 1, math.log(8), 1]
     for _ in range(2):
-        found = least_squares(
-            residuals,
-            fitted,
-            bounds=([-2, -1, math.log(Saturated.CUSP), 1e-3], [2, 1, math.log(8), 1]),
-            args=(error,),
-        )
+        found = least_squares(residuals, fitted, bounds=bounds, args=(error,))
         fitted, left = found.x, found.fun[:-2] * error
         error = max(math.sqrt(float(left @ left) / (t.size - 4)), 1e-6)
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
@@ -161,45 +188,10 @@ def hidden_bell(
     # Where the bell on its background reaches full scale, over the radius of its half maximum.
     height -= math.log1p(-levels.background / patch.ceiling)
     full = max(math.expm1(height * tail) / math.expm1(math.log(2) * tail), 0.0) ** math.exp(-power)
-    hidden = full**2
     cusp = power < math.log(Saturated.CUSP) + 1e-3
-    if cusp or hidden > Saturated.MOST_HIDDEN or error > Saturated.BELL_MISFIT:
+    if cusp or full**2 > Saturated.MOST_HIDDEN or error > Saturated.BELL_MISFIT:
         return None
     return replace(levels, peak=peak, variance=0.0), radius - 1, radius**2 * variance
-
-
-def _pixel_profile(
-    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, reach: float, bins: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Radius offsets of bins along the edge, their mean signal, and their number of pixels."""
-    height, width = patch.signal.shape
-    u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
-    v = np.arange(height, dtype=np.float32) + np.float32(patch.y0 - ellipse.centre[1])
-    to_circle = np.linalg.inv(ellipse.shape).astype(np.float32)
-    cos = to_circle[0, 0] * u + to_circle[0, 1] * v[:, None]
-    sin = to_circle[1, 0] * u + to_circle[1, 1] * v[:, None]
-    offset = np.sqrt(cos * cos + sin * sin) - 1
-    band = np.abs(offset) < reach
-    ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS
-    offset, signal = offset[band][inliers[ray]], patch.signal[band][inliers[ray]]
-    index = np.minimum(((offset + reach) * (bins / (2 * reach))).astype(int), bins - 1)
-    number = np.bincount(index, minlength=bins)
-    sums = np.bincount(index, offset, bins), np.bincount(index, signal, bins)
-    filled = number > 0
-    number = number[filled]
-    return sums[0][filled] / number, sums[1][filled] / number, number
-
-
-def _linearised(
-    parameters: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted residual of (log amplitude, offset, log width) and the model's Jacobian."""
-    amplitude, width = math.exp(parameters[0]), math.exp(parameters[2])
-    z = (parameters[1] - x) / width
-    edge = amplitude * np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z.tolist()])
-    density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
-    jacobian = np.stack([edge, density / width, -density * z], axis=1)
-    return (y - edge) * root, jacobian * root[:, None]
 
 
 _CUBIC = np.arange(4)
@@ -209,19 +201,13 @@ _SOLVABLE = np.float32(1e-3) * np.eye(5, dtype=np.float32)  # an arc too short f
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """An ellipse after a refinement.
+    """An ellipse after a refinement; what has the same name as in `EdgeFit` is the same.
 
     Attributes:
-        ellipse: px.
-        move: how far the contour moved at most, units of the radius.
+        move: how far the contour moved at most, radii.
         size_variance: of the contour's common offset, in addition to the scatter of the offsets.
-        centre_variance: of either coordinate of the centre, units of the radius, also in addition.
-        levels: improved by the refinement.
-        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, units of the radius.
-        found: (RAYS,) rays with an edge.
-        inliers: (RAYS,) rays whose edge belongs to the ellipse.
-        shaded: (RAYS,) rays in a shadow in which they still show an edge.
-        band: from which they were measured.
+        centre_variance: of either coordinate of the centre, radii^2, also in addition.
+        band: from which it was measured.
     """
 
     ellipse: AffineEllipse
@@ -246,14 +232,12 @@ class Band:
     """Profiles on either side of an ellipse.
 
     Attributes:
-        ellipse: px.
         from_edge: (n,) radius offsets of the samples, units of the radius.
         profiles: (RAYS, n) signal; 0 on rays that leave the frame.
         whole: (RAYS,) rays that stay in the frame.
         inside: (RAYS,) rays whose contour point lies in the frame.
         inliers: (RAYS,) rays of which the mean profile is made.
-        mean: (n,) mean profile.
-        slope: (n,) its derivative.
+        mean, slope: (n,) mean profile, and its derivative.
     """
 
     ellipse: AffineEllipse
@@ -269,16 +253,10 @@ class Band:
     def along(
         cls, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, reach: float
     ) -> Band | None:
-        """The band that reaches so far on either side; None if too few rays lie in it.
-
-        Args:
-            patch: signal round the ellipse.
-            ellipse: in the band's middle.
-            inliers: rays that make the mean profile.
-            reach: radii, below 1.
-        """
-        side = int(reach * ellipse.axes()[1] / Refine.SAMPLING_PX)
-        side = min(max(side, Refine.FEWEST_SAMPLES), Refine.MOST_SAMPLES)
+        """The band that reaches so far (radii, below 1) on either side; None for too few rays."""
+        # Samples 0.7 px apart, less than the pixel grid resolves; enough of them for a cubic.
+        side = int(reach * ellipse.axes()[1] / 0.7)
+        side = min(max(side, 5), 16)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
         if patch.contains(ellipse.scaled(1 + reach)):
@@ -289,10 +267,10 @@ class Band:
             profiles = np.nan_to_num(profiles, nan=0.0)
             inliers = inliers & whole
         number = np.count_nonzero(inliers)
-        if number < Rays.FEWEST:
+        if number < FEWEST_RAYS:
             return None
         mean = inliers.astype(np.float32) @ profiles / np.float32(number)
-        slope = _derivative(mean, reach / side)
+        slope = _differences(len(mean)) @ mean / np.float32(reach / side)
         return cls(ellipse, from_edge, profiles, whole, inside, inliers, mean, slope)
 
     @cached_property
@@ -310,11 +288,8 @@ class Band:
         """Light, outward shift and misfit of each ray's profile if it is shaded, (RAYS,).
 
         A shadow dims the spot's light and not the rest, so that a profile is a share of the mean,
-        a constant, and the changes by shift and stretch. It is so dim that noise counts, and is
-        therefore averaged with its neighbours.
-
-        Args:
-            stretch: (n,) change of a profile with a wider edge.
+        a constant, and the changes by shift and by `stretch`, (n,), a wider edge. It is so dim that
+        noise counts, and is therefore averaged with its neighbours.
         """
         beside = Refine.SHADED_NEIGHBOURS
         around = np.concatenate([self.profiles[-beside:], self.profiles, self.profiles[:beside]])
@@ -327,19 +302,16 @@ class Band:
         return parts[0], parts[1] / light, misfit
 
     def steeper(self, rays: np.ndarray) -> float:
-        """How much steeper single rays are than their mean: 1 if they show the same edge.
+        """How much steeper some rays, (RAYS,), are than their mean: 1 if they show the same edge.
 
         The integral of the squared slope of an edge of one height is inversely proportional to the
         edge's width. Noise and texture add to it, as they do on the plateaus beside the edge. Where
         an ellipse runs across an outline of another shape, the mean of the rays is smeared.
-
-        Args:
-            rays: (RAYS,) those that are compared.
         """
         profiles = self.profiles[rays]
         steps = np.diff(profiles, axis=1)
         across = np.diff(profiles.sum(axis=0) / np.float32(len(profiles)))
-        beside = steps.shape[1] // Refine.BESIDE
+        beside = steps.shape[1] // 5  # at either end: the band reaches beyond the edge
         steps *= steps
         rest = steps[:, :beside].sum(axis=1) + steps[:, -beside:].sum(axis=1)
         squares = _row_sums(steps) - float(np.median(rest)) * (steps.shape[1] / (2 * beside))
@@ -352,11 +324,14 @@ class Band:
         return float(self.from_edge @ self.slope) / fall if fall < 0 else 0.0
 
     @property
+    def _unevenness(self) -> np.ndarray:
+        """Brightness of the inliers over the mean, minus one; 0 of the other rays."""
+        return self.inliers * (self.gain - 1)
+
+    @property
     def texture(self) -> float:
         """Part of the variance of the rays' brightness that is the wall's texture, not noise."""
-        long, short = ring_variances(
-            self.inliers * (self.gain - 1), Refine.LONG_WAVES, Refine.SHORT_WAVES
-        )
+        long, short = ring_variances(self._unevenness, Refine.LONG_WAVES, Refine.SHORT_WAVES)
         return max(0.0, 1 - Refine.NOISE_AT_MOST * short / max(long, 1e-30))
 
     def shifts(
@@ -389,31 +364,17 @@ class Band:
         rough /= max(residual.shape[1] - len(gram), 1)
         towards = weights = orthonormal[:, -1]
         if past_texture:
-            slopes = self._slope_of_wall()
+            # A wall's texture has no direction, so its long waves slope across a contour as much as
+            # they do along it, where the rays' brightness shows them.
+            first, second = ring_variances(self._unevenness, slice(1, 2), slice(2, 3))
+            slopes = math.sqrt((first + 4 * second) / 2) * self.from_edge * self.mean
             slopes = slopes - orthonormal[:, :-1] @ (orthonormal[:, :-1].T @ slopes)
-            weights = _least_varying(self._without_step(left), towards, slopes)
+            # A step of the ellipse goes along with slopes of the light. If it counted as scatter,
+            # the weights would cancel it by them.
+            rays, waves = left[self.inliers], _WAVES[self.inliers]
+            _, fitted = cv2.solve(waves.T @ waves + _SOLVABLE, waves.T @ rays)
+            weights = _least_varying(rays - waves @ fitted, towards, slopes)
         return left @ (weights / np.float32(triangle[-1, -1])), rough
-
-    def _without_step(self, rays: np.ndarray) -> np.ndarray:
-        """The inliers' rays (n, samples) without what a step of the ellipse explains.
-
-        Such a step goes along with slopes of the light. If it counted as scatter, the weights would
-        cancel it by them.
-        """
-        rays, waves = rays[self.inliers], _WAVES[self.inliers]
-        _, fitted = cv2.solve(waves.T @ waves + _SOLVABLE, waves.T @ rays)
-        return rays - waves @ fitted
-
-    def _slope_of_wall(self) -> np.ndarray:
-        """A profile, (n,), whose random multiples are a wall's slopes across the contour.
-
-        A wall's texture has no direction, so its long waves slope across a contour as much as they
-        do along it, where the rays' brightness shows them.
-        """
-        first, second = ring_variances(
-            self.inliers * (self.gain - 1), *(slice(wave, wave + 1) for wave in (1, 2))
-        )
-        return math.sqrt((first + 4 * second) / 2) * self.from_edge * self.mean
 
     def half_crossing(self, level: float, span: float) -> float | None:
         """Offset where the mean profile falls to a level, by a cubic over `span` on either side."""
@@ -425,20 +386,21 @@ class Band:
         spacing = float(from_edge[1] - from_edge[0])
         share = (heights[k] - level) / (heights[k] - heights[k + 1])
         middle = float(from_edge[k]) + spacing * share
-        span = max(span, Refine.NARROWEST_CUBIC * spacing)
+        span = max(span, 2.6 * spacing)  # at least five samples
         first = max(math.ceil((middle - span) / spacing) + len(heights) // 2, 0)
         last = math.floor((middle + span) / spacing) + len(heights) // 2 + 1
         x = ((from_edge[first:last] - middle) / span)[:, None]
-        if len(x) < Refine.FEWEST_SAMPLES:
+        if len(x) < 5:
             return None
         # The weight ends smoothly, so that a sample that enters or leaves moves nothing abruptly.
         weight = 1 - x * x
         rise = (self.mean[first:last, None] - level) * weight
         _, cubic = cv2.solve(x**_CUBIC * weight, rise, flags=cv2.DECOMP_QR)
         c0, c1, c2, c3 = cubic[:, 0].tolist()
-        # Undo the blur by interpolation: subtract half its variance times the Laplacian.
+        # Undo the blur by interpolation: subtract half its variance, 1/6 px^2 (the mean of t (1-t)
+        # over a pixel), times the Laplacian.
         semi_major, semi_minor, _ = self.ellipse.axes()
-        half_blur = Refine.INTERPOLATION_PX2 / (2 * span**2 * semi_major * semi_minor)
+        half_blur = (1 / 6) / (2 * span**2 * semi_major * semi_minor)
         c0 -= half_blur * (2 * c2 + span * c1)
         c1 -= half_blur * (6 * c3 + span * 2 * c2)
         c2 -= half_blur * span * 3 * c3
@@ -526,10 +488,6 @@ def _row_sums(values: np.ndarray) -> np.ndarray:
     return values @ np.ones(values.shape[1], values.dtype)
 
 
-def _derivative(values: np.ndarray, spacing: float) -> np.ndarray:
-    return _differences(len(values)) @ values / np.float32(spacing)
-
-
 @cache
 def _differences(number: int) -> np.ndarray:
     """Compact differences of fourth order (Lele 1992), as a matrix for samples at unit spacing.
@@ -546,8 +504,6 @@ def _differences(number: int) -> np.ndarray:
     return np.linalg.solve(implicit, explicit).astype(np.float32)
 
 
-_NORMAL = NormalDist()
-
 _SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _NEIGHBOURS = np.ones((1, 2 * Sharp.SPOILED_RAYS + 1), np.uint8)
 
@@ -557,12 +513,7 @@ def refine_sharp(
 ) -> Refined | NoSpot:
     """Ellipse of the half-maximum contour, from one that is off by less than the edge's width.
 
-    Args:
-        patch: signal round the spot.
-        inliers: rays that make the mean profile.
-
-    Returns:
-        The refined ellipse, or why there is none.
+    The inliers' rays make the mean profile.
     """
     reach = max(Sharp.REACH * levels.width, Sharp.REACH_PX / ellipse.axes()[1])
     if reach >= 1:  # the pixel grid hides the whole ellipse
@@ -577,9 +528,8 @@ def refine_sharp(
     stretch = (band.from_edge - middle) * band.slope
     shifts, rough = band.shifts([stretch, band.mean], past_texture=True)
     gain = band.gain
-    offsets = shifts / np.maximum(
-        gain, Refine.DARKEST_GAIN
-    )  # a shift changes a brighter ray by more
+    # A shift changes a brighter ray by more.
+    offsets = shifts / np.maximum(gain, Refine.DARKEST_GAIN)
     found = band.lit & (np.abs(offsets) < reach)
     plain = rough[found]
     if not plain.size:
@@ -641,12 +591,9 @@ def refine_sharp(
 
 def _eroded(mask: np.ndarray) -> np.ndarray:
     """Rays whose neighbours are all in the mask: the rim of a shaft disturbs the rays beside it."""
-    wide = np.concatenate([mask[-Sharp.SPOILED_RAYS :], mask, mask[: Sharp.SPOILED_RAYS]]).view(
-        np.uint8
-    )
-    return cv2.erode(wide[None], _NEIGHBOURS)[0, Sharp.SPOILED_RAYS : -Sharp.SPOILED_RAYS].view(
-        bool
-    )
+    beside = Sharp.SPOILED_RAYS
+    wide = np.concatenate([mask[-beside:], mask, mask[:beside]]).view(np.uint8)
+    return cv2.erode(wide[None], _NEIGHBOURS)[0, beside:-beside].view(bool)
 
 
 def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> Levels:
@@ -656,7 +603,11 @@ def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> L
     if inner == 0 or not width > 0:
         return replace(levels, width=width)
     radii = 1 + band.from_edge[:inner]
-    left = _left_by_blur(levels, width, radii)
+    # The fraction of a plateau that a Gaussian blur leaves at radii inside the half level's.
+    rim = float(levels.share_of_peak(np.ones(1))[0]) * levels.peak - levels.background
+    height, normal = min(max(rim / levels.amplitude, 0.51), 1.0), NormalDist()
+    middle = normal.inv_cdf(0.5 / height)
+    left = np.array([normal.cdf(middle + (1 - r) / (width * height)) for r in radii.tolist()])
     light = float(band.mean[:inner].sum()) - levels.background * float((1 - left).sum())
     peak = light / float(levels.share_of_peak(radii) @ left)
     if not peak > levels.background:
@@ -685,11 +636,3 @@ def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, flo
     variance = Sharp.SLOPE_DOUBT * 2 * ring_variance(rest, slice(2, 7)) / RAYS
     kept = counts * max(0.0, 1 - variance / square) if square > 0 else 0.0
     return kept * slope, kept * variance + kept * (1 - kept) * square
-
-
-def _left_by_blur(levels: Levels, width: float, radii: np.ndarray) -> np.ndarray:
-    """Fraction of a plateau that a Gaussian blur leaves at radii inside 1, the half level's."""
-    rim = float(levels.share_of_peak(np.ones(1))[0]) * levels.peak - levels.background
-    height = min(max(rim / levels.amplitude, 0.51), 1.0)
-    middle = _NORMAL.inv_cdf(0.5 / height)
-    return np.array([_NORMAL.cdf(middle + (1 - r) / (width * height)) for r in radii.tolist()])

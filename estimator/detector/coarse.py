@@ -27,7 +27,6 @@ def channel_for(
     region (its texture is weaker) or saturated.
 
     Args:
-        frame: grey or RGB.
         stride: px of the frame per pixel of the mask.
         mask: (h, w) uint8 of the window, 1 in the region.
 
@@ -84,7 +83,7 @@ def _part(
     left, top = max(x - width // 4, 0), max(y - height // 4, 0)
     grown = mask[top : y + height + height // 4, left : x + width + width // 4]
     # All pixels show a flat top; every stride-th one is enough of a large region.
-    every = stride if grown.size * stride**2 > Channel.MOST_PX else 1
+    every = stride if grown.size * stride**2 > 40_000 else 1  # or it takes over 0.3 ms
     x0, y0 = window.x0 + left * stride, window.y0 + top * stride
     rows, columns = (side * stride for side in grown.shape)
     part = frame[y0 : y0 + rows : every, x0 : x0 + columns : every]
@@ -101,8 +100,7 @@ class Coarse:
         levels: (h, w) uint8.
         unit: signal per level.
         stride: px of the frame per pixel.
-        x0: column of the frame under the first pixel, px.
-        y0: row of the frame under the first pixel, px.
+        x0, y0: column and row of the frame under the first pixel, px.
     """
 
     levels: np.ndarray
@@ -113,12 +111,10 @@ class Coarse:
 
     @classmethod
     def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> Coarse:
-        """Scale a float signal to 8 bits by its own maximum.
-
-        A signal below `Search.DARKEST` is zero.
-        """
+        """Scale a float signal to 8 bits by its own maximum."""
         unit = float(signal.max()) / 255
-        if not 255 * unit > Search.DARKEST:
+        # Squares of a darker signal, and of 1e-6 of it, would be no float32 numbers.
+        if not 255 * unit > 1e-12:
             return cls(np.zeros(signal.shape, np.uint8), 1.0, stride, x0, y0)
         _, positive = cv2.threshold(signal, 0, 0, cv2.THRESH_TOZERO)
         levels = cv2.convertScaleAbs(positive, alpha=1 / unit)
@@ -130,7 +126,6 @@ class Candidate:
     """An ellipse round a bright region, good to a few px, and the region's levels.
 
     Attributes:
-        ellipse: in the frame, px.
         peak: typical signal of the region.
         background: typical signal of the rest of the window.
         mask: of the region's pixels in the coarse window.
@@ -207,12 +202,14 @@ def bright_regions(
             soft = solid and peak - background < Search.PLATEAU * (top - background)
             lobed = soft and _are_lobes(contours, areas, cv2.subtract(smooth, half))
             bright = coarse.levels > half
-            hollow = solid and _is_hollow(region.view(bool), inside, bright)
-            pieces = [
-                c
-                for c, area in zip(contours, areas, strict=True)
-                if area > Search.SMALLEST_PIECE * areas[largest]
-            ]
+            # A ring, or the halo of something brighter that was painted over. What hides a part of
+            # a spot reaches in from outside; only small glints make holes in it.
+            holes, area = region.view(bool) & ~inside, np.count_nonzero(region)
+            lit = np.count_nonzero(holes & bright)
+            ring = np.count_nonzero(holes) - lit > Search.HOLE * area
+            hollow = solid and (ring or lit > Search.GLARE * area)
+            least_piece = Search.SMALLEST_PIECE * areas[largest]
+            pieces = [c for c, size in zip(contours, areas, strict=True) if size > least_piece]
             together = [np.concatenate(pieces)] if len(pieces) > 1 and not lobed else []
             ellipses = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
             levels = peak * coarse.unit, background * coarse.unit
@@ -251,22 +248,6 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
             found.append(np.array([moments["m10"], moments["m01"]]) / max(moments["m00"], 1))
     apart, closer = (math.dist(*places) for places in (middles, brightest))
     return apart - closer < Search.TOWARDS * math.sqrt(areas[order[1]])
-
-
-def _is_hollow(outline: np.ndarray, inside: np.ndarray, bright: np.ndarray) -> bool:
-    """Whether a region is a ring, or the halo of something brighter that was painted over.
-
-    What hides a part of a spot reaches in from outside. Only small glints make holes in it.
-
-    Args:
-        outline: (h, w) the region with its holes.
-        inside: (h, w) without them.
-        bright: (h, w) pixels above the region's level.
-    """
-    holes = outline & ~inside
-    area, lit = np.count_nonzero(outline), np.count_nonzero(holes & bright)
-    dark = np.count_nonzero(holes) - lit
-    return bool(dark > Search.HOLE * area or lit > Search.GLARE * area)
 
 
 def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:

@@ -40,12 +40,8 @@ class Region:
     """A bright region of a frame that may be a spot.
 
     Attributes:
-        frame: in which it was found.
-        settings: with which it was found.
         coarse: the window in which it was found, in the channel in which it is to be measured.
-        channel: 0, 1, 2 or GREY.
-        clips: value at which each channel is clipped, see `channel_for`.
-        saturated: fraction of its pixels that are clipped by channel, see `channel_for`.
+        channel, clips, saturated: see `channel_for`.
         candidates: at least one ellipse of which it may be a part.
         faint: whether it is no brighter than a wall's texture may make it.
     """
@@ -81,13 +77,11 @@ def regions_in(
 ) -> Iterator[Region | NoSpot]:
     """Bright regions of a window, brightest first, and the reasons why others are no spots.
 
-    Args:
-        frame: checked (`image.checked_frame`).
-        window: where the spot's body may lie; its edge is followed beyond.
+    The window is where the spot's body may lie; its edge is followed beyond.
     """
     window = window.on_grid(settings.stride)
     values = window.of(frame, settings.stride)
-    if min(values.shape[:2]) < Search.SMALLEST_WINDOW:
+    if min(values.shape[:2]) < 5:  # the 3x3 median filter needs neighbours
         return
     full_scale = settings.response.full_scale_of(frame)
     settings.meter.check(frame)
@@ -113,14 +107,8 @@ def region_at(
 ) -> Region | None:
     """The region that exceeds the last spot's half level near its contour.
 
-    Args:
-        last: the spot's contour in the last frame.
-        channel: in which it was measured.
-        frame: checked (`image.checked_frame`).
-
-    Returns:
-        None where there is nothing like it, where another channel shows it better now, and for a
-        broad edge, whose background is too far away for a search nearby.
+    None where there is nothing like it, where another channel than the last one shows it better
+    now, and for a broad edge, whose background is too far away for a search nearby.
     """
     ellipse, levels, stride = last.ellipse, last.levels, settings.stride
     if levels.width > Refine.BROAD:
@@ -156,13 +144,7 @@ def coarse_window(
     settings: SubpixelSettings,
     full_scale: float,
 ) -> Coarse:
-    """The light of a window in one channel, subsampled and in 8 bits.
-
-    Args:
-        values: of the window, every `settings.stride`-th pixel.
-        window: of a checked frame.
-        channel: 0, 1, 2 or GREY.
-    """
+    """The light of a window in one channel, of every `settings.stride`-th pixel, in 8 bits."""
     stride = settings.stride
     light = settings.meter.light(values, window, channel, full_scale, stride)
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
@@ -188,41 +170,29 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: AffineEllipse) -
     logarithms = cv2.log(channels + lift)
     # Twice, because the logarithm of a bell is curved, and the bell's colour differs from that of
     # the other light.
-    short = _without_long_waves(_without_long_waves(logarithms.reshape(*cells[::-1], 4)))
+    short = logarithms.reshape(*cells[::-1], 4)
+    for _ in range(2):
+        short = short - cv2.GaussianBlur(short, (0, 0), Texture.SHORT_WAVES)
     short = bright * short.reshape(-1, 4)[:, :3]
     varying = short.T @ short
     varying.flat[::4] += 1e-6 * varying.trace() + 1e-30
     exponents = np.linalg.solve(varying, np.ones(3))
     texture = logarithms[:, 3] - logarithms[:, :3] @ (exponents / exponents.sum())
+    # Variation with the radius is the light's: without the means of rings about the centre.
+    x = (np.arange(cells[0]) + 0.5) * (width / cells[0]) - 0.5 + patch.x0 - ellipse.centre[0]
+    y = (np.arange(cells[1]) + 0.5) * (height / cells[1]) - 0.5 + patch.y0 - ellipse.centre[1]
+    (a, b), (c, d) = np.linalg.inv(ellipse.shape).tolist()
+    radius = np.hypot(a * x + b * y[:, None], c * x + d * y[:, None])
+    ring = np.rint(radius * Texture.CELLS).astype(int).ravel()
     both = np.stack([logarithms[:, 3], logarithms[:, 3] - texture], axis=1)
-    uneven = bright * _round_rings(both, _rings(patch, ellipse, cells))
+    sums = np.stack([np.bincount(ring, column) for column in both.T], axis=1)
+    uneven = bright * (both - (sums / np.maximum(np.bincount(ring), 1)[:, None])[ring])
     before, after = np.square(uneven).sum(axis=0)
     if after > Texture.BY_CHANCE * before:  # wide patches of another pigment
         return patch
     texture = cv2.exp((texture - np.median(texture)).astype(np.float32)).reshape(cells[::-1])
     texture = cv2.resize(texture, (width, height), interpolation=cv2.INTER_LINEAR)
     return replace(patch, signal=(light + lift[3]) / texture - lift[3])
-
-
-def _without_long_waves(image: np.ndarray) -> np.ndarray:
-    return image - cv2.GaussianBlur(image, (0, 0), Texture.SHORT_WAVES)
-
-
-def _rings(patch: Patch, ellipse: AffineEllipse, cells: tuple[int, int]) -> np.ndarray:
-    """Number of the ring about the ellipse's centre in which each cell lies, (h w,)."""
-    height, width = patch.signal.shape
-    x = (np.arange(cells[0]) + 0.5) * (width / cells[0]) - 0.5 + patch.x0 - ellipse.centre[0]
-    y = (np.arange(cells[1]) + 0.5) * (height / cells[1]) - 0.5 + patch.y0 - ellipse.centre[1]
-    (a, b), (c, d) = np.linalg.inv(ellipse.shape).tolist()
-    radius = np.hypot(a * x + b * y[:, None], c * x + d * y[:, None])
-    return np.rint(radius * Texture.CELLS).astype(int).ravel()
-
-
-def _round_rings(values: np.ndarray, rings: np.ndarray) -> np.ndarray:
-    """Values (n, k) less the means of their rings: variation with the radius is the light's."""
-    number = np.maximum(np.bincount(rings), 1)
-    sums = [np.bincount(rings, column) for column in values.T]
-    return values - (np.stack(sums, axis=1) / number[:, None])[rings]
 
 
 _AT = np.linspace(-1, 1, Hollow.SIDE, dtype=np.float32)
@@ -233,7 +203,7 @@ _THICK = np.ones((3, 3), np.uint8)  # along a thinner line, a way strays into th
 _MIDDLE = (Hollow.SIDE - 1) / 2
 _TURNS = [
     cv2.getRotationMatrix2D((_MIDDLE, _MIDDLE), degrees, 1)
-    for degrees in np.arange(0, 180, 180 / Hollow.DIRECTIONS).tolist()
+    for degrees in range(0, 180, 5)  # between two of them a way of a radius strays by 0.04 radii
 ]
 
 
@@ -243,14 +213,18 @@ def hollow_share(
     """Area of dark places behind a visible edge, over the area inside the edge.
 
     Args:
-        patch: signal round the ellipse.
-        ellipse: px.
         seen: (RAYS,) rays on which its edge is visible.
         half: the signal below which a place is dark.
         width: of the edge, radii.
     """
     inside = _RADIUS < 1 - Sharp.PLATEAU * width
-    light = _on_grid(patch, ellipse)
+    # On a grid on which the ellipse is the unit circle; NaN outside the patch.
+    x0, y0 = ((ellipse.centre - (patch.x0, patch.y0)) / patch.stride).tolist()
+    (a, b), (c, d) = (ellipse.shape / patch.stride).astype(np.float32)
+    x, y = np.float32(x0) + a * _X + b * _Y, np.float32(y0) + c * _X + d * _Y
+    light = cv2.remap(
+        patch.signal, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=math.nan
+    )
     dark = inside & (light < half)
     area = np.count_nonzero(inside)
     if np.count_nonzero(dark) <= Hollow.SHARE * area:
@@ -258,16 +232,6 @@ def hollow_share(
     thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
     passable = np.where(inside, dark | np.isnan(light), ~seen[_RAY])
     return np.count_nonzero(thick & ~_reached_from_outside(passable)) / area
-
-
-def _on_grid(patch: Patch, ellipse: AffineEllipse) -> np.ndarray:
-    """The signal on a grid on which the ellipse is the unit circle; NaN outside the patch."""
-    x0, y0 = ((ellipse.centre - (patch.x0, patch.y0)) / patch.stride).tolist()
-    (a, b), (c, d) = (ellipse.shape / patch.stride).astype(np.float32)
-    x, y = np.float32(x0) + a * _X + b * _Y, np.float32(y0) + c * _X + d * _Y
-    return cv2.remap(
-        patch.signal, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=math.nan
-    )
 
 
 def _reached_from_outside(passable: np.ndarray) -> np.ndarray:
@@ -325,26 +289,18 @@ def _fitted(region: Region, candidate: Candidate) -> EdgeFit | NoSpot:
         if again := fit_edge(even, region.coarse, candidate):
             patch, fit = even, again
     if fit and not fit.levels.sees_background:
-        fit = fit_edge(patch, _whole_frame(region), candidate)
-    return NoSpot(Reason.NONE_FOUND) if fit and _is_hollow(patch, fit) else fit
-
-
-def _is_hollow(patch: Patch, fit: EdgeFit) -> bool:
-    """Whether an ellipse is dark behind a visible edge, as letters are."""
-    levels = fit.levels
-    if levels.width > Refine.BROAD:
-        return False
-    lit = fit.seen & ~fit.shaded
-    return hollow_share(patch, fit.ellipse, lit, levels.half, levels.width) > Hollow.SHARE
+        settings, whole = region.settings, Window.whole(region.frame)
+        values = whole.of(region.frame, settings.stride)
+        coarse = coarse_window(values, whole, region.channel, settings, region.full_scale)
+        fit = fit_edge(patch, coarse, candidate)
+    if fit and fit.levels.width <= Refine.BROAD:
+        lit, levels = fit.seen & ~fit.shaded, fit.levels
+        if hollow_share(patch, fit.ellipse, lit, levels.half, levels.width) > Hollow.SHARE:
+            return NoSpot(Reason.NONE_FOUND)  # as letters are
+    return fit
 
 
 def _colours_show_texture(region: Region) -> bool:
     """Whether the wall's texture is still in the frame, and no colour of it is saturated."""
     coloured = region.frame.ndim == 3 and max(region.saturated) == 0
     return coloured and region.settings.reference is None
-
-
-def _whole_frame(region: Region) -> Coarse:
-    settings, whole = region.settings, Window.whole(region.frame)
-    values = whole.of(region.frame, settings.stride)
-    return coarse_window(values, whole, region.channel, settings, region.full_scale)

@@ -40,15 +40,7 @@ from formats.spots import NoSpot, Reason
 def refine_broad(
     patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
-    """Ellipse of the half-maximum contour, from one that is off by less than the flank's width.
-
-    Args:
-        patch: signal round the spot.
-        inliers: rays that make the mean profile.
-
-    Returns:
-        The refined ellipse, or why there is none.
-    """
+    """As `refine_sharp`, from an ellipse that is off by less than the flank's width."""
     levels = _with_sloping_top(levels, patch, ellipse, inliers)
     half, half_variance = None, 0.0
     if levels.peak > Saturated.READABLE * patch.ceiling:
@@ -91,13 +83,6 @@ def refine_broad(
     )
 
 
-def _simple_peak(gram: np.ndarray, pull: np.ndarray) -> float:
-    """Peak of the parabola, from the normal equations of a fit with higher powers."""
-    few = [0, 2]
-    _, parabola = cv2.solve(gram[np.ix_(few, few)], pull[few])
-    return float(parabola[0, 0])
-
-
 def _with_sloping_top(
     levels: Levels, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray
 ) -> Levels:
@@ -108,7 +93,7 @@ def _with_sloping_top(
     cusps and slopes too. So they raise the peak above a parabola's only as far as they exceed what
     the rest of the rays' spectrum explains (the garrote of Breiman 1995).
     """
-    top = min(max(1 - Broad.SHOULDER * levels.width, Broad.SMALLEST_TOP), Broad.LARGEST_TOP)
+    top = min(max(1 - Broad.SHOULDER * levels.width, 0.35), 0.9)  # of a bell; inside the edge
     radii = RADII[: max(int(np.searchsorted(RADII, top)), 8)]
     inner = np.nan_to_num(patch.unwrapped(ellipse, radii), nan=0.0)
     seen = (inner > levels.half) & (inner < 2 * levels.peak) & inliers[:, None]
@@ -122,14 +107,16 @@ def _with_sloping_top(
     weighted = basis * area[seen][:, None]
     gram = weighted.T @ basis
     gram.flat[:: len(gram) + 1] += 1e-6
-    _, solution = cv2.solve(gram, weighted.T @ inner[seen].astype(float)[:, None])
+    pull = weighted.T @ inner[seen].astype(float)[:, None]
+    _, solution = cv2.solve(gram, pull)
     powers = np.vander(radii, Broad.POWERS, increasing=True)
     profile = powers @ solution[: Broad.POWERS, 0]
     tilt = solution[Broad.POWERS :, 0]
     left = np.where(seen, inner - profile - (across @ tilt)[:, None] * radii, 0.0)
     lever = float((area * radii).sum() / RAYS)
     pull_variance = ring_variance((left * area).sum(axis=1) / lever, slice(2, 6)) / RAYS
-    simple = _simple_peak(gram, weighted.T @ inner[seen].astype(float)[:, None])
+    _, parabola = cv2.solve(gram[np.ix_([0, 2], [0, 2])], pull[[0, 2]])
+    simple = float(parabola[0, 0])
     rise = float((profile + math.hypot(*tilt) * radii).max()) - simple
     kept = max(0.0, 1 - Broad.TOP_DOUBT * pull_variance / rise**2) if rise else 0.0
     peak = simple + kept * rise
@@ -138,7 +125,7 @@ def _with_sloping_top(
     return replace(levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2)
 
 
-_NEARNESS = (1 / (Capture.NEARNESS + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
+_NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,9 +133,7 @@ class EdgeFit:
     """An ellipse fitted to a contour, and how well.
 
     Attributes:
-        ellipse: px.
         step_covariance: 5x5, of the parameters of `AffineEllipse.stepped`.
-        levels: peak, background, edge width.
         offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
         found: (RAYS,) rays with an edge.
         inliers: (RAYS,) rays whose edge belongs to the ellipse.
@@ -190,12 +175,9 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
     3. Refinement, up to three times: the shift of each ray's profile against the mean profile is
        the offset of its edge. The ellipse follows the offsets by least squares, and its size
        follows the half level of the mean profile (`refine_sharp`, `refine_broad`).
-
-    Returns:
-        The fit, or why the rays do not show one ellipse.
     """
     located = _located(patch, coarse, candidate)
-    for _ in range(Capture.REPEATS - 1):
+    for _ in range(2):
         if located is None or abs(located[2].half_radius - 1) < Capture.NEAR_ENOUGH:
             break
         # A bell's typical level is far below its peak: start again from its half level.
@@ -230,15 +212,19 @@ def _refined(
     patch: Patch, coarse: Coarse, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> EdgeFit | NoSpot:
     refined = _refined_once(patch, ellipse, inliers, levels)
-    for left in reversed(range(Refine.REPEATS)):
+    for left in reversed(range(3)):
         if isinstance(refined, NoSpot) or _settled(refined, inliers, levels):
             break
         if left == 0:  # fringes make it swing
             unsettled = refined.size_variance + refined.move**2 / 2
             refined = replace(refined, size_variance=unsettled)
             break
-        now = _with_background_in_view(refined, coarse)
-        if now is None:
+        seen = refined.levels
+        now: Levels | None = seen
+        if not seen.sees_background:  # the edge is wider than was assumed for it
+            found = background_of(coarse, refined.ellipse, seen.width)
+            now = seen.before(*(found or (seen.background, seen.background_radius, seen.scatter)))
+        if now is None:  # the dip at the edge is the wall's texture
             return NoSpot(Reason.NONE_FOUND)
         inliers, levels = refined.bright, now
         refined = _refined_once(patch, refined.ellipse, inliers, levels)
@@ -255,24 +241,11 @@ def _refined_once(
 def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
     """Whether another refinement would hardly change the result."""
     after = refined.levels
-    same_kind = (after.width > Refine.BROAD) == (
-        before.width > Refine.BROAD
-    ) and after.width > Refine.SAME_WIDTH * before.width
-    same_rays = np.count_nonzero(refined.bright != inliers) <= Refine.EXCHANGED_RAYS
+    same_kind = (after.width > Refine.BROAD) == (before.width > Refine.BROAD)
+    same_kind &= after.width > Refine.SAME_WIDTH * before.width
+    same_rays = np.count_nonzero(refined.bright != inliers) <= 6
     settled = refined.move < min(Refine.SETTLED * after.width, Refine.SETTLED_BROAD)
     return settled and bool(same_rays) and same_kind and after.sees_background
-
-
-def _with_background_in_view(refined: Refined, coarse: Coarse) -> Levels | None:
-    """The levels, with a new background if the edge is wider than assumed for the present one.
-
-    None if that background is as bright as the peak: the dip at the edge is the wall's texture.
-    """
-    levels = refined.levels
-    if levels.sees_background:
-        return levels
-    found = background_of(coarse, refined.ellipse, levels.width)
-    return levels.before(*(found or (levels.background, levels.background_radius, levels.scatter)))
 
 
 def _capture(
@@ -282,7 +255,7 @@ def _capture(
     ellipse, step = candidate.ellipse.upright(), np.zeros(5)
     level = (candidate.peak + candidate.background) / 2
     tolerance = max(Capture.TOLERANCE_PX / ellipse.axes()[1], Capture.TOLERANCE)
-    for _ in range(Capture.STEPS):
+    for _ in range(3):
         ellipse = ellipse.stepped(step)
         profiles = patch.unwrapped(ellipse, RADII, every=Capture.EVERY)
         offsets, found = _crossings(profiles, level)
@@ -308,9 +281,8 @@ def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarr
     nearest = np.argmax(falling * _NEARNESS, axis=1)
     ray = np.arange(len(profiles))
     before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
-    found = (before >= level) & (
-        after < level
-    )  # a profile that leaves the patch is NaN and has no edge
+    # A profile that leaves the patch is NaN and has no edge.
+    found = (before >= level) & (after < level)
     share = np.divide(before - level, before - after, out=np.zeros(len(ray)), where=found)
     return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
 
@@ -335,7 +307,11 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
         grown = [(octaves_middle(harmonics) / wave) ** steepness for wave in (1.0, 2.0)]
         first, second = (1 + share * texture * (g - 1) for g in grown)
         longer = _longer_waves(size=first, centre=first, shape=second)
-        centre_variance = _centre_variance_of_slope(coarse, refined.ellipse, levels)
+        # A bell on a sloping wall looks like one that has moved, and the contour does not show
+        # that. What slopes far beyond the spot slopes under it, too.
+        slope = slope_of_surroundings(coarse, refined.ellipse, levels)
+        shift = 0.0 if slope is None else math.pi / 2 * levels.width**2 * float(slope @ slope)
+        centre_variance = Broad.SLOPE_OVER_SURROUNDINGS * shift
     else:
         rise = ErrorGrowth.RISE * texture * levels.width
         longer = _longer_waves(
@@ -364,28 +340,12 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     )
 
 
-def _centre_variance_of_slope(coarse: Coarse, ellipse: AffineEllipse, levels: Levels) -> float:
-    """Variance of either coordinate of a bell's centre because the wall slopes under it, radii.
-
-    A bell on a sloping wall looks like one that has moved, and the contour does not show that. What
-    slopes far beyond the spot slopes under it, too.
-    """
-    slope = slope_of_surroundings(coarse, ellipse, levels)
-    if slope is None:
-        return 0.0
-    shift = math.pi / 2 * levels.width**2 * float(slope @ slope)
-    return Broad.SLOPE_OVER_SURROUNDINGS * shift
-
-
 def _longer_waves(*, size: float, centre: float, shape: float) -> np.ndarray:
     """Errors of a step over those estimated from the contour's shorter waves, (5, 5).
 
-    A wall's texture is strongest at long waves, and wider profiles contain more of it.
-
-    Args:
-        size: ratio of the variances, for the common growth of both axes.
-        centre: the same for the centre.
-        shape: the same for the difference of the axes and the angle.
+    A wall's texture is strongest at long waves, and wider profiles contain more of it. The
+    arguments are ratios of variances: of the common growth of both axes, of the centre, and of the
+    axes' difference and the angle.
     """
     size, centre, shape = math.sqrt(size), math.sqrt(centre), math.sqrt(shape)
     longer = np.diag([centre, centre, (size + shape) / 2, (size + shape) / 2, shape])

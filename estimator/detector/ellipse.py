@@ -12,7 +12,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from estimator.detector.tuning import RAYS, ErrorGrowth, Rays, Refine, Trimming
+from estimator.detector.tuning import FEWEST_RAYS, RAYS, ErrorGrowth, Refine, Trimming
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,9 +155,9 @@ def _trimmed(
     tolerance: float,
     limit: float,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    for _ in range(Trimming.STEPS):
+    for _ in range(8):
         number = int(np.count_nonzero(inliers))
-        if number < Rays.FEWEST:
+        if number < FEWEST_RAYS:
             return None
         weighted = design.T * inliers
         normal = weighted @ design

@@ -10,7 +10,7 @@ import numpy as np
 
 from estimator.detector.coarse import Candidate, Coarse
 from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
-from estimator.detector.tuning import RAYS, HalfLevel, Rays, WideView
+from estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, WideView
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""
@@ -19,7 +19,6 @@ RADIUS_STEP = float(RADII[1] - RADII[0])
 
 _EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < HalfLevel.NEAR_EDGE
-_BACKGROUND_RADII = np.array(HalfLevel.RINGS)
 _SURROUNDINGS = np.array(HalfLevel.SURROUNDINGS)
 _DIRECTIONS = DESIGN[::2, :2].T
 
@@ -101,17 +100,15 @@ class Levels:
 def levels_of(
     profiles: np.ndarray, coarse: Coarse, ellipse: AffineEllipse, candidate: Candidate
 ) -> Levels | None:
-    """Levels of a spot.
+    """Levels of a spot, with a peak above the background and a positive width.
 
     Args:
         profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
         coarse: shows the background.
         ellipse: of the spot, to a px or two.
-        candidate: the levels with which the spot was found.
 
     Returns:
-        The levels, with a peak above the background and a positive width; None if the profiles do
-        not fall, or if they are the halo of something brighter.
+        None if the profiles do not fall, or if they are the halo of something brighter.
     """
     mean = profiles.sum(axis=0) / len(profiles)
     steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
@@ -131,19 +128,14 @@ def levels_of(
     peak, dome, variance = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
-    half_radius = _falling_through(mean, (peak + background) / 2)
+    half = (peak + background) / 2
+    above = np.flatnonzero(mean >= half)
+    last, share = int(above[-1]) if above.size else 0, 0.0
+    if above.size and last + 1 < len(RADII):
+        share = (mean[last] - half) / (mean[last] - mean[last + 1])
+    half_radius = float(RADII[last] + RADIUS_STEP * share)
     background = _without_tail(background, peak, width, radius)
     return Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
-
-
-def _falling_through(mean: np.ndarray, level: float) -> float:
-    """Radius at which the mean profile last falls to the level."""
-    above = np.flatnonzero(mean >= level)
-    last = int(above[-1]) if above.size else 0
-    if last + 1 == len(RADII):
-        return float(RADII[-1])
-    share = (mean[last] - level) / (mean[last] - mean[last + 1]) if above.size else 0.0
-    return float(RADII[last] + RADIUS_STEP * share)
 
 
 def background_of(
@@ -155,8 +147,8 @@ def background_of(
     """
     levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
     radius = dark_radius(width)
-    for _ in range(HalfLevel.TRIES):
-        rings = levels.unwrapped(ellipse, radius + _BACKGROUND_RADII, every=2)
+    for _ in range(6):  # down to a quarter of the distance
+        rings = levels.unwrapped(ellipse, radius + np.array(HalfLevel.RINGS), every=2)
         ring, around = rings.ravel(), rings.mean(axis=1)
         if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
             ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
@@ -164,13 +156,12 @@ def background_of(
             # Means over an area like that of an edge: noise averages out, texture does not.
             scatter = math.inf
             if around.size > RAYS // 8:
-                beside = np.full(HalfLevel.BESIDE, 1 / HalfLevel.BESIDE)
-                means = np.sort(np.convolve(around, beside, "valid"))
+                means = np.sort(np.convolve(around, np.full(5, 1 / 5), "valid"))
                 low, high = means[int(0.16 * means.size)], means[int(0.84 * means.size)]
                 scatter = max(float(high - low) / 2, 0.5) * coarse.unit  # 8 bits are rounded
             middle = float(np.partition(ring, ring.size // 2)[ring.size // 2])
             return middle * coarse.unit, radius, scatter
-        radius = 1 + HalfLevel.NEARER * (radius - 1)
+        radius = 1 + 0.75 * (radius - 1)
     return None
 
 
@@ -248,7 +239,7 @@ def _top(
     top, plateau = float(curve.max()), float(curve[-1, 0])
     height = top / plateau - 1 if plateau > dark / 2 else 0.0
     whole = inner[seen.all(axis=1)]
-    if len(whole) < Rays.FEWEST or not height > 0:
+    if len(whole) < FEWEST_RAYS or not height > 0:
         return plateau, (1.0, 0.0, 0.0), 0.0
     sums = whole.sum(axis=1)
     sums -= sums.sum() / len(sums)
@@ -256,7 +247,6 @@ def _top(
     kept = max(0.0, 1 - (HalfLevel.DOME_DOUBT * variance / height**2) ** 2)
     c0, c1, c2 = (coefficients[:, 0] / top).tolist()
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
-    doubt = (
-        kept * variance + kept * (1 - kept) * height**2
-    )  # variance of a dome that exists with probability `kept`
+    # The variance of a dome that exists with probability `kept`.
+    doubt = kept * variance + kept * (1 - kept) * height**2
     return plateau / (1 - kept + kept * plateau / top), dome, doubt

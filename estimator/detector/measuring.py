@@ -76,7 +76,7 @@ class _Moving:
 
         The mean over the path is a sum over places closer together than the edge is wide.
         """
-        number = 3 + math.ceil(Motion.NODES * math.hypot(*self.path) / self.width)
+        number = 3 + math.ceil(1.2 * math.hypot(*self.path) / self.width)
         (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).astype(np.float32)
         lit = np.zeros(np.broadcast(u, v).shape, np.float32)
         derivatives = np.zeros((Motion.PARAMETERS, *lit.shape), np.float32)
@@ -113,16 +113,15 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
     Weighted least squares by Gauss-Newton steps on the ratio of signal and model, both without
     their local mean, because a wall's texture is strongest at long waves (`Motion.LONG_WAVES`). The
     covariance is White's (1980), from blocks of pixels that share texture.
-
-    Args:
-        patch: signal round the spot.
-        fit: of its half-maximum contour.
     """
     path = _path(patch, fit)
     if path is None:
         return fit
     levels = fit.levels
-    shrink = max(round(max(patch.signal.shape) / Motion.SIDE), 1)
+    # Where neither rest nor motion explains the edge, no ray is known to show it. For example,
+    # tools hide the ends of the path: then no size is determined.
+    neither = replace(fit, inliers=np.zeros_like(fit.inliers))
+    shrink = max(round(max(patch.signal.shape) / 100), 1)  # 0.1 s
     height, width = (length // shrink for length in patch.signal.shape)
     whole = patch.signal[: height * shrink, : width * shrink]
     signal = cv2.resize(whole, (width, height), interpolation=cv2.INTER_AREA)
@@ -130,7 +129,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
     v = patch.y0 + shrink * (np.arange(height, dtype=np.float32)[:, None] + 0.5) - 0.5
     background = max(levels.background, 0.01 * levels.peak)
     moving = _Moving(fit.ellipse, path, np.zeros(2), float(shrink), levels.amplitude, background)
-    for _ in range(Motion.STEPS):
+    for _ in range(12):
         model, derivatives = moving.linearised(u, v)
         residual = _passed(signal / model - 1)
         columns = np.stack([_passed(row) for row in derivatives], axis=-1)
@@ -145,18 +144,18 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         semi_major, semi_minor, _ = moving.ellipse.axes()
         sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
         if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
-            return _of_neither(fit)
-        if np.abs(step[:5]).max() < Motion.SETTLED:
+            return neither
+        if np.abs(step[:5]).max() < 2e-4:  # 0.01 px at a radius of 60 px
             break
     else:
-        return _of_neither(fit)
+        return neither
     covariance = _covariance(gram, pull, columns * np.sqrt(weight)[..., None])
     # A residual that grows loses weight, so a step changes the pull by less than the weights say
     # (Huber 1981, section 6.3).
     bending = weight * (2 * weight - 1)
     bent = (flat.T * bending.ravel()).astype(float) @ flat
     share = np.trace(np.linalg.solve(gram, bent)) / Motion.PARAMETERS
-    covariance /= max(share, Motion.LEAST_SHARE) ** 2
+    covariance /= max(share, 0.25) ** 2  # 0.85 for normal errors
     path = moving.path
     # Variance of the path's length, times its square.
     doubt = path @ covariance[5:7, 5:7] @ path
@@ -177,14 +176,6 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         scatter=0.0,
         steeper=1.0,
     )
-
-
-def _of_neither(fit: EdgeFit) -> EdgeFit:
-    """The fit, with no ray that is known to show the edge: neither rest nor motion explains it.
-
-    For example, tools hide the ends of the path: then no size is determined.
-    """
-    return replace(fit, inliers=np.zeros_like(fit.inliers))
 
 
 def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
@@ -246,44 +237,46 @@ def _covariance(gram: np.ndarray, pull: np.ndarray, weighted: np.ndarray) -> np.
         pull: (h, w, p) each pixel's part of the gradient.
         weighted: (h, w, p) derivatives, times the roots of the pixels' weights.
     """
+
+    def blocks(values: np.ndarray) -> np.ndarray:
+        """Values (h, w, p) of pixels by block, (blocks, pixels, p)."""
+        side = round(4 * Motion.LONG_WAVES)
+        down, across = (length // side for length in values.shape[:2])
+        parts = values[: down * side, : across * side].reshape(down, side, across, side, -1)
+        return parts.swapaxes(1, 2).reshape(down * across, side * side, -1)
+
     values, vectors = np.linalg.eigh(gram)
     root = vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))
-    rows = _blocks(weighted)
+    rows = blocks(weighted)
     shares = root.T @ np.matmul(rows.transpose(0, 2, 1), rows).astype(float) @ root
     taken, axes = np.linalg.eigh(shares)
-    left = np.sqrt(np.maximum(1 - taken, Motion.LEAST_LEFT))
-    scores = _blocks(pull).sum(axis=1).astype(float) @ root
+    left = np.sqrt(np.maximum(1 - taken, 0.01))  # a block alone may determine a parameter
+    scores = blocks(pull).sum(axis=1).astype(float) @ root
     along = np.einsum("bij,bi->bj", axes, scores) / left
     raised = np.einsum("bij,bj->bi", axes, along)
     return root @ (raised.T @ raised) @ root.T
 
 
-def _blocks(values: np.ndarray) -> np.ndarray:
-    """Values (h, w, p) of pixels by block, (blocks, pixels, p)."""
-    side = round(4 * Motion.LONG_WAVES)
-    down, across = (length // side for length in values.shape[:2])
-    parts = values[: down * side, : across * side].reshape(down, side, across, side, -1)
-    return parts.swapaxes(1, 2).reshape(down * across, side * side, -1)
-
-
 def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
     """The ellipse with a sharp rim that a bell shows; None if it shows none.
 
-    Args:
-        patch: signal round the bell.
-        smallest_px: least semi-minor axis of a spot; smaller sharp blobs are noise.
+    Sharp blobs with a semi-minor axis below `smallest_px` are noise.
     """
     half_width, half_height = bell.ellipse.half_extent()
     x, y = (bell.ellipse.centre - (patch.x0, patch.y0)).tolist()
     left, top = max(int(x - half_width), 0), max(int(y - half_height), 0)
     light = patch.signal[top : int(y + half_height) + 1, left : int(x + half_width) + 1]
-    stride = max(light.shape) // Reflection.SIDE + 1
+    stride = max(light.shape) // 64 + 1
     height, width = (length // stride for length in light.shape)
     if min(height, width) < 2 * Reflection.POWERS:
         return None
     light = light[: height * stride, : width * stride]
     small = cv2.resize(light, (width, height), interpolation=cv2.INTER_AREA)
-    down, across = _polynomials(height), _polynomials(width)
+    # Orthonormal polynomials on as many points, in columns.
+    down, across = (
+        np.linalg.qr(np.vander(np.linspace(-1, 1, number), Reflection.POWERS))[0].astype(np.float32)
+        for number in (height, width)
+    )
     surface = down @ (down.T @ small @ across) @ across.T
     x0, y0 = int(patch.x0) + left, int(patch.y0) + top
     coarse = Coarse.of_signal(small - surface, stride=stride, x0=x0, y0=y0)
@@ -296,23 +289,17 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
     ):
         if isinstance(candidates, TooSmall):
             continue
-        fits = (fit_edge(standing_out, coarse, candidate) for candidate in candidates)
-        rims += [fit for fit in fits if isinstance(fit, EdgeFit) and _is_rim(fit, smallest_px)]
+        for candidate in candidates:
+            fit = fit_edge(standing_out, coarse, candidate)
+            if (
+                isinstance(fit, EdgeFit)
+                and fit.levels.width < Reflection.SHARPEST
+                and fit.scatter < Reflection.SMOOTHEST
+                and fit.inliers.mean() > Reflection.SEEN
+                and fit.ellipse.axes()[1] > smallest_px
+            ):
+                rims.append(fit)
     return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
-
-
-def _is_rim(fit: EdgeFit, smallest_px: float) -> bool:
-    sharp = fit.levels.width < Reflection.SHARPEST and fit.scatter < Reflection.SMOOTHEST
-    return (
-        sharp and bool(fit.inliers.mean() > Reflection.SEEN) and fit.ellipse.axes()[1] > smallest_px
-    )
-
-
-def _polynomials(number: int) -> np.ndarray:
-    """Orthonormal polynomials on as many points, in columns."""
-    return np.linalg.qr(np.vander(np.linspace(-1, 1, number), Reflection.POWERS))[0].astype(
-        np.float32
-    )
 
 
 class MeasuredRegion(NamedTuple):
@@ -348,7 +335,7 @@ def is_coarse(fit: EdgeFit) -> bool:
 
     Either moves an edge by less than the edge is wide.
     """
-    width = math.hypot(fit.levels.width, Verdict.FINEST_PX / fit.ellipse.axes()[1])
+    width = math.hypot(fit.levels.width, 1 / fit.ellipse.axes()[1])  # drawn edges: a whole pixel
     return fit.scatter > Verdict.COARSEST * width
 
 

@@ -60,25 +60,20 @@ class SubpixelSettings:
     def __post_init__(self) -> None:
         """Reject settings under which nothing can be found."""
         positive = ("search_half_width_px", "min_semi_minor_px", "min_contrast", "max_jump_px")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"SubpixelSettings({name}=...) must be positive; got {getattr(self, name)}."
-                )
+        rules = {name: ("be positive", getattr(self, name) > 0) for name in positive}
         for name in ("max_axis_ratio", "max_growth"):
-            if not getattr(self, name) > 1:
+            rules[name] = "exceed 1", getattr(self, name) > 1
+        rules["min_coverage"] = "lie in (0, 1]", 0 < self.min_coverage <= 1
+        smallest = self.min_semi_minor_px
+        rules["max_semi_major_px"] = (
+            f"exceed min_semi_minor_px = {smallest} px",
+            self.max_semi_major_px > smallest,
+        )
+        for name, (rule, is_kept) in rules.items():
+            if not is_kept:
                 raise InputError(
-                    f"SubpixelSettings({name}=...) must exceed 1; got {getattr(self, name)}."
+                    f"SubpixelSettings({name}=...) must {rule}; got {getattr(self, name)}."
                 )
-        if not 0 < self.min_coverage <= 1:
-            raise InputError(
-                f"SubpixelSettings(min_coverage=...) must lie in (0, 1]; got {self.min_coverage}."
-            )
-        if not self.max_semi_major_px > self.min_semi_minor_px:
-            raise InputError(
-                "SubpixelSettings(max_semi_major_px=...) must exceed min_semi_minor_px; got"
-                f" {self.max_semi_major_px} px and {self.min_semi_minor_px} px."
-            )
 
     @cached_property
     def meter(self) -> LightMeter:

@@ -15,9 +15,9 @@ from formats.spots import Spot
 LEVELS = SpotProfile.LEVELS
 """Levels of the isophotes, as fractions of the peak above the background."""
 
-_PROFILE_RADII = np.linspace(0.0, SpotProfile.OUTERMOST, SpotProfile.SAMPLES)
+_PROFILE_RADII = np.linspace(0.0, 3.0, 121)
 _BACKGROUND = _PROFILE_RADII >= SpotProfile.BACKGROUND
-_CORE = np.linspace(0.0, SpotProfile.CORE, SpotProfile.CORE_SAMPLES)
+_CORE = np.linspace(0.0, SpotProfile.CORE, 10)
 
 
 class Shape(NamedTuple):
@@ -63,7 +63,7 @@ def spot_shape(
     cores = [profiles_of(channels[:, :, c], _CORE) for c in range(channels.shape[2])]
     if len(cores[0]) < RAYS // 4:
         return None
-    tops = np.percentile(cores, SpotProfile.TOP, axis=(1, 2))
+    tops = np.percentile(cores, 95, axis=(1, 2))
     clips = [
         clip_level(plane, plane > top / 2)
         for plane, top in zip(np.moveaxis(channels, 2, 0), tops, strict=True)

@@ -23,13 +23,7 @@ from estimator.detector.literal import LiteralSettings, measure_literal
 from estimator.detector.measuring import rim_on
 from estimator.detector.settings import SubpixelSettings
 from estimator.detector.tuning import Faint, Verdict
-from estimator.detector.verdict import (
-    Sighting,
-    continues,
-    is_part_of,
-    one_of,
-    sighting_in,
-)
+from estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
 from formats.camera import Window, checked_frame, without_repeats
 from formats.inputs import InputError
 from formats.spots import NoSpot, Outline, Reason, Spot
@@ -149,18 +143,14 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
     for region in regions_in(frame, Window.around(*state.at_px, half, half, frame), settings):
         if isinstance(region, NoSpot) or region.faint:  # a window may show the spot alone
             continue
-        if last is not None and not _in_reach(region, state.at_px, settings):
+        # A region's centre is good to a radius.
+        jump = math.dist(region.ellipse.centre.tolist(), state.at_px)
+        if last is not None and jump >= settings.max_jump_px + region.ellipse.axes()[0]:
             continue
         sighting = sighting_in(region)
         if sighting and (last is None or continues(sighting.spot, last, settings)):
             return sighting
     return None
-
-
-def _in_reach(region: Region, at: tuple[float, float], settings: SubpixelSettings) -> bool:
-    """Whether a region's spot may lie within a jump: its centre is good to a radius."""
-    ellipse = region.ellipse
-    return math.dist(ellipse.centre.tolist(), at) < settings.max_jump_px + ellipse.axes()[0]
 
 
 def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpot:
@@ -187,9 +177,7 @@ def outlines_of(
     """The outline of the spot, even if it is faint or seen in part, or those of whatever is bright.
 
     Args:
-        frame: as `measure` takes it.
-        result: what was measured in it.
-        settings: with which it was measured.
+        frame: as `measure` takes it; result and settings are those of its measurement.
     """
     if isinstance(result, Spot):
         return [result.outline]
@@ -203,42 +191,29 @@ def outlines_of(
         fainter, _ = measure(frame, TrackState(), settings)
         if isinstance(fainter, Spot):
             return [fainter.outline]
+    regions = [
+        one for one in regions_in(frame, Window.whole(frame), settings) if isinstance(one, Region)
+    ]
+    found = []
     if result.reason in (Reason.AMBIGUOUS, Reason.OCCLUDED):
-        on_reflections = _outlines_on_reflections(frame, settings)
-        if on_reflections:
-            return on_reflections
-    return _bright_outlines(frame, settings, measured=result.reason is Reason.SATURATED)
-
-
-def _outlines_on_reflections(frame: np.ndarray, settings: SubpixelSettings) -> list[Outline]:
-    """Spots on a wet wall's reflections of a lamp."""
-    found = []
-    for region in regions_in(frame, Window.whole(frame), settings):
-        if isinstance(region, NoSpot):
-            continue
-        contour = contour_of(region)
-        fit = rim_on(region, contour) if isinstance(contour, EdgeFit) else None
-        if fit is not None:
-            outline = _outline(fit.ellipse)
-            size = math.sqrt(outline.semi_major_px * outline.semi_minor_px)
-            found.append(outline._replace(edge_width_px=fit.levels.width * size))
-    return found
-
-
-def _bright_outlines(
-    frame: np.ndarray, settings: SubpixelSettings, *, measured: bool
-) -> list[Outline]:
-    """Ellipses round the bright regions of a frame that fill theirs, good to a few px."""
-    found = []
-    for region in regions_in(frame, Window.whole(frame), settings):
-        if isinstance(region, Region) and region.fills_its_ellipse() > Faint.FILLED:
-            outline = _outline(region.ellipse)
-            if (
-                outline.semi_minor_px > settings.min_semi_minor_px
-                and outline.semi_major_px < settings.max_semi_major_px
-            ):
-                found.append(outline._replace(measured=measured))
-    return found
+        # Spots on a wet wall's reflections of a lamp.
+        for region in regions:
+            contour = contour_of(region)
+            fit = rim_on(region, contour) if isinstance(contour, EdgeFit) else None
+            if fit is not None:
+                outline = _outline(fit.ellipse)
+                size = math.sqrt(outline.semi_major_px * outline.semi_minor_px)
+                found.append(outline._replace(edge_width_px=fit.levels.width * size))
+    if found:
+        return found
+    # The bright regions that fill their ellipses, which are good to a few px.
+    outlines = [_outline(one.ellipse) for one in regions if one.fills_its_ellipse() > Faint.FILLED]
+    return [
+        outline._replace(measured=result.reason is Reason.SATURATED)
+        for outline in outlines
+        if outline.semi_minor_px > settings.min_semi_minor_px
+        and outline.semi_major_px < settings.max_semi_major_px
+    ]
 
 
 def _outline(ellipse: AffineEllipse) -> Outline:

@@ -21,12 +21,7 @@ from formats.spots import NoSpot, Reason, Spot
 
 
 class Sighting(NamedTuple):
-    """A spot and the contour from which it was measured.
-
-    Attributes:
-        fit: half-maximum contour.
-        channel: in which it was measured: 0, 1, 2 or `image.GREY`.
-    """
+    """A spot, the contour from which it was measured, and the channel: 0, 1, 2 or GREY."""
 
     spot: Spot
     fit: EdgeFit
@@ -116,12 +111,7 @@ def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
 
 
 def one_of(seen: list[Sighting], failures: list[NoSpot]) -> Sighting | NoSpot:
-    """The largest sighting, unless another is much like it; without one, the best reason.
-
-    Args:
-        seen: all sightings in a frame.
-        failures: why other regions are no spots.
-    """
+    """The largest sighting, unless another is much like it; without one, the best reason."""
     if not seen:
         return max(failures, key=lambda f: _NEARNESS.index(f.reason), default=_NOTHING)
     first, *others = sorted(seen, key=lambda sighting: sighting.area_px, reverse=True)

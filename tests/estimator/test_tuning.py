@@ -1,10 +1,8 @@
-"""The detector's constants stand in one table, each with unit, meaning and origin."""
+"""The detector's constants stand in one table, each with what it decides."""
 
 from __future__ import annotations
 
 import ast
-import itertools
-from collections.abc import Iterator
 from pathlib import Path
 from statistics import NormalDist
 
@@ -16,23 +14,14 @@ from estimator.detector.tuning import Trimming
 FOLDER = Path(tuning.__file__).parent
 
 
-def entries(body: list[ast.stmt], of: str = "") -> Iterator[tuple[str, ast.stmt]]:
-    """Every constant of the table with the statement that follows it."""
-    for here, after in itertools.pairwise([*body, ast.Pass()]):
-        if isinstance(here, ast.ClassDef):
-            yield from entries(here.body, f"{here.name}.")
-        elif isinstance(here, ast.Assign):
-            yield of + ast.unparse(here.targets[0]), after
-
-
-def test_every_constant_has_a_unit_a_meaning_and_an_origin():
-    found = dict(entries(ast.parse(Path(tuning.__file__).read_text(encoding="utf-8")).body))
-    assert len(found) > 100
-    for name, after in found.items():
-        assert isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant), name
-        unit, meaning, origin = " ".join(str(after.value.value).split()).split(" | ")
-        assert unit and meaning, name
-        assert origin.startswith(("derived", "fitted", "set by hand")), name
+def test_every_constant_says_what_it_decides():
+    text = Path(tuning.__file__).read_text(encoding="utf-8")
+    lines = text.splitlines()
+    constants = [node for node in ast.walk(ast.parse(text)) if isinstance(node, ast.Assign)]
+    assert len(constants) > 100
+    for node in constants:
+        here, above = lines[node.lineno - 1], lines[node.lineno - 2]
+        assert "  # " in here or above.lstrip().startswith("# "), here
 
 
 @pytest.mark.parametrize(
@@ -45,13 +34,8 @@ def test_no_other_module_of_the_detector_has_a_constant_of_its_own(path):
                 value = ast.literal_eval(statement.value)
             except ValueError:
                 continue  # computed from the table, or no number
-            assert not _is_number(value), ast.unparse(statement)
-
-
-def _is_number(value: object) -> bool:
-    if isinstance(value, tuple | list):
-        return any(map(_is_number, value))
-    return isinstance(value, int | float)
+            numbers = value if isinstance(value, tuple | list) else [value]
+            assert not any(isinstance(one, int | float) for one in numbers), ast.unparse(statement)
 
 
 def test_what_is_said_to_be_derived_is():
