@@ -3,8 +3,8 @@
 Beside it stand its unit, what it decides, and where it comes from: derived from something else,
 fitted to frames that are named, or else set by hand for a purpose. Lengths in "radii" are in radii
 of the spot's ellipse in the same direction, those in "widths" in `Spot.edge_width_px`. Limits of
-loops and sizes of grids, a change of which by 20 % moves no semi-axis by 0.05 px, stand where they
-are used. Settings for users are in `settings.SubpixelSettings`.
+loops and sizes of grids, which hardly count, stand where they are used. Settings for users are in
+`settings.SubpixelSettings`.
 
 A change of the largest by 20 % moves a semi-axis of some of 72 drawn frames by 1.5 px
 (Motion.ALONG), 1.3 px (Saturated.READABLE) and 0.7 px (Sharp.REACH), that of any other by less than
