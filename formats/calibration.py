@@ -120,7 +120,6 @@ def check_parameters(model: str, values: Mapping[str, float]) -> None:
             f"parameters of the model {model}: missing {_listed(missing)}; not of this model "
             f"{_listed(strange)}. Fit this model, or name the model that was fitted."
         )
-
     for name, value in values.items():
         unit, low, high, low_included = QUANTITIES[name]
         # NaN fails every comparison.
@@ -230,21 +229,14 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         "model": calibration.model,
         "medium": {"name": calibration.medium, "index": calibration.medium_index},
         "parameters": {
-            name: {
-                "value": value,
-                "unit": quantity(name).unit,
-                "sigma": calibration.sigma(name),
-            }
+            name: {"value": value, "unit": quantity(name).unit, "sigma": calibration.sigma(name)}
             for name, value in calibration.values.items()
         },
         "covariance": {
             "order": list(calibration.values),
             "matrix": calibration.covariance.tolist(),
         },
-        "fitted_on": {
-            "description": calibration.fitted_on,
-            "sha256": calibration.data_sha256,
-        },
+        "fitted_on": {"description": calibration.fitted_on, "sha256": calibration.data_sha256},
         "sigma_inflation": calibration.sigma_inflation,
         "software": calibration.software,
     }

@@ -89,7 +89,6 @@ class CameraSheet(Strict):
 _Series = Annotated[
     list[Annotated[float, Field(ge=-1e12, le=1e12)]], Field(min_length=1, max_length=1000)
 ]
-_NEGLIGIBLE_MM = 1e-7  # 2e-5 px
 Length = Annotated[float, Field(gt=0, le=1e6)]
 """A positive number of mm."""
 
@@ -148,8 +147,12 @@ class PathSeries(Strict):
 
         # Arrays: for plain numbers JAX would compile every time.
         array: Any = np.array
-        # The time to compile a pose grows with the terms.
-        terms = max(self._terms(self.crossing), self._terms(self.steepness_per_mm))
+        # The time to compile a pose grows with the terms: without those that move no line of sight
+        # by more than 1e-7 mm (2e-5 px).
+        terms = 1
+        for series in (self.crossing, self.steepness_per_mm):
+            beyond = np.cumsum(np.abs(series[::-1]))[::-1] * self.widest_mm
+            terms = max(terms, int(np.sum(beyond > 1e-7)))
         return PathCamera(
             scale=array(scale_mm_px),
             principal_point=array(principal_point_px),
@@ -161,11 +164,6 @@ class PathSeries(Strict):
             pupil=array(math.inf if self.pupil_mm is None else self.pupil_mm),
             orientation=array(self.orientation),
         )
-
-    def _terms(self, series: list[float]) -> int:
-        """Number of terms without which a line of sight moves by more than 1e-7 mm."""
-        beyond = np.cumsum(np.abs(series[::-1]))[::-1] * self.widest_mm
-        return max(int(np.sum(beyond > _NEGLIGIBLE_MM)), 1)
 
 
 def _on_axis(series: list[float]) -> float:
@@ -226,14 +224,6 @@ _UNIT = 1e-3  # of a normal's length, as people round it
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 
-_MOST = {
-    "width_px": _MOST_PX,
-    "height_px": _MOST_PX,
-    "scale_mm_px": _LARGEST_MM,
-    "eye_radius_mm": _LARGEST_MM,
-}
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MicroscopeFile:
     """A pinhole on the axis of the eye, looking down at the retinal pole, and the wall there.
@@ -277,8 +267,9 @@ class MicroscopeFile:
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
-        for name, most in _MOST.items():
+        for name in ("width_px", "height_px", "scale_mm_px", "eye_radius_mm"):
             value = getattr(self, name)
+            most = _MOST_PX if name in ("width_px", "height_px") else _LARGEST_MM
             if not 0 < value <= most:
                 raise InputError(f"{name} must be positive and at most {most:g}; got {value}.")
         reach = self.pinhole_height_mm + self.eye_radius_mm
@@ -467,64 +458,58 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
     height, full_scale = file.pinhole_height_mm, file.full_scale
     if full_scale is None and file.camera is not None and file.camera.bit_depth > _BYTE:
         full_scale = (1 << file.camera.bit_depth) - 1
-    microscope = MicroscopeFile(
-        width_px=int(file.width_px),
-        height_px=int(file.height_px),
-        camera_matrix=file.camera_matrix,
-        distortion=file.distortion,
-        scale_mm_px=file.scale_mm_px,
-        principal_point_px=_pair(file.principal_point_px),
-        pinhole_height_mm=math.inf if height is None else height,
-        eye_radius_mm=file.eye_radius_mm,
-        response=replace(file.response, full_scale=full_scale),
-        paper_exposure_s=file.paper_exposure_s,
-        plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
-        viewing_path=file.viewing_path,
-        retina=None
-        if file.retina_semi_axes_mm is None
-        else Retina(
+    retina = None
+    if file.retina_semi_axes_mm is not None:
+        retina = Retina(
             semi_axes_mm=tuple(file.retina_semi_axes_mm),
             tilt_deg=file.retina_tilt_deg,
             tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
             shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
-        ),
-        noise=None if file.camera is None else file.camera.noise(file.response),
+        )
+    as_they_are = (
+        *("camera_matrix", "distortion", "scale_mm_px", "eye_radius_mm"),
+        *("paper_exposure_s", "viewing_path"),
     )
-    _agrees_with_its_matrix(microscope)
-    _agrees_with_its_eye(microscope)
+    microscope = MicroscopeFile(
+        width_px=int(file.width_px),
+        height_px=int(file.height_px),
+        principal_point_px=_pair(file.principal_point_px),
+        pinhole_height_mm=math.inf if height is None else height,
+        response=replace(file.response, full_scale=full_scale),
+        plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
+        retina=retina,
+        noise=None if file.camera is None else file.camera.noise(file.response),
+        **{name: getattr(file, name) for name in as_they_are},
+    )
+    _check_agreement(microscope)
     return microscope
 
 
-def _agrees_with_its_matrix(microscope: MicroscopeFile) -> None:
+def _check_agreement(microscope: MicroscopeFile) -> None:
     """Refuse a file in which only one of two copies of a number was edited."""
-    matrix = microscope.camera_matrix
-    if matrix is None:
-        return
-    focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
-    said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
-    implied = (focal, focal, *microscope.principal_point_px)
-    if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
-        raise InputError(
-            f"camera_matrix has (fx, fy, cx, cy) = {_listed(said)} px, but (pinhole_height_mm + "
-            f"eye_radius_mm)/scale_mm_px and principal_point_px say {_listed(implied)} px. Change "
-            "both alike."
-        )
-
-
-def _agrees_with_its_eye(microscope: MicroscopeFile) -> None:
-    """Refuse a viewing path or a retina that contradicts another number of the file."""
-    path, retina = microscope.viewing_path, microscope.retina
+    matrix, path, retina = microscope.camera_matrix, microscope.viewing_path, microscope.retina
+    if matrix is not None:
+        focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
+        said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+        implied = (focal, focal, *microscope.principal_point_px)
+        if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
+            listed = [", ".join(f"{value:.6g}" for value in four) for four in (said, implied)]
+            raise InputError(
+                f"camera_matrix has (fx, fy, cx, cy) = {listed[0]} px, but (pinhole_height_mm + "
+                f"eye_radius_mm)/scale_mm_px and principal_point_px say {listed[1]} px. Change "
+                "both alike."
+            )
     if path is not None:
         if microscope.distortion.any():
             raise InputError(
                 "distortion must be 0 with a viewing_path, which contains the lenses' distortion; "
                 f"got {microscope.distortion.tolist()}. Undistort the images first."
             )
-        said, implied = microscope.inverse_working_distance, path.inverse_working_distance
-        if not math.isclose(said, implied, rel_tol=_SAME, abs_tol=_SAME):
+        own, of_path = microscope.inverse_working_distance, path.inverse_working_distance
+        if not math.isclose(own, of_path, rel_tol=_SAME, abs_tol=_SAME):
             raise InputError(
-                f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {said:.6g}/mm, but "
-                f"viewing_path says {implied:.6g}/mm on the axis. Change both alike."
+                f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {own:.6g}/mm, but "
+                f"viewing_path says {of_path:.6g}/mm on the axis. Change both alike."
             )
     if retina is not None and microscope.plane_normal is not None:
         raise InputError(
@@ -547,7 +532,13 @@ def _from_calibration(
     plane_normal: tuple[float, float, float] | None,
 ) -> MicroscopeFile:
     camera, size = camera_of(content)
-    height, radius = (_given(name, value) for name, value in given.items())
+    for name, value in given.items():
+        if value is None or not math.isfinite(value):
+            raise InputError(
+                f"a camera calibration does not hold {name}. Give it with the file, in mm; got "
+                f"{value}."
+            )
+    height, radius = (value or 0.0 for value in given.values())
     matrix = camera.matrix
     fx, fy, skew = matrix[0, 0], matrix[1, 1], matrix[0, 1]
     if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
@@ -571,18 +562,6 @@ def _from_calibration(
     )
 
 
-def _given(name: str, value: float | None) -> float:
-    if value is None or not math.isfinite(value):
-        raise InputError(
-            f"a camera calibration does not hold {name}. Give it with the file, in mm; got {value}."
-        )
-    return value
-
-
 def _pair(values: np.ndarray) -> tuple[float, float]:
     first, second = values.tolist()
     return first, second
-
-
-def _listed(values: tuple[float, ...]) -> str:
-    return ", ".join(f"{value:.6g}" for value in values)

@@ -437,40 +437,21 @@ def _check_columns(names: Collection[str]) -> None:
 
 
 def _line(record: SpotRecord) -> list[str]:
-    spot = record.result if isinstance(record.result, Spot) else None
-    values = [getattr(spot, name) for name in _VALUES] if spot else [math.nan] * len(_VALUES)
-    covariance = spot.covariance[_UPPER] if spot else [math.nan] * len(_COVARIANCES)
-    return [
-        str(record.frame),
-        record.file_name,
-        _cell(record.time_s),
-        record.mode,
-        record.status,
-        record.reason,
-        *map(_cell, values),
-        *(_cell(getattr(record, name)) for name in _DISTANCES),
-        *map(_cell, covariance),
-        *(_cell(getattr(record, name)) for name in _INTERVAL),
-        record.largest_cause,
-        *map(_cell, _pose_cells(record.pose)),
-        record.wall_memory,
-        _cell(record.significance),
-        str(SCHEMA_VERSION),
-    ]
-
-
-def _pose_cells(pose: RecordedPose | None) -> list[float]:
-    if pose is None:
-        return [math.nan] * len(_POSES)
-    return [*pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared]
-
-
-def _pose(values: dict[str, float]) -> RecordedPose | None:
-    if math.isnan(values["tip_x_mm"]):
-        return None
-    place = np.array([values[name] for name in _POSE])
-    covariance = _covariance(values, _POSE_COVARIANCES)
-    return RecordedPose(place[:3], place[3:], covariance, values["chi_squared"])
+    spot, pose = record.result, record.pose
+    values: dict[str, Any] = {"schema_version": SCHEMA_VERSION}
+    if isinstance(spot, Spot):
+        values |= {name: getattr(spot, name) for name in _VALUES}
+        values |= zip(_COVARIANCES, spot.covariance[_UPPER], strict=True)
+    if pose is not None:
+        of_pose = *pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared
+        values |= zip(_POSES, of_pose, strict=True)
+    cells = []
+    for name in COLUMNS:
+        value = values[name] if name in values else getattr(record, name, math.nan)
+        if name not in _KINDS:
+            value = "" if math.isnan(value) else repr(float(value))
+        cells.append(str(value))
+    return cells
 
 
 def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
@@ -478,10 +459,6 @@ def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
     upper = np.zeros((5, 5))
     upper[_UPPER] = [values[name] for name in names]
     return upper + np.triu(upper, 1).T
-
-
-def _cell(value: float) -> str:
-    return "" if math.isnan(value) else repr(float(value))
 
 
 def _record(row: dict[str, str]) -> SpotRecord:
@@ -495,9 +472,16 @@ def _record(row: dict[str, str]) -> SpotRecord:
             f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
             f"{shortened(row['frame'])}."
         )
-    if row["reason"] not in ("", *(reason.value for reason in Reason)):
-        known = ", ".join(reason.value for reason in Reason)
-        raise InputError(f"reason must be one of {known}; got {shortened(row['reason'])}.")
+    known = [reason.value for reason in Reason]
+    if row["reason"] not in ("", *known):
+        raise InputError(
+            f"reason must be one of {', '.join(known)}; got {shortened(row['reason'])}."
+        )
+    pose = None
+    if not math.isnan(values["tip_x_mm"]):
+        place, covariance = [values[name] for name in _POSE], _covariance(values, _POSE_COVARIANCES)
+        tip_mm, axis = np.array(place[:3]), np.array(place[3:])
+        pose = RecordedPose(tip_mm, axis, covariance, values["chi_squared"])
     return SpotRecord(
         frame=int(frame),
         file_name=row["file_name"],
@@ -506,7 +490,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
         result=_result(row, values),
         **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
         largest_cause=row.get("largest_cause", ""),
-        pose=_pose(values),
+        pose=pose,
         wall_memory=row.get("wall_memory", ""),
         doubt=row["reason"],
     )

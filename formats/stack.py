@@ -181,13 +181,7 @@ class FrameLabels(Strict):
 
 @dataclass(frozen=True)
 class Stack:
-    """A stack on disk.
-
-    Attributes:
-        folder: where it lies.
-        labels: one entry an image, in file order.
-        description: content of stack.toml.
-    """
+    """A stack on disk: labels in file order, and the content of stack.toml."""
 
     folder: Path
     labels: tuple[FrameLabels, ...]
@@ -237,15 +231,15 @@ class Stack:
                     f"{_AGAIN}"
                 )
 
-        columns: dict[str, list[float]] = {name: [] for name in KINEMATICS}
+        rows = []
         for row, where in csv_rows(self.path_of("kinematics.csv"), check=check):
-            for name, cell in row.items():
-                with in_file(where):
-                    value = number_in(cell, name)
+            with in_file(where):
+                rows.append([number_in(cell, name) for name, cell in row.items()])
+                for name, value in zip(KINEMATICS, rows[-1], strict=True):
                     if math.isnan(value):
-                        raise InputError(f"{name} must be a finite number; got {cell!r}. {_AGAIN}")
-                columns[name].append(value)
-        return {name: np.array(values) for name, values in columns.items()}
+                        raise InputError(f"{name} must be a finite number; got ''. {_AGAIN}")
+        columns = np.array(rows, float).reshape(-1, len(KINEMATICS)).T
+        return dict(zip(KINEMATICS, columns, strict=True))
 
     def path_of(self, name: str) -> Path:
         """Path of a file that the labels or the manifest name.
@@ -436,17 +430,26 @@ class StackWriter:
             "microscope.json": json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n",
         }
         if kinematics is not None:
-            texts["kinematics.csv"] = _kinematics_csv(kinematics)
+            # To 1 us, 1 nm and 1 nrad: far below a robot's accuracy.
+            rows, formats = io.StringIO(), ["%.6f"] * 4 + ["%.9f"] * 3
+            header = ",".join(KINEMATICS)
+            np.savetxt(rows, kinematics, fmt=formats, delimiter=",", header=header, comments="")
+            texts["kinematics.csv"] = rows.getvalue()
         with errors_named(self._partial, self.folder):
-            if not all(_holds(self._partial / name, text) for name, text in texts.items()):
+            there = ((self._partial / name, text.encode()) for name, text in texts.items())
+            if not all(path.is_file() and path.read_bytes() == text for path, text in there):
                 empty(self._partial)
                 for name, text in texts.items():
                     _write_text(self._partial / name, text)
             for folder in (self._partial, *(self._partial / name for name in _IMAGES)):
                 sweep(folder)
-            self._lines = self._lines_left()
+            path = self._partial / _LABELS
+            lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+            # A line that was not finished has no end.
+            whole = [line for line in lines if line.endswith("\n")]
+            self._lines = {json.loads(line)["file_name"]: line for line in whole}
             self._described = True
-            _write_text(self._partial / _LABELS, "".join(self._lines.values()))
+            _write_text(path, "".join(self._lines.values()))
 
     def has(self, file_name: str) -> bool:
         """Whether a stopped run has written an image, its mask and its labels."""
@@ -476,7 +479,17 @@ class StackWriter:
                 _write_image(self._partial / linear_name(labels), light, _TIFF)
             _write_image(self._partial / labels.file_name, image, _PNG)
             # Last, because a line means that the files it names are complete.
-            self._add_line(labels)
+            line = json.dumps(labels.row()) + "\n"
+            path = self._partial / _LABELS
+            with self._one_at_a_time:
+                before = path.stat().st_size
+                try:
+                    with path.open("a", encoding="utf-8") as file:
+                        file.write(line)
+                except OSError:
+                    os.truncate(path, before)  # the next line would end a half one
+                    raise
+                self._lines[labels.file_name] = line
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:
         try:
@@ -494,35 +507,6 @@ class StackWriter:
         finally:
             os.close(self._lock)
 
-    def _add_line(self, labels: FrameLabels) -> None:
-        line = json.dumps(labels.row()) + "\n"
-        path = self._partial / _LABELS
-        with self._one_at_a_time:
-            before = path.stat().st_size
-            try:
-                with path.open("a", encoding="utf-8") as file:
-                    file.write(line)
-            except OSError:
-                os.truncate(path, before)  # the next line would end a half one
-                raise
-            self._lines[labels.file_name] = line
-
-    def _lines_left(self) -> dict[str, str]:
-        """Label lines of the images that a stopped run has finished, by the image's name."""
-        path = self._partial / _LABELS
-        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-        # A line that was not finished has no end.
-        whole = [line for line in lines if line.endswith("\n")]
-        return {json.loads(line)["file_name"]: line for line in whole}
-
-
-def _kinematics_csv(rows: np.ndarray) -> str:
-    """To 1 us, 1 nm and 1 nrad: far below a robot's accuracy."""
-    text = io.StringIO()
-    formats, header = ["%.6f"] * 4 + ["%.9f"] * 3, ",".join(KINEMATICS)
-    np.savetxt(text, rows, fmt=formats, delimiter=",", header=header, comments="")
-    return text.getvalue()
-
 
 def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
     ordered = cv2.cvtColor(image, cv2.COLOR_RGB2BGR) if image.ndim == 3 else image
@@ -536,7 +520,3 @@ def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
 def _write_text(path: Path, text: str) -> None:
     with written_whole(path, replace=True) as partial:
         partial.write_text(text, encoding="utf-8")
-
-
-def _holds(path: Path, text: str) -> bool:
-    return path.is_file() and path.read_bytes() == text.encode()

@@ -3,7 +3,7 @@
 Beside it stand its unit, what it decides, and where it comes from: derived from something else,
 fitted to frames that are named, or else set by hand for a purpose. Lengths in "radii" are in radii
 of the spot's ellipse in the same direction, those in "widths" in `Spot.edge_width_px`. Limits of
-loops and sizes of grids, which hardly count, stand where they are used. Settings for users are in
+loops and sizes of grids stand where they are used. Settings for users are in
 `settings.SubpixelSettings`.
 
 A change of the largest by 20 % moves a semi-axis of some of 72 drawn frames by 1.5 px

@@ -23,8 +23,6 @@ from formats.calibration import BEAM, QUANTITIES
 from formats.spots import Spot
 from formats.stated import Stated
 
-_LEVEL = 0.95
-
 
 class Cause(Enum):
     """What makes a distance uncertain."""
@@ -66,7 +64,6 @@ class Part(NamedTuple):
     """The part of one cause.
 
     Attributes:
-        cause: of the uncertainty.
         sigma_mm: its standard uncertainty, as part of the distance.
         freedom: its degrees of freedom.
         source: the quantity that the part comes from, or most of it.
@@ -153,7 +150,7 @@ class Budget:
         """Student's factor of the 95 % interval (GUM G.3.2)."""
         from scipy.special import stdtrit
 
-        return float(stdtrit(self.freedom, (1 + _LEVEL) / 2))
+        return float(stdtrit(self.freedom, 0.975))
 
     @property
     def interval_mm(self) -> tuple[float, float]:
@@ -251,8 +248,14 @@ class Budgets:
         """
         if math.isnan(found.distance_mm):
             return None
-        if not self._traced:
-            return self._of_lens(spot, found, motion)
+        if not self._traced:  # a lens's curve contains the calibration's errors
+            speed = float(np.linalg.norm(motion.velocity_mm_s))
+            image = Part(Cause.IMAGE, found.sigma_mm, _freedom(spot))
+            return Budget.of(
+                found.distance_mm,
+                parts=[image, self._of_clock(motion, speed, 0.0)],
+                left_out=("the calibration's own part (it is in that of the image)", "the eye"),
+            )
         # A line of sight or a generator that misses the wall gives NaN.
         with np.errstate(invalid="ignore", divide="ignore"):
             return self._of_cone(spot, found, axis, motion)
@@ -266,11 +269,9 @@ class Budgets:
         axes, weights = self._directions(spot, axis)
         if axes is None:
             return None
-        size = (
-            math.sqrt(spot.semi_major_px * spot.semi_minor_px)
-            if self._by_area
-            else spot.semi_minor_px
-        )
+        size = spot.semi_minor_px
+        if self._by_area:
+            size = math.sqrt(spot.semi_major_px * size)
         at = np.array([spot.x_px, spot.y_px]) - self._ranger.microscope.principal_point_px
         distances, points = distance_of(
             self._eye,
@@ -290,17 +291,21 @@ class Budgets:
             distance=distances[middle],
             by_area=self._by_area,
         )
-        speed = self._speed(motion, axes[middle], points[middle], told=told)
+        # How fast the distance changes while the tip moves over a wall at rest, mm/s.
+        velocity = np.array(motion.velocity_mm_s)
+        speed = float(np.linalg.norm(velocity))
+        if told:
+            normal = self._eye.outward(points[middle][None])[0]
+            speed = abs(float(normal @ velocity / (normal @ axes[middle])))
         known = axis is not None
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
-        exact = self._ranger.model in ("exact", "area") or self._through_path
+        exact = self._ranger.model in ("exact", "area")
+        unknown = self._through_path and not exact
         return Budget.of(
             found.distance_mm,
-            correction_mm=0.0 if exact else mean - found.distance_mm,
+            correction_mm=0.0 if exact or unknown else mean - found.distance_mm,
             parts=self._parts(spot, found, slopes, spread, (motion, speed), known=known),
-            left_out=("the model's error through this viewing path",)
-            if self._through_path and self._ranger.model not in ("exact", "area")
-            else (),
+            left_out=("the model's error through this viewing path",) if unknown else (),
         )
 
     def _directions(
@@ -322,16 +327,6 @@ class Budgets:
         axes = np.cos(tilt) * normal + np.sin(tilt) * lean
         return axes, np.full(len(axes), 1 / len(axes))
 
-    def _speed(
-        self, motion: ToolMotion, axis: np.ndarray, point: np.ndarray, *, told: bool
-    ) -> float:
-        """How fast the distance changes while the tip moves over a wall at rest, mm/s."""
-        velocity = np.array(motion.velocity_mm_s)
-        if not told:
-            return float(np.linalg.norm(velocity))
-        normal = self._eye.outward(point[None])[0]
-        return abs(float(normal @ velocity / (normal @ axis)))
-
     def _parts(
         self,
         spot: Spot,
@@ -345,29 +340,15 @@ class Budgets:
         stated, model = self._stated, self._ranger.model
         parts = [self._of_image(spot, found, slopes), self._of_calibration(slopes)]
         values = self._ranger.calibration.values
-        tilt = math.radians(stated.axis_sigma_deg)
         # The model exact weighs the axis against the ellipse: it is in the image's part.
         if model != "exact" and known:
-            parts.append(
-                Part(
-                    Cause.TILT,
-                    slopes.tilt * tilt,
-                    source="the beam's axis",
-                    source_sigma=stated.axis_sigma_deg,
-                    unit="deg",
-                )
-            )
+            sigma = stated.axis_sigma_deg
+            moved, source = slopes.tilt * math.radians(sigma), "the beam's axis"
+            parts.append(Part(Cause.TILT, moved, math.inf, source, sigma, "deg"))
         elif model != "exact":
             low, high = stated.incidence_deg
-            parts.append(
-                Part(
-                    Cause.TILT,
-                    spread,
-                    source="the beam's axis by the robot's poses, or its incidence",
-                    source_sigma=(high - low) / 2,
-                    unit="deg",
-                )
-            )
+            source = "the beam's axis by the robot's poses, or its incidence"
+            parts.append(Part(Cause.TILT, spread, math.inf, source, (high - low) / 2, "deg"))
         if "eye_radius" not in values and self._eye.normal is None:
             sigma = stated.eye_radius_sigma_mm
             moved = abs(slopes.of["eye_radius"]) * sigma
@@ -421,40 +402,17 @@ class Budgets:
         c = float(np.hypot(*self._eye.wall_point(at)[0, :2]))
         apart = found.distance_mm - float(self._eye.b[0])
         of_size = stated.size_per_mm * c * apart
-        if abs(of_pinhole) >= of_size:
-            source, own, unit = "1/(z_F + r)", sigma, "1/mm"
-        else:
-            source, own, unit = "the size of spots per mm of c", stated.size_per_mm, ""
-        return Part(
-            Cause.VIEWING,
-            math.hypot(of_pinhole, of_size),
-            source=source,
-            source_sigma=own,
-            unit=unit,
-        )
+        source = "1/(z_F + r)", sigma, "1/mm"
+        if abs(of_pinhole) < of_size:
+            source = "the size of spots per mm of c", stated.size_per_mm, ""
+        return Part(Cause.VIEWING, math.hypot(of_pinhole, of_size), math.inf, *source)
 
     def _of_clock(self, motion: ToolMotion, speed: float, tilt: float) -> Part:
         late = self._stated.clock_sigma_s
         # The axis turned by so much in one direction, which is half of the square in each of two.
         turned = motion.turn_rad_s * math.hypot(motion.pose_age_s, late) / math.sqrt(2)
-        return Part(
-            Cause.CLOCK,
-            math.hypot(speed * late, tilt * turned),
-            source="the clocks' offset",
-            source_sigma=late,
-            unit="s",
-        )
-
-    def _of_lens(self, spot: Spot, found: Range, motion: ToolMotion) -> Budget:
-        """By a lens, whose curve contains the calibration's errors."""
-        return Budget.of(
-            found.distance_mm,
-            parts=[
-                Part(Cause.IMAGE, found.sigma_mm, _freedom(spot)),
-                self._of_clock(motion, float(np.linalg.norm(motion.velocity_mm_s)), 0.0),
-            ],
-            left_out=("the calibration's own part (it is in that of the image)", "the eye"),
-        )
+        moved = math.hypot(speed * late, tilt * turned)
+        return Part(Cause.CLOCK, moved, math.inf, "the clocks' offset", late, "s")
 
 
 def _freedom(spot: Spot) -> float:

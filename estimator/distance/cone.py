@@ -82,11 +82,7 @@ class _ViewedCone:
 
 
 class AreaDistances:
-    """Finds distances by area under one microscope. Loads JAX; compiles once a process.
-
-    Args:
-        microscope: as the file describes it; the spots lie in its undistorted image.
-    """
+    """Finds distances by area in a microscope's undistorted image. Loads JAX; compiles once."""
 
     def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
         values = dict(calibration.values)
@@ -105,13 +101,7 @@ class AreaDistances:
         self._distance(self._seen, np.array([x, y, 60.0, 50.0]), np.array([0.0, 0.0, -1.0]))
 
     def of(self, spot: Spot, *, axis: np.ndarray, axis_sigma_rad: float) -> Range:
-        """The distance of a spot.
-
-        Args:
-            spot: in the undistorted image.
-            axis: unit vector of the beam, (3,).
-            axis_sigma_rad: standard deviation of the axis across itself.
-        """
+        """The distance of a spot, see `Ranger.distance`."""
         ellipse = np.array([spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px])
         distance = self._distance(self._seen, ellipse, axis)
         steps = _STEP * np.maximum(np.abs(ellipse), 1.0)
@@ -173,10 +163,9 @@ class PosePair:
 
 
 class ConePoses:
-    """Finds the poses of one cone under one microscope. Loads JAX; compiles once a process.
+    """Finds the poses of a cone in a microscope's undistorted image. Loads JAX; compiles once.
 
     Args:
-        microscope: the spots lie in its undistorted image.
         half_angle: of the cone, rad.
         apex_offset: b, mm.
     """
@@ -192,19 +181,14 @@ class ConePoses:
         self._estimate(np.array([x, y, 60.0, 50.0, 0.0]), np.eye(5), None, 0.0)
 
     def of(self, spot: Spot, *, axis: np.ndarray | None, axis_sigma_rad: float) -> PosePair:
-        """The poses of a spot.
-
-        Args:
-            spot: in the undistorted image.
-            axis: unit vector of the beam, (3,), weighed against the ellipse; None if unknown.
-            axis_sigma_rad: standard deviation of the axis across itself.
-        """
+        """The poses of a spot, see `Ranger.distance`."""
         known = bool(np.isfinite(spot.covariance).all())
+        covariance = spot.covariance
+        if not known:  # the angle may move the contour as far as the centre and the axes do
+            elongation = max(spot.semi_major_px - spot.semi_minor_px, _CIRCLE * spot.semi_major_px)
+            covariance = UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
         axis_sigma_rad = max(axis_sigma_rad, _EXACT_RAD)
-        ellipse = np.array(
-            [spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad]
-        )
-        found = self._estimate(ellipse, _covariance(spot, known), axis, axis_sigma_rad)
+        found = self._estimate(np.array(spot.ellipse), covariance, axis, axis_sigma_rad)
         return PosePair(
             best=_tip_pose(found.best),
             mirror=_tip_pose(found.mirror),
@@ -234,14 +218,6 @@ class ConePoses:
             prior=optics.DirectionPrior(array(axis), array(axis_sigma_rad)),
             **self._cone,
         )
-
-
-def _covariance(spot: Spot, known: bool) -> np.ndarray:
-    if known:
-        return spot.covariance
-    elongation = max(spot.semi_major_px - spot.semi_minor_px, _CIRCLE * spot.semi_major_px)
-    # The angle may move the contour as far as the centre and the axes do.
-    return UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
 
 
 def _tip_pose(pose: optics.BeamPose) -> TipPose:

@@ -13,13 +13,7 @@ from formats.spots import Reason
 
 
 class WallMemory(Enum):
-    """What the mode pixels knew of the wall when it fitted a frame.
-
-    NONE: nothing is known, as in the other modes. NEW: the frame is the first of its wall. KNOWN:
-    earlier frames showed the wall. MOVED: they did, and the wall has moved in the image since: the
-    eye has turned or the microscope has drifted. DROPPED: they do not explain the frame wherever
-    the wall is, so that what they showed was forgotten.
-    """
+    """What the mode pixels knew of the wall when it fitted a frame; NONE in the other modes."""
 
     NONE = ""
     NEW = "new"

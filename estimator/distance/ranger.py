@@ -55,8 +55,7 @@ class Ranger:
         `exact` is compiled once a process, for some 10 s; `lens` traces its lens, for some 20 s.
 
         Args:
-            calibration: its `scale`, `eye_radius` and `inverse_working_distance`, if it has them,
-                go before the microscope's; a pinhole also before its viewing path and retina.
+            calibration: goes before the microscope, see `calibrated_view`.
             microscope: the spots lie in its undistorted image.
             model: one of `MODELS`; by default the calibration's. All models of a cone share k
                 (or half_angle) and b.
@@ -77,13 +76,12 @@ class Ranger:
         self._check()
         if self.model == "exact":
             self._poses = ConePoses(
-                self.microscope, half_angle=float(np.arctan(1 / _slope(own))), apex_offset=own["b"]
+                view, half_angle=float(np.arctan(1 / _slope(own))), apex_offset=own["b"]
             )
         elif self.model == "area":
             self._areas = AreaDistances(calibration, microscope)
         elif self.model == "lens":
-            plane = microscope.plane_normal is not None
-            curvature = 0.0 if plane else 1.0 / self.microscope.eye_radius_mm
+            curvature = 1.0 / view.eye_radius_mm if view.plane_normal is None else 0.0
             self._curve = lens_curve(calibration, wall_curvature=curvature)
 
     def distance(
@@ -146,6 +144,8 @@ class Ranger:
 
     def _closed_form(self, model: str, spot: Spot, spot_covariance: np.ndarray) -> Range:
         """Distance by a closed form, its sigma propagated by central differences."""
+        import optics
+
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
         steps = np.diag(_STEP * np.maximum(np.abs(base), 1.0))
@@ -153,12 +153,26 @@ class Ranger:
         varied = base[:, None] + np.hstack([np.zeros((base.size, 1)), steps, -steps])
         x, y, semi_minor, *calibrated = varied
         quantities = dict(zip(names, calibrated, strict=True))
-        eye = self._eye(quantities)
+        eye, line = self._eye(quantities), {"k": _slope(quantities), "b": quantities["b"]}
         # A spot larger than the sphere gives NaN, which is flagged.
         with np.errstate(invalid="ignore"):
-            distances = self._distances(
-                model, eye, x, y, semi_minor_px=semi_minor, k=_slope(quantities), b=quantities["b"]
-            )
+            at_x, at_y, _ = self._on_wall(eye, x, y, plane=False)
+            c = np.hypot(at_x, at_y) if self.eccentricity_mm is None else self.eccentricity_mm
+            if model == "corrected" and self._path is not None:
+                from optics.viewing.camera import local_magnification
+
+                magnification = local_magnification(
+                    *self._path, eccentricity=c, azimuth=np.arctan2(at_y, at_x)
+                )
+                radius = eye["scale"] * semi_minor / np.asarray(magnification)[:, 1]
+                found: Any = optics.sphere_distance(
+                    spot_radius=radius, eye_radius=eye["eye_radius"], **line
+                )
+            else:
+                found = optics.closed_form_distance(
+                    model, semi_minor_px=semi_minor, eccentricity=c, **line, **eye
+                )
+        distances = np.asarray(found)
         up, down = distances[1:].reshape(2, -1)
         gradient = (up - down) / (2 * np.diag(steps))
         of_spot, of_calibration = gradient[:3], gradient[3:]
@@ -183,11 +197,7 @@ class Ranger:
     ) -> np.ndarray:
         """Wall points that pixels see, (3, n), mm; NaN off the wall.
 
-        Args:
-            eye: from `_eye`.
-            x: px.
-            y: px.
-            plane: whether the wall may be the microscope's plane; else it is the eyeball.
+        With `plane` the wall may be the microscope's plane; else it is the eyeball.
         """
         import optics
 
@@ -203,42 +213,7 @@ class Ranger:
         # A line of sight is given by the offset in mm.
         own = eye["scale"] / self.microscope.scale_mm_px
         pixels = np.stack([u + own * (x - u), v + own * (y - v)], axis=-1)
-        camera, wall = self._path
-        return np.asarray(wall_point(camera, wall, pixels)).T
-
-    def _distances(
-        self,
-        model: str,
-        eye: Mapping[str, Numbers],
-        x: np.ndarray,
-        y: np.ndarray,
-        *,
-        semi_minor_px: np.ndarray,
-        k: Numbers,
-        b: np.ndarray,
-    ) -> np.ndarray:
-        """The closed form at the spot's place."""
-        import optics
-
-        line: Any = {"k": k, "b": b}
-        at_x, at_y, _ = self._on_wall(eye, x, y, plane=False)
-        c = np.hypot(at_x, at_y) if self.eccentricity_mm is None else self.eccentricity_mm
-        if model != "corrected" or self._path is None:
-            return np.asarray(
-                optics.closed_form_distance(
-                    model, semi_minor_px=semi_minor_px, eccentricity=c, **line, **eye
-                )
-            )
-        from optics.viewing.camera import local_magnification
-
-        camera, wall = self._path
-        magnification = local_magnification(
-            camera, wall, eccentricity=c, azimuth=np.arctan2(at_y, at_x)
-        )
-        radius = eye["scale"] * semi_minor_px / np.asarray(magnification)[:, 1]
-        return np.asarray(
-            optics.sphere_distance(spot_radius=radius, eye_radius=eye["eye_radius"], **line)
-        )
+        return np.asarray(wall_point(*self._path, pixels)).T
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the wall."""
@@ -259,24 +234,26 @@ class Ranger:
             sigma_image_mm=found.sigma_mm,
         )
 
-    def _lens(
-        self,
-        spot: Spot,
-        frame: np.ndarray | None,
-        exposure_s: float | None,
-    ) -> Range:
+    def _lens(self, spot: Spot, frame: np.ndarray | None, exposure_s: float | None) -> Range:
         """The distance at which the lens makes a spot of this size, shape and brightness."""
-        values = self.calibration.values
+        values, view = self.calibration.values, self.microscope
         shape = peak = None
         if frame is not None:
-            microscope = self.microscope
-            shape = spot_shape(
-                frame, spot, response=microscope.response, camera=microscope.camera()
-            )
+            shape = spot_shape(frame, spot, response=view.response, camera=view.camera())
         if shape is not None and exposure_s is not None and "brightness" in values:
             relative = self.calibration.sigma("brightness") / values["brightness"]
             peak = shape.peak / (values["brightness"] * exposure_s), relative
-        major, minor = self._axes_on_wall(spot)
+        # The spot's semi-axes on the wall, mm, to first order in its size: by a pixel's step along
+        # u, and one along v; NaN off the wall.
+        major = minor = math.nan
+        x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
+        y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
+        with np.errstate(invalid="ignore"):
+            points = self._on_wall(self._eye({}), x, y, plane=True)
+        per_px = points[:, [0, 2]] - points[:, [1, 3]]
+        if not np.isnan(per_px).any():
+            ellipse = AffineEllipse.from_axes(*spot.ellipse)
+            major, minor = np.linalg.svd(per_px @ ellipse.shape, compute_uv=False)
         sigma = spot.sigma_semi_minor_px
         known = sigma > 0
         found = distance_from_lens(
@@ -296,18 +273,6 @@ class Ranger:
             others_mm=found.others,
         )
 
-    def _axes_on_wall(self, spot: Spot) -> np.ndarray:
-        """The spot's semi-axes on the wall, mm, to first order in its size; NaN off the wall."""
-        # A pixel's step along u, and one along v.
-        x = spot.x_px + np.array([0.5, -0.5, 0.0, 0.0])
-        y = spot.y_px + np.array([0.0, 0.0, 0.5, -0.5])
-        with np.errstate(invalid="ignore"):
-            points = self._on_wall(self._eye({}), x, y, plane=True)
-        per_px = points[:, [0, 2]] - points[:, [1, 3]]
-        if np.isnan(per_px).any():
-            return np.full(2, math.nan)
-        return np.linalg.svd(per_px @ _ellipse(spot).shape, compute_uv=False)
-
 
 def _unit(axis: ArrayLike) -> np.ndarray:
     vector = np.asarray(axis, float)
@@ -323,9 +288,3 @@ def _unit(axis: ArrayLike) -> np.ndarray:
 def _slope(values: Mapping[str, Numbers]) -> Numbers:
     """k = 1/tan(half_angle), from whichever of the two a calibration has."""
     return values["k"] if "k" in values else 1 / np.tan(values["half_angle"])
-
-
-def _ellipse(spot: Spot) -> AffineEllipse:
-    return AffineEllipse.from_axes(
-        spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad
-    )

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from estimator.distance.budget import Budget
-
-_ENDLESS = 1e5  # degrees of freedom that no table tells from infinity
+    from estimator.run.reader import Reading
+    from estimator.sources.source import Frame
 
 
 def budget(
@@ -53,14 +53,17 @@ def budget(
         outlines = {"mode": "subpixel"} if options.mode == "auto" else {}
         reader = options.model_copy(update=outlines).reader()
     found: dict[int, Budget] = {}
+
+    def keep(one: Frame, reading: Reading) -> None:
+        if reading.budget:
+            found[one.index] = reading.budget
+
     with progress("Measuring", total=frames.length) as advance:
         tracking = track_source(
             frames,
             reader,
             poses=poses,
-            show=lambda one, reading: (
-                found.update({one.index: reading.budget}) if reading.budget else None
-            ),
+            show=keep,
             write=lambda record: None,
             progress=lambda record: advance(),
         )
@@ -101,9 +104,9 @@ def _table(budget: Budget, frame: int) -> Table:
     from rich.table import Table
 
     table = Table(title=f"Frame {frame}: what the distance is worth")
-    for name in ("cause", "type", "u, mm", "ν", "share of u²", "from"):
-        number = name in ("u, mm", "ν", "share of u²")
-        table.add_column(name, justify="right" if number else "left")
+    numbers = ("u, mm", "ν", "share of u²")
+    for name in ("cause", "type", *numbers, "from"):
+        table.add_column(name, justify="right" if name in numbers else "left")
     for part in sorted(budget.parts, key=lambda part: -part.sigma_mm):
         share = (part.sigma_mm / budget.sigma_mm) ** 2 if budget.sigma_mm else math.nan
         known = not math.isnan(part.source_sigma)
@@ -140,36 +143,37 @@ def _content(budget: Budget) -> dict[str, Any]:
     """The budget for JSON, where what is infinite or unknown is null."""
     low, high = budget.interval_mm
     largest = budget.largest
-    return {
+    parts = [
+        {
+            "cause": part.cause.value,
+            "type": part.cause.kind,
+            "sigma_mm": part.sigma_mm,
+            "degrees_of_freedom": part.freedom,
+            "source": part.source,
+            "source_sigma": part.source_sigma,
+            "unit": part.unit,
+        }
+        for part in budget.parts
+    ]
+    whole = {
         "distance_mm": budget.reading_mm,
         "correction_mm": budget.correction_mm,
         "corrected_mm": budget.corrected_mm,
-        "sigma_mm": _number(budget.sigma_mm),
-        "degrees_of_freedom": _number(budget.freedom),
-        "coverage_factor": _number(budget.coverage_factor),
-        "low_mm": _number(low),
-        "high_mm": _number(high),
+        "sigma_mm": budget.sigma_mm,
+        "degrees_of_freedom": budget.freedom,
+        "coverage_factor": budget.coverage_factor,
+        "low_mm": low,
+        "high_mm": high,
         "largest_cause": largest.cause.value if largest else None,
         "remedy": largest.remedy if largest else None,
-        "parts": [
-            {
-                "cause": part.cause.value,
-                "type": part.cause.kind,
-                "sigma_mm": _number(part.sigma_mm),
-                "degrees_of_freedom": _number(part.freedom),
-                "source": part.source,
-                "source_sigma": _number(part.source_sigma),
-                "unit": part.unit,
-            }
-            for part in budget.parts
-        ],
-        "left_out": list(budget.left_out),
     }
 
+    def finite(row: dict[str, Any]) -> dict[str, Any]:
+        unknown = {n for n, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
+        return row | dict.fromkeys(unknown)
 
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return {**finite(whole), "parts": [*map(finite, parts)], "left_out": list(budget.left_out)}
 
 
 def _freedom(value: float) -> str:
-    return f"{value:.0f}" if value < _ENDLESS else "∞"
+    return f"{value:.0f}" if value < 1e5 else "∞"

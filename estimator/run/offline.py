@@ -118,8 +118,7 @@ def track_source(
     """Measure a source's frames until it ends, breaks or is stopped with Ctrl-C.
 
     The source's notes go to the standard error. What was measured so far is returned even if the
-    source breaks off. A frame that meets a bug is
-    a frame without a spot, see `Reader.read`.
+    source breaks off. A frame that meets a bug is a frame without a spot, see `Reader.read`.
 
     Args:
         reader: new; it has not read a frame.
@@ -216,8 +215,11 @@ def _readings(
 
 def record_of(frame: Frame, reading: Reading) -> SpotRecord:
     """The line of a spots file for a frame."""
-    budget = reading.budget
+    budget, found = reading.budget, reading.range
     low, high = reading.interval_mm
+    pose = None
+    if found and found.poses and (best := found.poses[0]).covariance is not None:
+        pose = RecordedPose(best.tip_mm, best.axis, best.covariance, found.chi_squared)
     return SpotRecord(
         frame=frame.index,
         file_name=frame.file_name,
@@ -230,21 +232,10 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         distance_low_mm=low,
         distance_high_mm=high,
         largest_cause=budget.largest.cause.value if budget and budget.largest else "",
-        pose=_pose(reading),
-        wall_memory=reading.range.wall.value if reading.range else "",
+        pose=pose,
+        wall_memory=found.wall.value if found else "",
         doubt=reading.doubt,
     )
-
-
-def _pose(reading: Reading) -> RecordedPose | None:
-    """The pose of the mode pixels."""
-    best = reading.range.poses[0] if reading.range and reading.range.poses else None
-    if reading.range is None or best is None or best.covariance is None:
-        return None
-    return RecordedPose(best.tip_mm, best.axis, best.covariance, reading.range.chi_squared)
-
-
-_TOLD = (WallMemory.MOVED.value, WallMemory.DROPPED.value)
 
 
 def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) -> dict[str, Any]:
@@ -282,9 +273,9 @@ def table_of(summary: dict[str, Any]) -> Group:
     for flag, count in summary["doubtful_distances"].items():
         table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
     notes = [
-        f"{count} frames: {WallMemory(memory).meaning}"
-        for memory, count in summary["wall_memory"].items()
-        if memory in _TOLD
+        f"{summary['wall_memory'][memory.value]} frames: {memory.meaning}"
+        for memory in (WallMemory.MOVED, WallMemory.DROPPED)
+        if memory.value in summary["wall_memory"]
     ]
     if summary["unrelated"]:
         notes.append("Every image is measured by itself; --sequence follows the spot.")

@@ -27,7 +27,6 @@ from formats.poses import Quaternion, unit_quaternion
 if TYPE_CHECKING:
     from estimator.detector.literal import LiteralSettings
     from estimator.detector.settings import SubpixelSettings
-    from estimator.pixels.tracker import PixelRanger
     from estimator.run.reader import Mode, Reader
     from estimator.sources.source import Source
     from formats.calibration import Calibration
@@ -55,8 +54,6 @@ _CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
 )
 OUT = Parameter(alias="-o")
 Rerun = Annotated[str | None, OUTPUT, Parameter(metavar="FILE|live")]
-_POINT = TypeAdapter(tuple[FiniteFloat, FiniteFloat])
-_QUATERNION = TypeAdapter(Quaternion)
 
 
 def _point(given: Any) -> tuple[float, float] | None:
@@ -64,7 +61,7 @@ def _point(given: Any) -> tuple[float, float] | None:
     if parts is None or parts == ["auto"]:
         return None
     try:
-        return _POINT.validate_python(parts)
+        return TypeAdapter(tuple[FiniteFloat, FiniteFloat]).validate_python(parts)
     except ValidationError:
         raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
@@ -73,7 +70,7 @@ def _turn(given: Any) -> Quaternion | None:
     if given is None:
         return None
     try:
-        return unit_quaternion(_QUATERNION.validate_python(_parts(given)))
+        return unit_quaternion(TypeAdapter(Quaternion).validate_python(_parts(given)))
     except ValueError:
         raise InputError(
             "must be a unit quaternion QX,QY,QZ,QW, such as 0,0,0,1 for no turn"
@@ -215,8 +212,19 @@ class Options(Given):
             )
         turn, ranger = self.eye_from_robot, None
         if not isinstance(settings, LiteralSettings) and mode == "pixels":
+            from estimator.pixels.tracker import PixelRanger
+
             stated = self._stated(None)
-            pixels = self._pixel_ranger(microscope, beam, shake_px=stated.shake_px)
+            if beam is None or microscope is None:
+                raise InputError("the mode pixels needs a calibration. Give --calibration.")
+            for name in ("model", "eccentricity_mm"):
+                if getattr(self, name) is not None:
+                    raise InputError(
+                        f"{option(name)} has no effect in the mode pixels, whose geometry is exact."
+                        " Leave it out, or take the sub-pixel mode."
+                    )
+            known_wall, shake_px = self._reference_image(microscope), stated.shake_px
+            pixels = PixelRanger(beam, microscope, known_wall, shake_px=shake_px)
             return PixelsMode(settings, pixels, eye_from_robot=turn, stated=stated)
         if beam is not None and microscope is not None:
             ranger = Ranger(
@@ -232,21 +240,6 @@ class Options(Given):
         if isinstance(settings, LiteralSettings):
             return LiteralMode(settings, ranger, eye_from_robot=turn, stated=stated)
         return SubpixelMode(settings, ranger, eye_from_robot=turn, stated=stated)
-
-    def _pixel_ranger(
-        self, microscope: MicroscopeFile | None, beam: Calibration | None, *, shake_px: float
-    ) -> PixelRanger:
-        from estimator.pixels.tracker import PixelRanger
-
-        if beam is None or microscope is None:
-            raise InputError("the mode pixels needs a calibration. Give --calibration.")
-        for name in ("model", "eccentricity_mm"):
-            if getattr(self, name) is not None:
-                raise InputError(
-                    f"{option(name)} has no effect in the mode pixels, whose geometry is exact. "
-                    "Leave it out, or take the sub-pixel mode."
-                )
-        return PixelRanger(beam, microscope, self._reference_image(microscope), shake_px=shake_px)
 
     def _stated(self, calibration: Calibration | None) -> Stated:
         from formats.stated import Stated, read_stated
@@ -270,12 +263,12 @@ class Options(Given):
         if self.reference is None:
             return None
         image = next(frame for frame in open_source(self.reference) if not frame.fault).image
-        size = (microscope.width_px, microscope.height_px)
-        if image.shape[1::-1] != size:
-            width, height = image.shape[1::-1]
+        height, width = image.shape[:2]
+        if (width, height) != (microscope.width_px, microscope.height_px):
             raise InputError(
                 f"{self.reference} is {width}x{height} px, but the microscope file is made for "
-                f"{size[0]}x{size[1]} px. Take the reference with the same camera settings."
+                f"{microscope.width_px}x{microscope.height_px} px. Take the reference with the same"
+                " camera settings."
             )
         return image
 
@@ -307,10 +300,8 @@ class Options(Given):
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera", "reference"}:
             raise InputError("settings are numbers; response and camera are the microscope file's.")
-        camera = None
-        response = Response()
-        if microscope is not None:
-            camera, response = microscope.camera(), microscope.response
+        camera = microscope.camera() if microscope else None
+        response = microscope.response if microscope else Response()
         if self.full_scale is not None:
             response = replace(response, full_scale=self.full_scale)
         given["response"] = response

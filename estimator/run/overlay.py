@@ -17,7 +17,7 @@ from estimator.image import outline_px, rgb_8bit
 from estimator.sources.source import Frame
 from formats.camera import LensDistortion, Response
 from formats.inputs import InputError
-from formats.spots import NoSpot, Spot, SpotRecord
+from formats.spots import NoSpot, SpotRecord
 from formats.whole_files import errors_named, written_whole
 
 RIG_RATE_HZ = 10.0
@@ -49,10 +49,18 @@ def annotated(
         lines.append(record.reason.replace("_", " "))
         colour = _RED
     else:
-        _draw_ellipse(picture, record.result, camera)
+        points, centre = outline_px(record.result.ellipse, camera)
+        fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
+        cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
+        x, y = np.rint(centre).astype(int).tolist()
+        cv2.drawMarker(picture, (x, y), _GREEN, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
     if not math.isnan(record.distance_mm):  # the mode pixels may know it without a spot
         lines.append(f"d = {record.distance_mm:.3f} +- {record.sigma_distance_mm:.3f} mm")
-    _write(picture, lines, colour)
+    scale = max(picture.shape[0] / 900, 0.3)
+    for number, line in enumerate(lines, 1):
+        at = round(16 * scale), round(32 * scale * number)
+        for ink, width in ((_BLACK, 3), (colour, 1)):  # outlined, to be readable
+            cv2.putText(picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, width, cv2.LINE_AA)
     return picture
 
 
@@ -64,8 +72,6 @@ def overlay_writer(
 
     Args:
         path: a video (`.mp4`, `.avi`), or a folder of PNGs where the name has no suffix.
-        response: as for `annotated`.
-        camera: as for `annotated`.
 
     Yields:
         A function that adds a frame and its record; raises InputError where the frame's size is
@@ -124,24 +130,16 @@ def _video(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]]
         yield write
     finally:
         writer.release()
-    stored = _frames_in(path) if written else 0
+    # The number in its header is no evidence: an AVI has it even if its frames are missing. They
+    # are counted without decoding them (30 us a frame).
+    capture, stored = cv2.VideoCapture(str(path), cv2.CAP_FFMPEG), 0
+    capture.set(cv2.CAP_PROP_FORMAT, -1)
+    while written and capture.grab():
+        stored += 1
+    capture.release()
     if stored < written:  # Ctrl-C may come after a frame was written and before it is counted
         why = f"only {stored} of {written} frames could be written; the disk may be full"
         raise OSError(errno.ENOSPC, why, f"{path}")
-
-
-def _frames_in(video: Path) -> int:
-    """Number of frames that a video holds, counted without decoding them (30 us a frame).
-
-    The number in its header is no evidence: an AVI has it even if its frames are missing.
-    """
-    capture = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
-    capture.set(cv2.CAP_PROP_FORMAT, -1)
-    number = 0
-    while capture.grab():
-        number += 1
-    capture.release()
-    return number
 
 
 @contextmanager
@@ -161,22 +159,3 @@ def _folder(path: Path, rate_hz: float) -> Iterator[Callable[[np.ndarray], None]
         written += 1
 
     yield write
-
-
-def _draw_ellipse(picture: np.ndarray, spot: Spot, camera: LensDistortion | None) -> None:
-    points, centre = outline_px(spot.ellipse, camera)
-    fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
-    cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
-    x, y = np.rint(centre).astype(int).tolist()
-    cv2.drawMarker(picture, (x, y), _GREEN, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
-
-
-def _write(picture: np.ndarray, lines: list[str], colour: tuple[int, int, int]) -> None:
-    scale = max(picture.shape[0] / 900, 0.3)
-    for number, line in enumerate(lines, 1):
-        at = round(16 * scale), round(32 * scale * number)
-        for ink, width in (
-            (_BLACK, 3),
-            (colour, 1),
-        ):  # outlined, to be readable
-            cv2.putText(picture, line, at, cv2.FONT_HERSHEY_SIMPLEX, scale, ink, width, cv2.LINE_AA)

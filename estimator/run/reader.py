@@ -31,10 +31,8 @@ if TYPE_CHECKING:
     from formats.microscope import MicroscopeFile
 
 _NO_POSES = PoseTrack(())
-_SPAN_S = 0.05
-"""Of the poses that a velocity is taken from: ten of the rig's, half of a frame."""
+_SPAN_S = 0.05  # of the poses that a velocity is taken from: ten of the rig's, half of a frame
 _ROBOT_MM = 0.005  # standard deviation of a place by the robot, against another one
-_NORMAL_95 = 1.96  # standard deviations on either side that contain 95 % of a normal's values
 
 
 class Reading(NamedTuple):
@@ -68,7 +66,7 @@ class Reading(NamedTuple):
     @property
     def interval_mm(self) -> tuple[float, float]:
         """The 95 % interval of the distance: the budget's, else 1.96 sigma on either side."""
-        half = _NORMAL_95 * self.sigma_distance_mm
+        half = 1.96 * self.sigma_distance_mm
         stated = self.distance_mm - half, self.distance_mm + half
         return self.budget.interval_mm if self.budget else stated
 
@@ -178,11 +176,8 @@ class Mode(ABC, Generic[S, R]):
         span_s = pose.time_s - before.time_s
         if span_s <= 0:
             return AT_REST
-        moved = np.subtract(pose.position_mm, before.position_mm) / span_s
-        x, y, z = moved.tolist()
-        velocity = (x, y, z)
-        if self._turn is not None:
-            velocity = turned(velocity, self._turn)
+        x, y, z = (np.subtract(pose.position_mm, before.position_mm) / span_s).tolist()
+        velocity = (x, y, z) if self._turn is None else turned((x, y, z), self._turn)
         turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
         return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
 
@@ -334,10 +329,8 @@ class Reader:
         size_px: tuple[int, int] | None = None,
         exposure_s: float | None = None,
     ) -> None:
-        self.mode = mode
-        self._start = start
-        self._size_px = size_px
-        self._exposure_s = exposure_s
+        self.mode, self._start = mode, start
+        self._size_px, self._exposure_s = size_px, exposure_s
         self._shape: tuple[int, ...] | None = None
         mode.look_at(start)
 
