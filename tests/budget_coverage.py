@@ -18,17 +18,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-import optics
 from estimator import SubpixelSettings, TrackState, measure
 from estimator.distance.budget import Budget, Budgets, ToolMotion
 from estimator.distance.ranger import Ranger
-from formats.calibration import Calibration
-from formats.microscope import MicroscopeFile
 from formats.spots import Spot
 from formats.stated import Stated
 from scenes import Scene, World, load_scene
 from scenes.camera import CameraSensor
 from scenes.rendering.images import Images
+from tests.made_up import a_calibration, a_microscope
 
 K, B, RADIUS, SCALE = 20.0, -5.117, 11.5, 0.0067
 WINDOW_PX = 288
@@ -220,26 +218,16 @@ def read(
     aside += turned * np.array([math.cos(towards), math.sin(towards)])
     axis = seen.axis + aside @ sides
     axis /= np.linalg.norm(axis)
-    microscope = MicroscopeFile(
+    microscope = a_microscope(
         width_px=WINDOW_PX,
         height_px=WINDOW_PX,
-        camera_matrix=None,
-        distortion=np.zeros(5),
         scale_mm_px=scale,
         principal_point_px=seen.principal_px,
         pinhole_height_mm=1 / kappa - radius,
         eye_radius_mm=radius,
     )
-    calibration = Calibration(
-        model="exact",
-        values={"k": k, "b": b, "scale": scale},
-        covariance=errors.covariance,
-        medium="air",
-        medium_index=optics.MEDIA["air"],
-        fitted_on="a draw",
-        data_sha256="0" * 64,
-        software="tests.budget_coverage",
-    )
+    values = {"k": k, "b": b, "scale": scale}
+    calibration = a_calibration(values, covariance=errors.covariance, model="exact")
     ranger = Ranger(calibration, microscope, model=model)
     told = axis if known_axis else None
     found = ranger.distance(

@@ -30,9 +30,9 @@ from calibration.recordings import Recording
 from calibration.spots.cone_trials import ConeTrial, Prior
 from estimator.distance.ranger import Ranger
 from formats.calibration import Calibration
-from formats.microscope import MicroscopeFile
 from formats.spots import Spot
 from optics.viewing.camera import PathCamera
+from tests.made_up import a_calibration, a_microscope, a_spot
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 CONE_SIGMA = np.array([5e-4 * HALF_ANGLE, 0.005])
@@ -44,15 +44,8 @@ READ_C_MM = (1.0, 2.0, 3.0)
 DISTANCES = np.linspace(TOUCH.mean, 5.0, 12)
 TILT = math.radians(25.0)
 
-MICROSCOPE = MicroscopeFile(
-    width_px=640,
-    height_px=480,
-    camera_matrix=None,
-    distortion=np.zeros(5),
-    scale_mm_px=0.0065,
-    principal_point_px=(0.0, 0.0),
-    pinhole_height_mm=200.0,
-    eye_radius_mm=11.5,
+MICROSCOPE = a_microscope(
+    scale_mm_px=0.0065, principal_point_px=(0.0, 0.0), pinhole_height_mm=200.0
 )
 """What the table knows of the microscope: a pinhole far above, and a scale that is 3 % off."""
 
@@ -151,16 +144,8 @@ def recording(
 
 def calibration(values: dict[str, float], matrix: np.ndarray, model: str) -> Calibration:
     """In vitreous."""
-    return Calibration(
-        model=model,
-        values=values,
-        covariance=matrix,
-        medium="vitreous",
-        medium_index=1.336,
-        fitted_on="random eyes",
-        data_sha256="0" * 64,
-        software="tests.eye_fits",
-    )
+    medium = {"medium": "vitreous", "medium_index": 1.336}
+    return a_calibration(values, covariance=matrix, model=model, **medium)
 
 
 def fitted(
@@ -241,19 +226,7 @@ def measured(ellipse: np.ndarray, noise: np.random.Generator, *, errors: float =
     """A spot; `errors` 0 leaves out the noise."""
     matrix = covariance(ellipse)
     shift = errors * np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
-    x, y, major, minor, angle = (ellipse + shift).tolist()
-    return Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=major,
-        semi_minor_px=minor,
-        angle_rad=angle,
-        covariance=matrix,
-        edge_width_px=1.0,
-        coverage=1.0,
-        inlier_fraction=1.0,
-        saturated=0.0,
-    )
+    return a_spot(*(ellipse + shift).tolist(), covariance=matrix)
 
 
 def pulls(found: list[Read]) -> dict[str, np.ndarray]:

@@ -6,9 +6,10 @@ import numpy as np
 
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
-from formats.calibration import Calibration, write_calibration
+from formats.calibration import write_calibration
 from formats.poses import read_poses
 from scenes import Scene, render_stack
+from tests.made_up import a_calibration
 
 
 def cone_stack(folder: Path, **tables):
@@ -29,21 +30,8 @@ def cone_stack(folder: Path, **tables):
 
 def calibration_in(folder: Path, *, sigma_b_mm: float = 1e-5) -> Path:
     """The calibration file of the cone that is rendered, whose b has some stated error."""
-    values = {"k": 20.0, "b": -5.117}
     path = folder / "cone.json"
-    write_calibration(
-        path,
-        Calibration(
-            model="planar",
-            values=values,
-            covariance=np.diag([1e-8, sigma_b_mm**2]),
-            medium="air",
-            medium_index=1.0,
-            fitted_on="the cone that was rendered",
-            data_sha256="0" * 64,
-            software="a test",
-        ),
-    )
+    write_calibration(path, a_calibration(covariance=np.diag([1e-8, sigma_b_mm**2])))
     return path
 
 

@@ -16,10 +16,11 @@ from estimator.distance.ranger import Ranger
 from estimator.sources.opening import open_source
 from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame
-from formats.calibration import Calibration, write_calibration
+from formats.calibration import write_calibration
 from formats.poses import Pose, PoseTrack
 from formats.spots import Spot
 from formats.stack import read_stack
+from tests.made_up import a_calibration
 
 HOME = Path(__file__).resolve().parents[1]
 START_S = 1_600_000_000.0  # of the recording; ROS reads 0 as no time
@@ -54,16 +55,7 @@ def rendered_stack(folder: Path) -> Path:
 
 def calibrated(folder: Path, model: str) -> Path:
     """A calibration file of the cone that default scenes have."""
-    calibration = Calibration(
-        model=model,
-        values={"k": 20.0, "b": -5.117},
-        covariance=np.diag([0.01**2, 0.005**2]),
-        medium="air",
-        medium_index=1.0,
-        fitted_on="the scene's own values",
-        data_sha256="0" * 64,
-        software="none",
-    )
+    calibration = a_calibration(model=model, covariance=np.diag([0.01**2, 0.005**2]))
     write_calibration(folder / "calibration.json", calibration)
     return folder / "calibration.json"
 

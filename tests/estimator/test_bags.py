@@ -15,7 +15,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from estimator import Reader, SubpixelMode, SubpixelSettings, track
+from estimator import SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
 from estimator.sources.ros import IMAGE_TOPIC, frame_of_message, read_frames, write_bag
@@ -24,6 +24,7 @@ from formats.inputs import InputError
 from formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
 from formats.spots import Spot
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.drawn_recording import new_reader
 from tests.ros_messages import (
     EPOCH_S,
     ROS1,
@@ -97,7 +98,7 @@ def test_a_bag_gives_the_spots_of_its_frames(tmp_path, name):
         np.testing.assert_array_equal(frame.image, other.image)
         assert frame.index == other.index
         assert frame.time_s == pytest.approx(other.time_s, abs=CLOCK_S, rel=0)
-    tracking = track_source(source, Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = track_source(source, new_reader())
     expected = track((frame.image for frame in frames()), SubpixelSettings())
     for record, spot in zip(tracking.records, expected, strict=True):
         assert isinstance(spot, Spot)
@@ -218,7 +219,7 @@ def bag_of_good_and(path: Path, broken: str, order: str) -> Path:
 @pytest.mark.parametrize("order", ["xoox", "ooxxo"])
 def test_an_image_that_makes_no_sense_costs_its_frame_alone(tmp_path, broken, order, caplog):
     source = open_source(bag_of_good_and(tmp_path / "a.bag", broken, order))
-    tracking = track_source(source, Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = track_source(source, new_reader())
     assert tracking.ended is Ended.COMPLETE
     expected = ["unreadable" if letter == "x" else "none_found" for letter in order]
     assert [record.reason for record in tracking.records] == expected
@@ -233,7 +234,7 @@ def test_a_bag_without_any_good_image_is_refused(tmp_path, broken):
     source = open_source(bag_of_good_and(tmp_path / "a.bag", broken, "xxx"))
     words = f"none of 3 images .* frame 0: .*{BROKEN[broken][1]}.*Record again .*another topic"
     with pytest.raises(InputError, match=words):
-        track_source(source, Reader(SubpixelMode(SubpixelSettings(), None)))
+        track_source(source, new_reader())
 
 
 @pytest.mark.parametrize("cut", [0, 20])
@@ -332,7 +333,7 @@ def test_damage_inside_a_bag_ends_it_at_that_frame(tmp_path):
     chunks = [at for at in range(len(damaged)) if damaged[at : at + 4] == b"BZh9"]
     damaged[chunks[2] + 200 : chunks[2] + 400] = bytes(200)
     path.write_bytes(damaged)
-    tracking = track_source(open_source(path), Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = track_source(open_source(path), new_reader())
     assert tracking.ended is Ended.BROKEN
     assert len(tracking.records) == 2
     assert f"{IMAGE_TOPIC}, message 2: cannot be read" in tracking.fault
@@ -447,9 +448,7 @@ def test_a_bad_file_of_poses_is_refused_with_its_line(tmp_path, text, words):
 
 def test_the_age_of_the_pose_stands_beside_every_frame(tmp_path):
     path = write_ours(tmp_path / "rig.bag")
-    tracking = track_source(
-        open_source(path), Reader(SubpixelMode(SubpixelSettings(), None)), poses=read_poses(path)
-    )
+    tracking = track_source(open_source(path), new_reader(), poses=read_poses(path))
     # Poses at -12.5 ms + 5 ms k: 2.5 ms before every frame at a multiple of 100 ms.
     for record in tracking.records:
         assert record.pose_age_s == pytest.approx(0.0025, abs=2 * CLOCK_S)
@@ -460,6 +459,6 @@ def test_poses_need_frames_with_a_time(tmp_path):
     with pytest.raises(ValueError, match=r"frame 0 has no time.*Leave the poses out"):
         track_source(
             open_source(tmp_path),
-            Reader(SubpixelMode(SubpixelSettings(), None)),
+            new_reader(),
             poses=PoseTrack(poses()),
         )

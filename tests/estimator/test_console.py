@@ -34,6 +34,7 @@ from formats.microscope import read_microscope
 from formats.poses import Pose, PoseTrack, read_poses
 from formats.spots import NoSpot, Reason, Spot, read_spots
 from formats.stack import read_stack
+from tests.made_up import a_spot
 from tests.rig_recordings import HOME, calibrated, rendered_stack
 
 PATIENCE_S = 30.0
@@ -262,18 +263,7 @@ def test_the_course_covers_the_last_thirty_seconds() -> None:
 
 
 def test_exposure_is_advised_where_light_is_lost_or_missing() -> None:
-    spot = Spot(
-        x_px=80,
-        y_px=60,
-        semi_major_px=30,
-        semi_minor_px=30,
-        angle_rad=0,
-        covariance=np.eye(5),
-        edge_width_px=1,
-        coverage=1,
-        inlier_fraction=1,
-        saturated=0.0,
-    )
+    spot = a_spot(80, 60, 30, 30)
     good = exposure_advice(spot, disc(30, 180), Response())
     assert good == ""
     half = replace(spot, saturated=0.5)

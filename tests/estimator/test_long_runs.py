@@ -14,26 +14,18 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
 import eyespot
-from estimator import (
-    Reader,
-    SubpixelMode,
-    SubpixelSettings,
-    track,
-    track_source,
-    track_whole_source,
-)
+from estimator import SubpixelSettings, track, track_source, track_whole_source
 from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
 from formats.spots_stream import spots_stream
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.drawn_recording import SHAPE, new_reader, write_folder
 
-SHAPE = (160, 200)
 EYESPOT = Path(sys.executable).with_name("eyespot")
 
 
@@ -46,11 +38,7 @@ def images() -> list[np.ndarray]:
 
 @pytest.fixture
 def frames(tmp_path: Path, images: list[np.ndarray]) -> Path:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for k, image in enumerate(images):
-        assert cv2.imwrite(str(folder / f"{k}.png"), image[:, :, ::-1])
-    return folder
+    return write_folder(tmp_path / "frames", images, "{}.png")
 
 
 def lines_of(path: Path) -> list[tuple[Any, ...]]:
@@ -126,9 +114,7 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
 ) -> None:
     with monkeypatch.context() as patched:
         patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
-        assert (
-            Reader(SubpixelMode(SubpixelSettings(), None)).read(images[0]).doubt == "internal_error"
-        )
+        assert new_reader().read(images[0]).doubt == "internal_error"
     out = f"{tmp_path / 'spots.csv'}"
     monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", out])
     with pytest.raises(SystemExit) as ended:
@@ -249,12 +235,7 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
     tracemalloc.start()
     try:
         with spots_stream(tmp_path / "spots.csv") as write:
-            tracking = track_source(
-                dark_frames(3000),
-                Reader(SubpixelMode(SubpixelSettings(), None)),
-                write=write,
-                progress=note,
-            )
+            tracking = track_source(dark_frames(3000), new_reader(), write=write, progress=note)
     finally:
         tracemalloc.stop()
     assert tracking.frames == 3000
@@ -265,16 +246,8 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
 
 def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Path) -> None:
     names = ["NA", "null", "", "a,b", 'q"', "n\nl", "nan.png"]
-    records = [
-        SpotRecord(
-            frame=k,
-            file_name=name,
-            time_s=math.nan,
-            mode="subpixel",
-            result=NoSpot(Reason.CLIPPED),
-        )
-        for k, name in enumerate(names)
-    ]
+    plain = {"time_s": math.nan, "mode": "subpixel", "result": NoSpot(Reason.CLIPPED)}
+    records = [SpotRecord(frame=k, file_name=name, **plain) for k, name in enumerate(names)]
     write_spots(tmp_path / "whole.parquet", records)
     with spots_stream(tmp_path / "stream.parquet") as write:
         for record in records:
@@ -290,6 +263,4 @@ def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images: list[np.nd
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        track_whole_source(
-            Source(name="frames", read=read), Reader(SubpixelMode(SubpixelSettings(), None))
-        )
+        track_whole_source(Source(name="frames", read=read), new_reader())

@@ -11,9 +11,9 @@ from scipy.stats import norm
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow
 from estimator.pixels.frame_model import FrameModel, FrameState, TextureVariances
-from formats.microscope import MicroscopeFile
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.pose_light import Steps
+from tests.made_up import a_microscope
 
 MIDDLE = COUNT // 2
 SCALE, CENTRE = 0.0067, np.full(2, 100.0)  # mm/px, px
@@ -107,15 +107,12 @@ def test_the_growth_is_the_derivative(kurtosis):
 
 def _cone_beam(sharp):
     """A cone's light on a round wall, and a pose with a spot about the image's middle."""
-    microscope = MicroscopeFile(
+    microscope = a_microscope(
         width_px=200,
         height_px=200,
-        camera_matrix=None,
-        distortion=np.zeros(0),
         scale_mm_px=SCALE,
         principal_point_px=tuple(CENTRE),
         pinhole_height_mm=math.inf,
-        eye_radius_mm=11.5,
     )
     source = UniformCone.of(math.atan(1 / 20), -5.117)
     beam = BeamLight(source, microscope, np.zeros((2, 0)), sharp=sharp)

@@ -16,47 +16,27 @@ from estimator.detector.shape import Shape, spot_shape
 from estimator.distance import lens_range
 from estimator.distance.lens_range import LensCurve, distance_from_lens
 from estimator.distance.ranger import Ranger
-from formats.calibration import LENS_PARAMETERS, Calibration
+from formats.calibration import LENS_PARAMETERS
 from formats.camera import Response
 from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.spots import Reason, Spot
+from formats.spots import Reason
+from tests.made_up import CONE, a_calibration, a_microscope, a_spot
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
 
 HOME = Path(__file__).resolve().parents[2]
-R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
+R_EYE, SCALE, K, B = 11.5, 0.0067, *CONE.values()
 BEHIND = -28.4  # kappa = -0.059/mm, a phakic eye behind a flat contact lens
 HEIGHTS = (0.0, 11.5, 200.0, math.inf, BEHIND)
 CENTRE = (900.0, -300.0)  # outside the frame, as for a spot far from the axis
 
 
 def microscope(height=R_EYE, **changed):
-    given = {
-        "width_px": 640,
-        "height_px": 480,
-        "camera_matrix": None,
-        "distortion": np.zeros(5),
-        "scale_mm_px": SCALE,
-        "principal_point_px": CENTRE,
-        "pinhole_height_mm": height,
-        "eye_radius_mm": R_EYE,
-    }
-    return MicroscopeFile(**{**given, **changed})
+    return a_microscope(**{"principal_point_px": CENTRE, "pinhole_height_mm": height} | changed)
 
 
-def calibration(*, model="corrected", covariance=None, medium_index=1.0, **values):
-    values = values or {"k": K, "b": B}
-    return Calibration(
-        model=model,
-        values=values,
-        covariance=np.zeros((len(values),) * 2) if covariance is None else covariance,
-        medium="air",
-        medium_index=medium_index,
-        fitted_on="made up for a test",
-        data_sha256="0" * 64,
-        software="test",
-    )
+def calibration(*, model="corrected", covariance=None, **values):
+    return a_calibration(values or CONE, model=model, covariance=covariance)
 
 
 def covariance_of(semi_major, semi_minor, sigma_px):
@@ -71,20 +51,8 @@ def covariance_of(semi_major, semi_minor, sigma_px):
 
 
 def spot(*ellipse, covariance=None):
-    """A clean one; an ellipse without an angle has 0."""
-    x, y, a, b, angle = map(float, (*ellipse, 0.0)[:5])
-    return Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=a,
-        semi_minor_px=b,
-        angle_rad=angle,
-        covariance=covariance_of(a, b, 1e-3) if covariance is None else covariance,
-        edge_width_px=1.0,
-        coverage=1.0,
-        inlier_fraction=1.0,
-        saturated=0.0,
-    )
+    clean = covariance_of(*map(float, ellipse[2:4]), 1e-3)
+    return a_spot(*ellipse, covariance=clean if covariance is None else covariance)
 
 
 def wall_point(c, azimuth):
@@ -438,20 +406,11 @@ def test_a_calibration_of_another_microscope_is_refused():
 def test_closed_forms_load_no_jax():
     code = """
 import sys
-import numpy as np
 from estimator import Ranger
-from formats.calibration import Calibration
-from formats.microscope import MicroscopeFile
-from formats.spots import Spot
-calibration = Calibration(model="planar", values={"k": 20.0, "b": -5.0}, covariance=np.eye(2),
-    medium="air", medium_index=1.0, fitted_on="", data_sha256="0" * 64, software="")
-microscope = MicroscopeFile(width_px=640, height_px=480, camera_matrix=None,
-    distortion=np.zeros(5), scale_mm_px=0.0067, principal_point_px=(320.0, 240.0),
-    pinhole_height_mm=11.5, eye_radius_mm=11.5)
-spot = Spot(x_px=300.0, y_px=200.0, semi_major_px=60.0, semi_minor_px=55.0, angle_rad=0.0,
-    covariance=np.eye(5), edge_width_px=1.0, coverage=1.0, inlier_fraction=1.0, saturated=0.0)
+from tests.made_up import a_calibration, a_microscope, a_spot
 for model in ("planar", "small_plane", "corrected", "stereographic"):
-    assert Ranger(calibration, microscope, model=model).distance(spot).distance_mm > 0
+    ranger = Ranger(a_calibration(), a_microscope(), model=model)
+    assert ranger.distance(a_spot(300, 200, 60, 55)).distance_mm > 0
 print(*sys.modules)
 """
     child = subprocess.run(

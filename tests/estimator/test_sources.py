@@ -11,34 +11,33 @@ import numpy as np
 import pytest
 import tifffile
 
-from estimator import Reader, SubpixelMode, SubpixelSettings, track
+from estimator import SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot
-from formats.stack import FrameLabels, StackWriter
+from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
-
-SHAPE = (160, 200)
-GONE = 4  # the frame without a spot
+from tests.drawn_recording import (
+    GONE,
+    SHAPE,
+    assert_same,
+    new_reader,
+    opencv_order,
+    recorded,
+    tracked,
+    truth,
+    write_folder,
+    write_video,
+)
+from tests.drawn_sets import labels_of
 
 Results = list[Spot | NoSpot]
 
 
-def truths() -> list[Truth]:
-    return [
-        Truth(x=70.3 + 6 * k, y=80, semi_major=33 + k, semi_minor=30 + k, angle=0.3)
-        for k in range(12)
-    ]
-
-
 @pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
-    rng = np.random.default_rng(0)
-    return [
-        frame_of(Drawing(truth=truth, amplitude=0.0 if k == GONE else 180.0), rng, SHAPE)
-        for k, truth in enumerate(truths())
-    ]
+    return recorded(12)
 
 
 @pytest.fixture(scope="module")
@@ -50,86 +49,26 @@ def expected(images: list[np.ndarray]) -> Results:
 
 
 def offline(source: Source) -> Results:
-    tracking = track_source(source, Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = tracked(source)
     assert tracking.ended is Ended.COMPLETE
     return [record.result for record in tracking.records]
 
 
-def assert_same(results: Results, expected: Results) -> None:
-    for result, other in zip(results, expected, strict=True):
-        if isinstance(other, Spot):
-            np.testing.assert_equal(vars(result), vars(other))
-        else:
-            assert result == other
-
-
-def opencv_order(image: np.ndarray) -> np.ndarray:
-    return image[:, :, ::-1] if image.ndim == 3 else image
-
-
-def labels(k: int, exposure: str, truth: Truth) -> FrameLabels:
-    """Labels whose half-maximum ellipse is the truth; what no test reads is zero."""
-    ellipse = {
-        "x_px": truth.x,
-        "y_px": truth.y,
-        "semi_major_px": truth.semi_major,
-        "semi_minor_px": truth.semi_minor,
-        "angle_rad": truth.angle,
-    }
-    zeros = (
-        "d_mm nearest_mm c_mm azimuth_rad phi_rad incidence_rad incidence_azimuth_rad"
-        " visible_fraction saturated_fraction speed_mm_s"
-    ).split()
-    return FrameLabels(
-        file_name=f"frames/{exposure}{k:06d}.png",
-        mask_file_name=f"masks/{k:06d}.png",
-        frame=k,
-        time_s=k / 25,
-        exposure=exposure,
-        exposure_s=0.01,
-        tip_mm=(0.0, 0.0, 0.0),
-        axis=(0.0, 0.0, -1.0),
-        spot_mm=(0.0, 0.0, 0.0),
-        medium="air",
-        seed=0,
-        **dict.fromkeys(zeros, 0.0),
-        **{
-            f"{kind}_{name}": value
-            for kind in ("cone", "half_max")
-            for name, value in ellipse.items()
-        },
-    )
-
-
 def write_stack(folder: Path, images: list[np.ndarray], exposures: tuple[str, ...]) -> Path:
+    """A stack whose labels say nothing true of its images but their time."""
     with StackWriter(folder) as writer:
         writer.describe(stack={}, microscope={})
-        for k, (image, truth) in enumerate(zip(images, truths(), strict=False)):
+        for k, image in enumerate(images):
             for exposure in exposures:
                 dimmed = image // 2 if exposure == "paper" else image
-                writer.add(dimmed, labels(k, exposure, truth), None)
-    return folder
-
-
-def write_folder(folder: Path, images: list[np.ndarray], suffix: str = ".png") -> Path:
-    folder.mkdir()
-    for k, image in enumerate(images):
-        assert cv2.imwrite(str(folder / f"frame{k}{suffix}"), opencv_order(image))
+                name = f"frames/{exposure}{k:06d}.png"
+                about = {"file_name": name, "time_s": k / 25, "exposure": exposure}
+                writer.add(dimmed, labels_of(k, **about), None)
     return folder
 
 
 def write_tiff(path: Path, images: list[np.ndarray]) -> Path:
     tifffile.imwrite(path, np.stack(images), photometric="rgb", compression="zlib")
-    return path
-
-
-def write_video(path: Path, images: list[np.ndarray], codec: str = "FFV1") -> Path:
-    size = images[0].shape[1], images[0].shape[0]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), 25.0, size)
-    assert writer.isOpened()
-    for image in images:
-        writer.write(np.ascontiguousarray(opencv_order(image)))
-    writer.release()
     return path
 
 
@@ -173,20 +112,20 @@ def test_a_lossy_video_moves_spots_by_no_more_than_its_noise_can(tmp_path, image
 
 def test_the_hidden_labels_of_a_stack_are_met(tmp_path, images):
     folder = write_stack(tmp_path / "stack", images, ("metered",))
-    tracking = track_source(open_source(folder), Reader(SubpixelMode(SubpixelSettings(), None)))
-    for record, truth in zip(tracking.records, truths(), strict=True):
+    tracking = tracked(open_source(folder))
+    for k, record in enumerate(tracking.records):
         assert record.file_name == f"frames/metered{record.frame:06d}.png"
         if isinstance(record.result, Spot):
             # Cramér-Rao: std(b) = 0.012 px at 3.3 times the bound for grey noise 2, step 180, edge
             # 2 px and B = 30 px. Bias 0.02 px and 5 standard deviations.
-            assert np.abs(truth.errors(record.result)).max() < 0.02 + 5 * 0.012
+            assert np.abs(truth(k).errors(record.result)).max() < 0.02 + 5 * 0.012
 
 
 def test_typed_failures_are_counted_by_their_reason(tmp_path, images):
     clipped = Truth(x=0, y=80, semi_major=33, semi_minor=30)
     frame = frame_of(Drawing(truth=clipped), np.random.default_rng(1), SHAPE)
     folder = write_folder(tmp_path / "folder", [*images, frame, images[GONE]])
-    tracking = track_source(open_source(folder), Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = tracked(open_source(folder))
     by_hand = [r.result.reason.value for r in tracking.records if isinstance(r.result, NoSpot)]
     assert tracking.no_spot == {reason: by_hand.count(reason) for reason in by_hand}
     assert tracking.no_spot["none_found"] == 2
@@ -230,7 +169,7 @@ def test_images_are_read_in_the_order_in_which_a_person_counts(tmp_path):
 @pytest.mark.parametrize("shape", [(6, 5), (6, 5, 3)])
 def test_depth_and_channels_of_an_image_are_kept(tmp_path, suffix, dtype, shape):
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
-    path = write_folder(tmp_path / "one", [image], suffix) / f"frame0{suffix}"
+    path = write_folder(tmp_path / "one", [image], f"frame{{}}{suffix}") / f"frame0{suffix}"
     (frame,) = open_source(path)
     assert frame.image.dtype == dtype
     np.testing.assert_array_equal(frame.image, image)
@@ -280,7 +219,7 @@ def test_a_file_cut_short_gives_its_frames_and_says_where_it_ends(tmp_path, imag
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif"])
 @pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
 def test_an_image_cut_short_is_refused_by_its_name(tmp_path, images, suffix, share):
-    folder = write_folder(tmp_path / "folder", images, suffix)
+    folder = write_folder(tmp_path / "folder", images, f"frame{{}}{suffix}")
     cut(folder / f"frame7{suffix}", share)
     frames, message = frames_until_it_breaks(folder)
     assert len(frames) == 7
@@ -313,11 +252,11 @@ def test_missing_and_empty_places_are_refused(tmp_path):
 
 def test_what_was_measured_before_a_break_is_kept(tmp_path, images, expected):
     path = cut(write_video(tmp_path / "video.avi", images), 0.6)
-    tracking = track_source(open_source(path), Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = tracked(open_source(path))
     assert tracking.ended is Ended.BROKEN
     count = len(tracking.records)
     assert f"breaks off at frame {count} of the 12" in tracking.fault
-    assert_same([record.result for record in tracking.records], expected[:count])
+    assert_same(tracking.records, expected[:count])
 
 
 class FakeCamera:
@@ -356,7 +295,7 @@ def test_a_camera_runs_until_it_is_stopped(monkeypatch, images, expected):
 
 def test_a_camera_that_stops_by_itself_is_a_fault(monkeypatch, images):
     monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(images[:2], None))
-    tracking = track_source(open_source("0"), Reader(SubpixelMode(SubpixelSettings(), None)))
+    tracking = tracked(open_source("0"))
     assert tracking.ended is Ended.BROKEN
     assert "camera 0 stopped at frame 2" in tracking.fault
 
@@ -369,4 +308,4 @@ def test_a_camera_that_is_not_there_is_refused():
 def test_a_start_outside_of_the_frame_is_refused(tmp_path, images):
     source = open_source(write_folder(tmp_path / "folder", images))
     with pytest.raises(ValueError, match=r"\(200, 80\) px lies outside .* 200x160 px"):
-        track_source(source, Reader(SubpixelMode(SubpixelSettings(), None), start=(200, 80)))
+        track_source(source, new_reader(start=(200, 80)))

@@ -3,11 +3,13 @@ from __future__ import annotations
 import csv
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from tests.made_up import a_spot
 
 _COLUMNS = (
     "frame,file_name,time_s,mode,status,reason,x_px,y_px,semi_major_px,semi_minor_px,angle_rad,"
@@ -26,21 +28,11 @@ _NUMBERS = (
 )
 
 
-def _spot(**changes: object) -> Spot:
+def _spot(**changes: Any) -> Spot:
     root = np.random.default_rng(0).normal(0, 0.1, (5, 5))
-    values: dict[str, object] = {
-        "x_px": 1 / 3,
-        "y_px": 2e-17,
-        "semi_major_px": 66.0,
-        "semi_minor_px": 60.0,
-        "angle_rad": -1.5,
-        "covariance": root @ root.T,
-        "edge_width_px": 2.1,
-        "coverage": 0.75,
-        "inlier_fraction": 0.9,
-        "saturated": 0.0,
-    }
-    return Spot(**(values | changes))  # type: ignore[arg-type]
+    shares = {"coverage": 0.75, "inlier_fraction": 0.9}
+    given = {"covariance": root @ root.T, "edge_width_px": 2.1} | shares | changes
+    return a_spot(1 / 3, 2e-17, 66.0, 60.0, -1.5, **given)
 
 
 def _literal_spot() -> Spot:

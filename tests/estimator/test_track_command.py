@@ -20,22 +20,33 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import eyespot
-from estimator import LiteralSettings, Reader, SubpixelMode, SubpixelSettings, track
+from estimator import LiteralSettings, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
 from estimator.run.overlay import annotated, overlay_writer
 from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame
-from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.calibration import read_calibration, write_calibration
 from formats.camera import LensDistortion, Response
 from formats.microscope import read_microscope
 from formats.poses import Pose
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
-from formats.stack import FrameLabels, StackWriter
+from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.drawn_recording import (
+    GONE,
+    SHAPE,
+    assert_same,
+    new_reader,
+    opencv_order,
+    recorded,
+    truth,
+    write_folder,
+    write_video,
+)
+from tests.drawn_sets import labels_of
+from tests.made_up import a_calibration
 
 EYESPOT = Path(sys.executable).with_name("eyespot")
-SHAPE = (160, 200)
-GONE = 4  # the frame without a spot
 SCALE_MM_PX = 0.0067
 NOTHING = NoSpot(Reason.NONE_FOUND)
 
@@ -60,24 +71,14 @@ def run(monkeypatch, capsys):
     return run_here
 
 
-def truth(k: int) -> Truth:
-    return Truth(x=70.3 + 6 * k, y=80, semi_major=33 + k, semi_minor=30 + k, angle=0.3)
-
-
 @pytest.fixture(scope="module")
 def images() -> list[np.ndarray]:
-    rng = np.random.default_rng(0)
-    scenes = [Drawing(truth=truth(k), amplitude=0.0 if k == GONE else 180.0) for k in range(8)]
-    return [frame_of(scene, rng, SHAPE) for scene in scenes]
+    return recorded(8)
 
 
 @pytest.fixture
 def frames(tmp_path, images) -> Path:
-    folder = tmp_path / "frames"
-    folder.mkdir()
-    for k, image in enumerate(images):
-        assert cv2.imwrite(str(folder / f"{k}.png"), image[:, :, ::-1])
-    return folder
+    return write_folder(tmp_path / "frames", images, "{}.png")
 
 
 @pytest.fixture
@@ -124,30 +125,8 @@ EYE = ("--pinhole-height-mm", 200, "--eye-radius-mm", 11.5)
 @pytest.fixture
 def calibration(tmp_path) -> Path:
     path = tmp_path / "calibration.json"
-    made = Calibration(
-        model="planar",
-        values={"k": 20.0, "b": -4.5},
-        covariance=np.zeros((2, 2)),
-        medium="air",
-        medium_index=1.0,
-        fitted_on="made up for a test",
-        data_sha256="0" * 64,
-        software="test",
-    )
-    write_calibration(path, made)
+    write_calibration(path, a_calibration({"k": 20.0, "b": -4.5}))
     return path
-
-
-def assert_same(records: list[SpotRecord], results: list[Spot | NoSpot]) -> None:
-    for record, result in zip(records, results, strict=True):
-        if isinstance(result, Spot):
-            # The file holds the upper triangle of the covariance.
-            above = np.triu(result.covariance)
-            symmetric = above + above.T - np.diag(above.diagonal())
-            expected = vars(result) | {"covariance": symmetric}
-            np.testing.assert_equal(vars(record.result), expected)
-        else:
-            assert record.result == result
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
@@ -244,7 +223,9 @@ def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, 
         writer.describe(stack={}, microscope=json.loads(microscope.read_text()))
         for k, image in enumerate(images):
             for exposure, exposed in (("metered", image), ("paper", image // 2)):
-                writer.add(exposed, stack_labels(k, exposure), None)
+                # Labels that the tracker must not see: nothing in them is true but the time.
+                about = {"file_name": f"frames/{exposure}{k}.png", "exposure": exposure}
+                writer.add(exposed, labels_of(k, **about), None)
     settings = SubpixelSettings(response=Response(curve="srgb"))
     usual = run(folder, "--out", tmp_path / "usual.csv", "--json")
     said = "Reading the exposure metered (the stack also has paper); --exposure chooses."
@@ -259,28 +240,6 @@ def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, 
     assert [record.time_s for record in records] == [k / 10 for k in range(8)]
 
 
-def stack_labels(k: int, exposure: str) -> FrameLabels:
-    """Labels that the tracker must not see: nothing in them is true but the time."""
-    fields = FrameLabels.model_fields.items()
-    untrue = {name: 1e6 for name, field in fields if field.annotation is float}
-    vector = (1e6, 1e6, 1e6)
-    return FrameLabels(
-        **untrue
-        | {
-            "file_name": f"frames/{exposure}{k}.png",
-            "mask_file_name": f"masks/{k}.png",
-            "frame": k,
-            "time_s": k / 10,
-            "exposure": exposure,
-            "tip_mm": vector,
-            "axis": vector,
-            "spot_mm": vector,
-            "medium": "air",
-            "seed": 0,
-        }  # type: ignore[arg-type]
-    )
-
-
 def test_a_distorted_lens_is_taken_out_of_the_spots(run, tmp_path, frames, images, distorted):
     out = tmp_path / "spots.csv"
     assert run(frames, "--out", out, "--microscope", distorted, *EYE).code == 0
@@ -289,12 +248,7 @@ def test_a_distorted_lens_is_taken_out_of_the_spots(run, tmp_path, frames, image
 
 def test_poses_leave_their_age_beside_the_frames(run, tmp_path, images):
     video, poses, out = tmp_path / "video.avi", tmp_path / "poses.csv", tmp_path / "spots.csv"
-    writer = cv2.VideoWriter(
-        str(video), cv2.VideoWriter.fourcc(*"FFV1"), 10.0, (SHAPE[1], SHAPE[0])
-    )
-    for image in images:
-        writer.write(np.ascontiguousarray(image[:, :, ::-1]))
-    writer.release()
+    write_video(video, images, hz=10.0)
     poses.write_text("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0.15,0,0,0,0,0,-1\n")
     summary = json.loads(run(video, "--out", out, "--poses", poses, "--json").out)
     ages = [record.pose_age_s for record in read_spots(out)]
@@ -611,7 +565,7 @@ def far_apart() -> list[np.ndarray]:
 def spots_of(run, folder: Path, names: list[str], out: Path, *options: str) -> tuple[dict, list]:
     folder.mkdir()
     for name, image in zip(names, far_apart(), strict=True):
-        assert cv2.imwrite(str(folder / name), image[:, :, ::-1])
+        assert cv2.imwrite(str(folder / name), opencv_order(image))
     summary = json.loads(run(folder, "--out", out, "--json", *options).out)
     return summary, read_spots(out)
 
@@ -639,10 +593,9 @@ def test_images_that_are_not_counted_are_measured_one_by_one(
 
 
 def test_three_numbers_with_a_gap_are_no_recording(run, tmp_path):
-    folder = tmp_path / "images"
-    folder.mkdir()
-    for number in (1, 2, 7):
-        assert cv2.imwrite(str(folder / f"IMG_{number}.png"), far_apart()[0])
+    folder = write_folder(tmp_path / "images", far_apart()[:1] * 7, "IMG_{}.png")
+    for number in (0, 3, 4, 5):
+        (folder / f"IMG_{number}.png").unlink()
     summary = json.loads(run(folder, "--out", tmp_path / "spots.csv", "--json").out)
     assert summary["unrelated"]
 
@@ -650,16 +603,13 @@ def test_three_numbers_with_a_gap_are_no_recording(run, tmp_path):
 def test_an_image_of_another_size_begins_a_new_sequence():
     small, other = far_apart()
     large = np.pad(other, ((40, 0), (90, 0), (0, 0)), mode="edge")
-    reader = Reader(SubpixelMode(SubpixelSettings(), None))
+    reader = new_reader()
     reader.read(small)
     alone = next(track([large], SubpixelSettings()))
     np.testing.assert_equal(vars(reader.read(large).result), vars(alone))
 
 
 def test_the_table_says_how_the_images_were_taken(run, tmp_path):
-    folder = tmp_path / "images"
-    folder.mkdir()
-    for name, image in zip(("1.png", "2.png"), far_apart(), strict=True):
-        assert cv2.imwrite(str(folder / name), image[:, :, ::-1])
+    folder = write_folder(tmp_path / "images", far_apart(), "{}.png")
     assert "--unrelated" in run(folder, "--out", tmp_path / "a.csv").out
     assert "--sequence" in run(folder, "--out", tmp_path / "b.csv", "--unrelated").out

@@ -9,9 +9,10 @@ import pytest
 
 import optics
 from estimator.distance.ranger import Ranger
-from formats.microscope import MicroscopeFile, PathSeries, Retina
+from formats.microscope import PathSeries, Retina
 from optics import viewing
 from tests.estimator.test_ranger import B, K, calibration, spot
+from tests.made_up import a_microscope
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -32,10 +33,6 @@ def path_camera():
 def file_of(camera, **changed):
     """The microscope file of a path."""
     given = {
-        "width_px": 640,
-        "height_px": 480,
-        "camera_matrix": None,
-        "distortion": np.zeros(5),
         "scale_mm_px": float(camera.scale),
         "principal_point_px": (0.0, 0.0),
         "pinhole_height_mm": float(1 / camera.inverse_working_distance + camera.pole_height),
@@ -49,7 +46,7 @@ def file_of(camera, **changed):
         ),
         "retina": Retina(semi_axes_mm=(12.0, 12.0, 12.0)),
     }
-    return MicroscopeFile(**{**given, **changed})
+    return a_microscope(**given | changed)
 
 
 @jax.jit

@@ -1,0 +1,76 @@
+"""A recording of a drawn spot that wanders and grows, and what is measured in it."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from estimator import Reader, SubpixelMode, SubpixelSettings
+from estimator.run.offline import Tracking, track_source
+from estimator.sources.source import Source
+from formats.spots import NoSpot, Spot, SpotRecord
+from scenes.drawn import Drawing, Truth, frame_of
+
+SHAPE = (160, 200)
+GONE = 4  # the frame without a spot
+
+
+def truth(k: int) -> Truth:
+    return Truth(x=70.3 + 6 * k, y=80, semi_major=33 + k, semi_minor=30 + k, angle=0.3)
+
+
+@functools.cache
+def recorded(count: int) -> list[np.ndarray]:
+    """The first frames, RGB."""
+    rng = np.random.default_rng(0)
+    scenes = [Drawing(truth=truth(k), amplitude=0.0 if k == GONE else 180.0) for k in range(count)]
+    return [frame_of(scene, rng, SHAPE) for scene in scenes]
+
+
+def opencv_order(image: np.ndarray) -> np.ndarray:
+    return image[:, :, ::-1] if image.ndim == 3 else image
+
+
+def write_folder(folder: Path, images: Sequence[np.ndarray], name: str = "frame{}.png") -> Path:
+    folder.mkdir()
+    for k, image in enumerate(images):
+        assert cv2.imwrite(str(folder / name.format(k)), opencv_order(image))
+    return folder
+
+
+def write_video(
+    path: Path, images: list[np.ndarray], codec: str = "FFV1", hz: float = 25.0
+) -> Path:
+    size = images[0].shape[1], images[0].shape[0]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), hz, size)
+    assert writer.isOpened()
+    for image in images:
+        writer.write(np.ascontiguousarray(opencv_order(image)))
+    writer.release()
+    return path
+
+
+def new_reader(**options: object) -> Reader:
+    return Reader(SubpixelMode(SubpixelSettings(), None), **options)  # type: ignore[arg-type]
+
+
+def tracked(source: Source) -> Tracking:
+    return track_source(source, new_reader())
+
+
+def assert_same(
+    found: Sequence[SpotRecord | Spot | NoSpot], expected: Sequence[Spot | NoSpot]
+) -> None:
+    """Every digit; a file has the covariance's upper triangle."""
+    for one, other in zip(found, expected, strict=True):
+        result = one.result if isinstance(one, SpotRecord) else one
+        if isinstance(other, Spot):
+            assert isinstance(result, Spot)
+            upper = [vars(s) | {"covariance": np.triu(s.covariance)} for s in (result, other)]
+            np.testing.assert_equal(*upper)
+        else:
+            assert result == other

@@ -1,0 +1,66 @@
+"""Spots, calibrations and microscopes made up for tests: what a test does not name is plain."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from formats.calibration import Calibration
+from formats.microscope import MicroscopeFile
+from formats.spots import Spot
+
+CONE = {"k": 20.0, "b": -5.117}
+"""The cone that default scenes have."""
+
+
+def a_spot(*ellipse: float, covariance: np.ndarray | None = None, **changed: float) -> Spot:
+    """A clean one; an ellipse without an angle has 0."""
+    x, y, semi_major, semi_minor, angle = map(float, (*ellipse, 0.0)[:5])
+    given: dict[str, Any] = {
+        "edge_width_px": 1.0,
+        "coverage": 1.0,
+        "inlier_fraction": 1.0,
+        "saturated": 0.0,
+    }
+    return Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=semi_major,
+        semi_minor_px=semi_minor,
+        angle_rad=angle,
+        covariance=np.eye(5) if covariance is None else covariance,
+        **given | changed,
+    )
+
+
+def a_calibration(
+    values: Mapping[str, float] = CONE, *, covariance: np.ndarray | None = None, **changed: Any
+) -> Calibration:
+    """Of a planar cone in air, without errors."""
+    given = {"model": "planar", "medium": "air", "medium_index": 1.0} | changed
+    exact = np.zeros((len(values), len(values)))
+    return Calibration(
+        values=values,
+        covariance=exact if covariance is None else covariance,
+        fitted_on="made up for a test",
+        data_sha256="0" * 64,
+        software="test",
+        **given,
+    )
+
+
+def a_microscope(**changed: Any) -> MicroscopeFile:
+    """A pinhole on the sphere, centred."""
+    given: dict[str, Any] = {
+        "width_px": 640,
+        "height_px": 480,
+        "camera_matrix": None,
+        "distortion": np.zeros(5),
+        "scale_mm_px": 0.0067,
+        "principal_point_px": (320.0, 240.0),
+        "pinhole_height_mm": 11.5,
+        "eye_radius_mm": 11.5,
+    }
+    return MicroscopeFile(**given | changed)
