@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Collection
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from estimator.distance.range import TipPose
-from estimator.rig.rig import OutputState, Parameters, RigOutput
+from estimator.rig.rig import OutputState, RigOutput
 from formats.poses import Pose
 
 PERIOD_S = 1.0  # how often a node should look
@@ -84,44 +84,23 @@ class Silence:
         )
 
 
-class Messages(NamedTuple):
-    """One for each topic of the node, or what belongs to each: its type, its publisher."""
-
-    spot: Any
-    axes: Any
-    range: Any
-    beam: Any
-    status: Any
-
-
-def topics_of(parameters: Parameters) -> Messages:
-    """The names of the topics."""
-    return Messages(
-        parameters.spot_topic,
-        parameters.axes_topic,
-        parameters.range_topic,
-        parameters.beam_topic,
-        parameters.status_topic,
-    )
-
-
-def message_types() -> Messages:
-    """The types of the topics."""
+def message_types() -> dict[str, Any]:
+    """The types of the node's topics, by the topic's name in `Parameters`."""
     from diagnostic_msgs import msg as diagnostic
     from geometry_msgs import msg as geometry
     from sensor_msgs import msg as sensor
 
-    return Messages(
-        geometry.PointStamped,
-        geometry.Vector3Stamped,
-        sensor.Range,
-        geometry.PoseWithCovarianceStamped,
-        diagnostic.DiagnosticArray,
-    )
+    return {
+        "spot": geometry.PointStamped,
+        "axes": geometry.Vector3Stamped,
+        "range": sensor.Range,
+        "beam": geometry.PoseWithCovarianceStamped,
+        "status": diagnostic.DiagnosticArray,
+    }
 
 
-def messages_of(output: RigOutput, image: Any) -> Messages:
-    """The messages of an output; None for a topic on which it has nothing to say.
+def messages_of(output: RigOutput, image: Any) -> dict[str, Any]:
+    """The messages of an output by topic, without those that have nothing to say.
 
     Args:
         image: `sensor_msgs/Image` that was measured; the messages get its time and its frame.
@@ -130,12 +109,9 @@ def messages_of(output: RigOutput, image: Any) -> Messages:
     from sensor_msgs import msg as sensor
 
     types = message_types()
-    level = {OutputState.NONE: "OK", OutputState.DOUBTFUL: "WARN", OutputState.FAILED: "ERROR"}[
-        output.level
-    ]
     x, y, valid = output.centre
     major, minor, angle = output.axes
-    distance = types.range(
+    distance = types["range"](
         header=_header(image),
         radiation_type=sensor.Range.INFRARED,
         field_of_view=0.0,  # along the beam's axis
@@ -145,13 +121,19 @@ def messages_of(output: RigOutput, image: Any) -> Messages:
     )
     if hasattr(distance, "variance") and not math.isnan(output.sigma_m):
         distance.variance = output.sigma_m**2
-    return Messages(
-        spot=types.spot(header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
-        axes=types.axes(header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)),
-        range=distance,
-        beam=None if output.beam is None else _beam(output.beam, types.beam, _header(image)),
-        status=_status(level, output.doubt or "ok", output.details, _header(image)),
-    )
+    levels = {OutputState.NONE: "OK", OutputState.DOUBTFUL: "WARN", OutputState.FAILED: "ERROR"}
+    level, said = levels[output.level], output.doubt or "ok"
+    messages = {
+        "spot": types["spot"](header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
+        "axes": types["axes"](
+            header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)
+        ),
+        "range": distance,
+        "status": status_message(level, said, image, output.details),
+    }
+    if output.beam is not None:
+        messages["beam"] = _beam(output.beam, types["beam"], _header(image))
+    return messages
 
 
 def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
@@ -180,21 +162,19 @@ def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
     return message
 
 
-def silence_message(said: str, image: Any) -> Any:
-    """A status for images that have stopped."""
-    return _status("STALE", said, {}, _header(image))
-
-
-def _status(level: str, said: str, details: dict[str, str], header: Any) -> Any:
+def status_message(level: str, said: str, image: Any, details: dict[str, str] | None = None) -> Any:
+    """A status at the time of an image: OK, WARN, ERROR, or STALE if images have stopped."""
     from diagnostic_msgs import msg as diagnostic
 
     status = diagnostic.DiagnosticStatus(
         level=getattr(diagnostic.DiagnosticStatus, level),
         name="eyespot",
         message=said,
-        values=[diagnostic.KeyValue(key=key, value=value) for key, value in details.items()],
+        values=[
+            diagnostic.KeyValue(key=key, value=value) for key, value in (details or {}).items()
+        ],
     )
-    return diagnostic.DiagnosticArray(header=header, status=[status])
+    return diagnostic.DiagnosticArray(header=_header(image), status=[status])
 
 
 def _header(image: Any) -> Any:

@@ -11,21 +11,119 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
 
-from estimator.rig import ros1, ros2
+from estimator.rig.messages import (
+    Silence,
+    image_type,
+    message_types,
+    messages_of,
+    status_message,
+)
+from estimator.rig.rig import OutputState, Parameters, Rig, opened_rig
+from estimator.rig.ros1 import Ros1
+from estimator.rig.ros2 import Ros2
 from formats.inputs import InputError
 
 
-def is_ros2() -> bool:
-    """Whether ROS 2 is there, by the setup file that was sourced, or else by its library."""
+def ros_here() -> type[Ros1] | type[Ros2]:
+    """ROS 2 or ROS 1, by the setup file that was sourced, or else by ROS 2's library."""
     sourced = os.environ.get("ROS_VERSION")
-    return sourced == "2" if sourced else importlib.util.find_spec("rclpy") is not None
+    is_ros2 = sourced == "2" if sourced else importlib.util.find_spec("rclpy") is not None
+    return Ros2 if is_ros2 else Ros1
+
+
+class Connection:
+    """Subscribes the rig to images and poses, and publishes its outputs."""
+
+    def __init__(self, ros: Ros1 | Ros2, rig: Rig, parameters: Parameters) -> None:
+        from geometry_msgs.msg import Transform
+        from sensor_msgs import msg as sensor
+
+        self._ros, self._rig, self._last = ros, rig, None
+        self._complained_s: dict[str, float] = {}
+        self._arrived, self._ended = threading.Event(), False
+        self._topic = ros.resolved(parameters.image_topic)
+        self._silence = Silence(self._topic)
+        self._out = {
+            name: ros.publisher(getattr(parameters, f"{name}_topic"), kind)
+            for name, kind in message_types().items()
+        }
+        # At most one image waits, unless a rule of ROS 2 says more: a node that cannot keep up
+        # skips images and measures the newest.
+        self._waiting: deque[tuple[Any, int]] = deque(maxlen=1)
+        kind = getattr(sensor, image_type(self._topic))
+        depth = ros.take_images(self._topic, kind, self._on_image)
+        if depth != 1:
+            self._waiting = deque(maxlen=depth)
+        ros.take_poses(parameters.pose_topic, Transform, self._on_pose)
+
+    @contextmanager
+    def measuring(self) -> Iterator[None]:
+        """Measure the images that arrive in the `with` block."""
+        # In a thread of its own: poses get the time of their arrival, so they must not wait.
+        thread = threading.Thread(target=self._measure)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._ended = True
+            self._arrived.set()
+            thread.join()
+
+    def watch(self) -> None:
+        """Report images that have stopped."""
+        if change := self._silence.change(lambda: self._ros.types_of(self._topic)):
+            said, is_fault = change
+            self._ros.say(said, is_fault=is_fault)
+        if self._silence.said and self._last is not None:
+            self._out["status"].publish(status_message("STALE", self._silence.said, self._last))
+
+    def _measure(self) -> None:
+        while self._arrived.wait() and not self._ended:
+            self._arrived.clear()
+            while self._waiting and not self._ended:
+                image, number = self._waiting.popleft()
+                output = self._rig.output(image, self._ros.stamp_s(image), number)
+                if output.level is OutputState.FAILED:
+                    self._complain("image", output.doubt)
+                for name, message in messages_of(output, image).items():
+                    self._out[name].publish(message)
+
+    def _on_image(self, image: Any, number: int) -> None:
+        self._silence.end()
+        self._last = image
+        self._waiting.append((image, number))
+        self._arrived.set()
+
+    def _on_pose(self, pose: Any, received_s: float) -> None:
+        try:
+            self._rig.poses.take(pose, received_s)
+        except InputError as error:
+            self._complain("pose", f"{error}")
+
+    def _complain(self, of: str, fault: str) -> None:
+        """Log a fault, at most once a second."""
+        now_s = time.monotonic()
+        if now_s - self._complained_s.get(of, -1.0) >= 1.0:
+            self._complained_s[of] = now_s
+            self._ros.say(fault, is_fault=True)
 
 
 def main() -> None:
     """Run the node under the ROS that was found until that ROS shuts down."""
     try:
-        (ros2 if is_ros2() else ros1).run()
+        with ros_here().running("eyespot") as ros:
+            parameters = ros.parameters()
+            with opened_rig(parameters) as rig:
+                connection = Connection(ros, rig, parameters)
+                with connection.measuring():
+                    ros.spin(connection.watch)
     except (InputError, OSError) as error:
         print(f"eyespot: {error}", file=sys.stderr)
         sys.exit(2)
