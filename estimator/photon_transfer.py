@@ -75,14 +75,12 @@ def measured_noise(
             "depth. Give another --bit-depth; values that were shifted to the upper bits must be "
             "shifted back."
         )
-    found = sorted(
-        (
-            _pair(*pair)
-            for pair in pairs
-            if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
-        ),
-        key=lambda one: one.mean,
-    )
+    usable = [
+        pair
+        for pair in pairs
+        if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
+    ]
+    found = sorted((_pair(*pair) for pair in usable), key=lambda one: one.mean)
     dark = [one for one in found if one.mean < _DARK * full_scale]
     lit = [one for one in found if _DARK * full_scale <= one.mean < _BRIGHT * full_scale]
     if not dark:
@@ -101,8 +99,11 @@ def measured_noise(
     variance = np.array([one.variance for one in lit])
     # A variance from n pixels scatters by sqrt(2/n) of itself.
     scatter = variance * np.sqrt(2.0 / np.array([one.pixels for one in lit]))
-    # The dark pair gives the black level only: noise below a step of the file is rounded away.
-    (floor, gain), covariance = _line(light, variance, scatter)
+    # A straight line. The dark pair gives the black level only: noise below a step of the file is
+    # rounded away.
+    slopes = np.stack([np.ones_like(light), light], axis=-1) / scatter[:, None]
+    covariance = np.linalg.inv(slopes.T @ slopes)
+    floor, gain = covariance @ slopes.T @ (variance / scatter)
     off = np.abs(variance - floor - gain * light)
     # A curve looks straight from a third of its length on, but then misses the dark pair.
     bent = floor - dark[0].variance - _ROUNDING > _STRAIGHT * variance.max()
@@ -133,15 +134,6 @@ def _is_clipped(frame: np.ndarray) -> bool:
         if counts[-1] > max(2 * counts[-2:-1].sum(), 0.01 * plane.size):
             return True
     return False
-
-
-def _line(
-    light: np.ndarray, variance: np.ndarray, scatter: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Intercept and slope of variances over light, and their covariance."""
-    slopes = np.stack([np.ones_like(light), light], axis=-1) / scatter[:, None]
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    return covariance @ slopes.T @ (variance / scatter), covariance
 
 
 def _pair(first: np.ndarray, second: np.ndarray) -> _Pair:

@@ -51,11 +51,8 @@ def log_eyeball(stream: Any, microscope: MicroscopeFile) -> None:
         return
     radius = microscope.eye_radius_mm
     if microscope.plane_normal is None:
-        ball = rerun.Ellipsoids3D(
-            radii=[radius],
-            colors=[_GREY],
-            fill_mode=rerun.components.FillMode.MajorWireframe,
-        )
+        wires = rerun.components.FillMode.MajorWireframe
+        ball = rerun.Ellipsoids3D(radii=[radius], colors=[_GREY], fill_mode=wires)
         stream.log("eye/ball", ball, static=True)
     angle = np.linspace(0, 2 * np.pi, _POINTS)
     circle = np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -76,13 +73,11 @@ def log_beam(
     distance_mm: float,
     colour: tuple[int, int, int],
 ) -> None:
-    """Add a beam: the tip, and an arrow from there to the wall.
+    """Add a beam: the tip S, (3,), and an arrow from there to the wall along the axis, (3,).
 
     Args:
         stream: `rerun.RecordingStream`.
         path: of the beam in the recording.
-        tip_mm: S, (3,).
-        axis: unit vector from the tip towards the wall, (3,).
         colour: red, green, blue, 0 to 255.
     """
     import rerun
@@ -229,11 +224,11 @@ class ViewerRecording:
             log("microscope/spot", rerun.Clear(recursive=True))
         else:
             self._log_contour("microscope/spot", result.ellipse, _MEASURED)
-        if distance is not None and not math.isnan(distance.distance_mm):
-            log("distance/measured", rerun.Scalars(distance.distance_mm))
-        if distance is not None and not math.isnan(distance.distance_mm + distance.sigma_mm):
-            log("distance/lower", rerun.Scalars(distance.distance_mm - distance.sigma_mm))
-            log("distance/upper", rerun.Scalars(distance.distance_mm + distance.sigma_mm))
+        if distance is not None:
+            for name, sigmas in (("measured", 0), ("lower", -1), ("upper", 1)):
+                value = distance.distance_mm + (sigmas * distance.sigma_mm if sigmas else 0.0)
+                if not math.isnan(value):
+                    self.add_value(f"distance/{name}", value)
         log("eye/measured", rerun.Clear(recursive=True))
         if distance is not None and distance.poses:
             pose = distance.poses[0]
@@ -256,17 +251,10 @@ class ViewerRecording:
 
     def add_truth(self, labels: FrameLabels) -> None:
         """Add what a stack's labels say of the frame."""
-        import rerun
-
-        ellipse = (
-            labels.half_max_x_px,
-            labels.half_max_y_px,
-            labels.half_max_semi_major_px,
-            labels.half_max_semi_minor_px,
-            labels.half_max_angle_rad,
-        )
+        names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+        ellipse = [getattr(labels, f"half_max_{name}") for name in names]
         self._log_contour("microscope/truth", ellipse, _TRUE)
-        self._stream.log("distance/truth", rerun.Scalars(labels.d_mm))
+        self.add_value("distance/truth", labels.d_mm)
         log_beam(
             self._stream,
             "eye/truth",

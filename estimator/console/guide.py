@@ -38,7 +38,12 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
     if result.saturated > _SATURATED:
         # How far the light exceeds full scale is not in the image, so: halve it, and look again.
         return f"{result.saturated:.0%} of the spot is saturated: halve the exposure."
-    inside = _inside(result, frame)
+    # The brightest channel of the square in the spot's ellipse.
+    half = result.semi_minor_px / np.sqrt(2)
+    x0, x1 = (max(round(result.x_px + side * half), 0) for side in (-1, 1))
+    y0, y1 = (max(round(result.y_px + side * half), 0) for side in (-1, 1))
+    inside = frame[y0 : y1 + 1, x0 : x1 + 1]
+    inside = inside.max(axis=2) if inside.ndim == 3 else inside
     if not inside.size or (frame.dtype != np.uint8 and response.full_scale is None):
         return ""  # of 16 bits, a camera may use 10
     peak = float(np.percentile(inside, 99)) / response.full_scale_of(frame)
@@ -50,19 +55,8 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
     return ""
 
 
-def _inside(spot: Spot, frame: np.ndarray) -> np.ndarray:
-    """The brightest channel of the square in the spot's ellipse."""
-    half = spot.semi_minor_px / np.sqrt(2)
-    x0, x1 = (max(round(spot.x_px + side * half), 0) for side in (-1, 1))
-    y0, y1 = (max(round(spot.y_px + side * half), 0) for side in (-1, 1))
-    patch = frame[y0 : y1 + 1, x0 : x1 + 1]
-    return patch.max(axis=2) if patch.ndim == 3 else patch
-
-
 FEWEST_SPOTS, LEAST_MM = 8, 3.0
 """From here on a fit is worth trying: b and k separate over a withdrawal of 3 to 6 mm."""
-
-_FIT = "import eyespot; eyespot.main()"
 
 
 class Stage(Enum):
@@ -129,8 +123,13 @@ class Guide:
         """Count what the session has measured since the last call, or see how the fit goes on."""
         if self.stage is Stage.WITHDRAWING:
             self._count()
-        elif self.stage is Stage.FITTING:
-            self._see_fit()
+        elif self.stage is Stage.FITTING and self._fit and self._log:
+            code = self._fit.poll()
+            if code is not None:
+                self._log.seek(0)
+                self.said = self._log.read().decode(errors="replace").strip()
+                self._log.close()
+                self.stage = Stage.SAVED if code == 0 else Stage.REFUSED
 
     def fit(self, *, phantom: str, medium: str) -> None:
         """End the withdrawal and fit it.
@@ -157,7 +156,7 @@ class Guide:
         words = [str(word) for pair in options.items() for word in pair]
         self._log = tempfile.TemporaryFile()
         self._fit = subprocess.Popen(
-            [sys.executable, "-c", _FIT, "fit", str(self._bag), *words],
+            [sys.executable, "-m", "eyespot", "fit", str(self._bag), *words],
             stdin=subprocess.DEVNULL,
             stdout=self._log,
             stderr=subprocess.STDOUT,
@@ -180,15 +179,3 @@ class Guide:
                 self.spots += 1
                 self._low_mm = min(self._low_mm, moment.robot_mm)
                 self._high_mm = max(self._high_mm, moment.robot_mm)
-
-    def _see_fit(self) -> None:
-        assert self._fit is not None
-        assert self._log is not None
-        code = self._fit.poll()
-        if code is None:
-            return
-        self._log.seek(0)
-        lines = self._log.read().decode(errors="replace").strip().splitlines()
-        self._log.close()
-        self.said = "\n".join(lines)
-        self.stage = Stage.SAVED if code == 0 else Stage.REFUSED

@@ -12,15 +12,8 @@ from nicegui import app, ui
 from starlette.responses import Response as Reply
 
 from estimator.console.gate import Gate
-from estimator.console.guide import (
-    FEWEST_SPOTS,
-    LEAST_MM,
-    Guide,
-    Stage,
-    exposure_advice,
-)
+from estimator.console.guide import FEWEST_SPOTS, LEAST_MM, Guide, Stage, exposure_advice
 from estimator.console.session import COURSE_S, Session, View, svg_of
-from estimator.distance.budget import Budget
 from estimator.run.options import Options
 from estimator.sources.source import Source
 from formats.inputs import InputError
@@ -110,14 +103,21 @@ class Page:
         with ui.row().classes("top"):
             ui.label("eyespot").classes("brand")
             ui.label(session.source.name).classes("source")
-            ui.label(_calibration_of(options)).classes("note")
+            calibration = "no calibration: no distance"
+            if options.calibration is not None:
+                days = (time.time() - options.calibration.stat().st_mtime) / 86400
+                calibration = f"calibration {options.calibration.name}, {days:.0f} days old"
+            ui.label(calibration).classes("note")
             ui.space()
             ui.label(f"mode: {session.mode}").classes("note")
             ui.button("Light / dark", on_click=self._dark_light).props("flat dense")
         with ui.element("main"):
             with ui.element("section").classes("image"):
                 self._image = ui.interactive_image(
-                    on_mouse=self._on_click, events=["click"], cross=True, sanitize=False
+                    on_mouse=lambda at: session.look_at(at.image_x - 0.5, at.image_y - 0.5),
+                    events=["click"],
+                    cross=True,
+                    sanitize=False,
                 )
                 self._image.props('alt="The microscope\'s image"')
             with ui.element("section").classes("reading") as self._reading:
@@ -129,7 +129,7 @@ class Page:
                 self._advice = ui.label().classes("advice")
                 self._where = ui.label().classes("note where")
         with ui.row().classes("controls"):
-            self._play = ui.button("Pause", on_click=self._on_play)
+            self._play = ui.button("Pause", on_click=lambda: session.pause(not session.paused))
             if not session.source.live:
                 ui.button("◀ Step", on_click=lambda: session.step(-1)).props("outline")
                 ui.button("Step ▶", on_click=lambda: session.step(1)).props("outline")
@@ -174,8 +174,8 @@ class Page:
     def _show_fault(self, fault: str) -> None:
         self._set_state("lost", "no image")
         self._distance.set_text("– mm")
-        self._sigma.set_text("")
-        self._worth.set_text("")
+        for label in (self._sigma, self._worth):
+            label.set_text("")
         self._reason.set_text(fault)
 
     def _show_reading(self, view: View) -> None:
@@ -187,7 +187,11 @@ class Page:
         distance, sigma = reading.distance_mm, reading.sigma_distance_mm
         self._distance.set_text("– mm" if math.isnan(distance) else f"{distance:.2f} mm")
         self._sigma.set_text("" if math.isnan(sigma) else f"σ {1e3 * sigma:.0f} µm")
-        self._worth.set_text(_worth(reading.budget))
+        budget, worth = reading.budget, ""
+        if budget and budget.largest and not math.isnan(budget.sigma_mm):
+            low, high = budget.interval_mm
+            worth = f"95 %: {low:.2f} to {high:.2f} mm, mostly {budget.largest.cause.meaning}"
+        self._worth.set_text(worth)
         self._reason.set_text(doubt)
         advice = exposure_advice(reading.result, view.frame.image, view.response)
         self._advice.set_text(advice)
@@ -220,11 +224,8 @@ class Page:
             series["data"] = points(line)
         self._chart.update()
 
-    def _on_click(self, event: Any) -> None:
-        self._session.look_at(event.image_x - 0.5, event.image_y - 0.5)
-
-    def _on_play(self) -> None:
-        self._session.pause(not self._session.paused)
+    def _dark_light(self) -> None:
+        self._dark.set_value(not self._dark.value)
 
     def _on_record(self) -> None:
         session = self._session
@@ -239,38 +240,20 @@ class Page:
         except (InputError, OSError) as error:
             self._recorded.set_text(f"{error}")
 
-    def _dark_light(self) -> None:
-        self._dark.set_value(not self._dark.value)
-
     def _on_key(self, event: Any) -> None:
         if not event.action.keydown or event.modifiers.ctrl:
             return
+        session = self._session
         actions: dict[str, Callable[[], object]] = {
-            " ": self._on_play,
-            "ArrowRight": lambda: self._session.step(1),
-            "ArrowLeft": lambda: self._session.step(-1),
-            "f": self._session.search,
+            " ": lambda: session.pause(not session.paused),
+            "ArrowRight": lambda: session.step(1),
+            "ArrowLeft": lambda: session.step(-1),
+            "f": session.search,
             "r": self._on_record,
             "d": self._dark_light,
         }
         if action := actions.get(event.key.name):
             action()
-
-
-def _worth(budget: Budget | None) -> str:
-    """The 95 % interval of a distance, and what makes it wide."""
-    if budget is None or budget.largest is None or math.isnan(budget.sigma_mm):
-        return ""
-    low, high = budget.interval_mm
-    return f"95 %: {low:.2f} to {high:.2f} mm, mostly {budget.largest.cause.meaning}"
-
-
-def _calibration_of(options: Options) -> str:
-    """The calibration that is loaded, and its age."""
-    if options.calibration is None:
-        return "no calibration: no distance"
-    days = (time.time() - options.calibration.stat().st_mtime) / 86400
-    return f"calibration {options.calibration.name}, {days:.0f} days old"
 
 
 def _chart(*, robot: bool) -> dict[str, Any]:
@@ -307,12 +290,6 @@ def _chart(*, robot: bool) -> dict[str, Any]:
     }
 
 
-_LOOK_S = 0.25
-
-
-_MEDIA = ("air", "water", "vitreous")
-
-
 _STEPS = (
     "1. Touch the wall with the tip. 2. Start, and withdraw the tip along the tool by 3 to 6 mm. "
     "3. Fit: the calibration and its report with the residuals are written beside the bag."
@@ -329,14 +306,15 @@ class CalibrationPanel:
             with ui.row().classes("controls"):
                 walls = {"plane": "a flat wall", "eyeball": "an eyeball"}
                 self._phantom = ui.select(walls, value="plane").props("dense outlined")
-                self._medium = ui.select(list(_MEDIA), value="air").props("dense outlined")
+                media = ["air", "water", "vitreous"]
+                self._medium = ui.select(media, value="air").props("dense outlined")
                 self._start = ui.button("Start at contact", on_click=self._on_start)
                 self._fit = ui.button("Fit", on_click=self._on_fit)
                 self._covered = ui.linear_progress(0.0, show_value=False).classes("covered")
                 self._state = ui.label().classes("note guide")
             self._said = ui.label().classes("said")
             self._report = ui.link("Report with residuals", "", new_tab=True).classes("report")
-        ui.timer(_LOOK_S, self._update)
+        ui.timer(_COURSE_S, self._update)
 
     def _update(self) -> None:
         guide = self._guide

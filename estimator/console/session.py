@@ -59,36 +59,19 @@ def recorder(path: Path) -> Iterator[Write]:
         with spots_stream(path) as write:
             yield lambda frame, reading, *_: write(record_of(frame, reading))
     elif path.suffix == ".bag":
-        with _bag_stream(path) as write_item:
-            yield _with_poses(write_item)
+        with _bag_stream(path) as write:
+            yield write
     else:
         raise InputError(f"{path}: a recording is named .csv (spots) or .bag (frames).")
 
 
-def _with_poses(write: Callable[[list[Frame | Pose]], None]) -> Write:
-    """Writes each frame between the poses before and after it, in the order of time."""
-    written_s = offset_s = math.nan
-
-    def write_frame(frame: Frame, _: Reading, arrived_s: float, poses: PoseTrack) -> None:
-        nonlocal written_s, offset_s
-        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
-        if math.isnan(offset_s):
-            offset_s = _LATER_S if time_s < _LATER_S else 0.0
-            written_s = time_s - _BEFORE_S
-        before = poses.between(written_s, time_s)
-        after = poses.between(max(written_s, time_s), time_s + _AFTER_S)
-        messages: list[Frame | Pose] = [*before, replace(frame, time_s=time_s), *after]
-        write([replace(message, time_s=message.time_s + offset_s) for message in messages])
-        written_s = max(written_s, after[-1].time_s if after else time_s)
-
-    return write_frame
-
-
 @contextmanager
-def _bag_stream(path: Path) -> Iterator[Callable[[list[Frame | Pose]], None]]:
+def _bag_stream(path: Path) -> Iterator[Write]:
+    """Writes each frame between the poses before and after it, in the order of time."""
     refuse_existing(path)
     waiting: Queue[list[Frame | Pose] | None] = Queue(_MOST_WAITING)
     faults: list[InputError | OSError] = []
+    written_s = offset_s = math.nan
 
     def work() -> None:
         try:
@@ -96,13 +79,22 @@ def _bag_stream(path: Path) -> Iterator[Callable[[list[Frame | Pose]], None]]:
         except (InputError, OSError) as error:
             faults.append(error)
 
-    def write(messages: list[Frame | Pose]) -> None:
+    def write(frame: Frame, _: Reading, arrived_s: float, poses: PoseTrack) -> None:
+        nonlocal written_s, offset_s
         if faults:
             raise faults[0]
+        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
+        if math.isnan(offset_s):
+            offset_s = _LATER_S if time_s < _LATER_S else 0.0
+            written_s = time_s - _BEFORE_S
+        before = poses.between(written_s, time_s)
+        after = poses.between(max(written_s, time_s), time_s + _AFTER_S)
+        messages: list[Frame | Pose] = [*before, replace(frame, time_s=time_s), *after]
         try:
-            waiting.put_nowait(messages)
+            waiting.put_nowait([replace(one, time_s=one.time_s + offset_s) for one in messages])
         except Full as error:
             raise OSError(f"{path}: the disk is slower than the camera.") from error
+        written_s = max(written_s, after[-1].time_s if after else time_s)
 
     thread = threading.Thread(target=work)
     thread.start()
@@ -302,7 +294,9 @@ class Session:
         period_s = 0.0 if self.source.live else 1 / (self.source.rate_hz or _RIG_RATE_HZ)
         while True:
             with self._wake:
-                self._wake.wait_for(self._is_called)
+                self._wake.wait_for(
+                    lambda: self._ended or not self.paused or self._steps > 0 or self._is_asked
+                )
                 if self._ended:
                     return
                 seek, self._seek = self._seek, None
@@ -339,10 +333,9 @@ class Session:
                     lambda: self._ended or self._seek is not None, due - time.monotonic()
                 )
 
-    def _is_called(self) -> bool:
-        """Whether the thread has something to do."""
-        asked = self._seek is not None or self._place is not None
-        return self._ended or not self.paused or self._steps > 0 or asked
+    @property
+    def _is_asked(self) -> bool:
+        return self._seek is not None or self._place is not None
 
     def _measure(self, frame: Frame, number: int) -> None:
         arrived_s, expected, poses = time.time(), self._reader.mode.expected_px, self._poses()
@@ -382,26 +375,19 @@ class Session:
 
     def _remember(self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack) -> None:
         time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
-        spot = reading.result
+        spot, robot_mm = reading.result, math.nan
         radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
         if self._course and time_s < self._course[-1].time_s:
             self._course.clear()  # the clock was set back
-        robot = self._withdrawn_mm(poses, frame.time_s)
+        if known := poses.at(frame.time_s):
+            self._home = home = self._home or known[0]
+            moved = np.subtract(known[0].position_mm, home.position_mm)
+            robot_mm = -float(moved @ np.array(home.axis))
         self._course.append(
-            CoursePoint(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot)
+            CoursePoint(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot_mm)
         )
         while self._course[0].time_s < time_s - COURSE_S:
             self._course.popleft()
-
-    def _withdrawn_mm(self, poses: PoseTrack, time_s: float) -> float:
-        """How far the tip has withdrawn along the tool since the first pose that was used."""
-        known = poses.at(time_s)
-        if known is None:
-            return math.nan
-        self._home = self._home or known[0]
-        home = self._home
-        moved = np.subtract(known[0].position_mm, home.position_mm)
-        return -float(moved @ np.array(home.axis))
 
 
 _EXPECTED_PX = 14  # radius of the circle where the spot was expected

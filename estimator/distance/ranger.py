@@ -161,8 +161,9 @@ class Ranger:
             if model == "corrected" and self._path is not None:
                 from optics.viewing.camera import local_magnification
 
+                camera, wall = self._path
                 magnification = local_magnification(
-                    *self._path, eccentricity=c, azimuth=np.arctan2(at_y, at_x)
+                    camera, wall, eccentricity=c, azimuth=np.arctan2(at_y, at_x)
                 )
                 radius = eye["scale"] * semi_minor / np.asarray(magnification)[:, 1]
                 found: Any = optics.sphere_distance(
@@ -213,7 +214,8 @@ class Ranger:
         # A line of sight is given by the offset in mm.
         own = eye["scale"] / self.microscope.scale_mm_px
         pixels = np.stack([u + own * (x - u), v + own * (y - v)], axis=-1)
-        return np.asarray(wall_point(*self._path, pixels)).T
+        camera, wall = self._path
+        return np.asarray(wall_point(camera, wall, pixels)).T
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the wall."""

@@ -11,7 +11,7 @@ import heapq
 import logging
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from operator import attrgetter
@@ -335,53 +335,35 @@ def write_messages(
     pose_topic: str = POSE_TOPIC,
 ) -> None:
     """Write a bag of frames and poses that come in the order of time, as `write_bag`."""
-    path = Path(path)
-    version = _ros(ros)
+    from rosbags import rosbag1, rosbag2
+    from rosbags.typesys import Stores, get_typestore
+
+    path, opened = (
+        Path(path),
+        partial(
+            rosbag2.Writer,
+            version=rosbag2.Writer.VERSION_LATEST,
+            storage_plugin=rosbag2.StoragePlugin.MCAP,
+        ),
+    )
+    types = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
+    to_bytes = types.serialize_ros1 if ros == 1 else types.serialize_cdr
     # ROS 2 names the file inside a bag after the bag; here both have the bag's own name already.
-    with written_whole(path) as whole, version.open(whole) as writer:
-        types = version.types
+    with written_whole(path) as whole, (rosbag1.Writer if ros == 1 else opened)(whole) as writer:
         image_connection = writer.add_connection(image_topic, IMAGE_MESSAGES[0], typestore=types)
         pose_connection = writer.add_connection(pose_topic, POSE_MESSAGES[0], typestore=types)
         for item in messages:
-            time_ns = _nanoseconds(item.time_s)
+            if not item.time_s >= 1e-9:
+                raise InputError(
+                    f"A bag's times must be positive, because ROS reads 0 as no time; got "
+                    f"{item.time_s} s. Add one offset to the times of frames and poses."
+                )
+            time_ns = round(item.time_s * 1e9)
             if isinstance(item, Pose):
                 connection, message = pose_connection, _transform(item, types)
             else:
                 connection, message = image_connection, _image_message(item, time_ns, types)
-            writer.write(connection, time_ns, version.bytes_of(message, connection.msgtype))
-
-
-class _Ros(NamedTuple):
-    """Types and writer of a version of ROS."""
-
-    types: Typestore
-    open: Callable[[Path], Any]
-    bytes_of: Callable[[Any, str], memoryview]
-
-
-def _ros(version: Literal[1, 2]) -> _Ros:
-    from rosbags import rosbag1, rosbag2
-    from rosbags.typesys import Stores, get_typestore
-
-    if version == 1:
-        types = get_typestore(Stores.ROS1_NOETIC)
-        return _Ros(types, rosbag1.Writer, types.serialize_ros1)
-    types = get_typestore(Stores.ROS2_HUMBLE)
-    mcap = partial(
-        rosbag2.Writer,
-        version=rosbag2.Writer.VERSION_LATEST,
-        storage_plugin=rosbag2.StoragePlugin.MCAP,
-    )
-    return _Ros(types, mcap, types.serialize_cdr)
-
-
-def _nanoseconds(time_s: float) -> int:
-    if not time_s >= 1e-9:
-        raise InputError(
-            f"A bag's times must be positive, because ROS reads 0 as no time; got {time_s} s."
-            " Add one offset to the times of frames and poses."
-        )
-    return round(time_s * 1e9)
+            writer.write(connection, time_ns, to_bytes(message, connection.msgtype))
 
 
 def _image_message(frame: Frame, time_ns: int, types: Typestore) -> Any:
