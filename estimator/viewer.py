@@ -40,9 +40,6 @@ def log_eyeball(stream: Any, microscope: MicroscopeFile) -> None:
     """Add a spherical eyeball, or a plane wall, with rings at every mm of eccentricity.
 
     An ellipsoidal retina is not drawn.
-
-    Args:
-        stream: `rerun.RecordingStream`.
     """
     import rerun
 
@@ -73,13 +70,7 @@ def log_beam(
     distance_mm: float,
     colour: tuple[int, int, int],
 ) -> None:
-    """Add a beam: the tip S, (3,), and an arrow from there to the wall along the axis, (3,).
-
-    Args:
-        stream: `rerun.RecordingStream`.
-        path: of the beam in the recording.
-        colour: red, green, blue, 0 to 255.
-    """
+    """Add a beam: the tip S, (3,), and an arrow from there to the wall along the axis, (3,)."""
     import rerun
 
     stream.log(f"{path}/tip", rerun.Points3D([tip_mm], radii=[0.1], colors=[colour]))
@@ -126,7 +117,6 @@ def recording_of(
 
     Args:
         target: a file NAME.rrd, or `LIVE`.
-        name: of what is recorded, such as a stack.
         microscope: of the frames; without one there is no eyeball, and frames are linear.
 
     Raises:
@@ -161,7 +151,6 @@ def record_stack(folder: Path, target: str) -> None:
 
     Args:
         folder: of the stack; of several exposures the first is taken.
-        target: as for `recording_of`.
 
     Raises:
         InputError: as `recording_of`, or the stack cannot be read.
@@ -176,12 +165,7 @@ def record_stack(folder: Path, target: str) -> None:
 
 
 class ViewerRecording:
-    """Frames, contours, distances, and the beam in the eye, on the timelines `frame` and `time`.
-
-    Args:
-        stream: `rerun.RecordingStream`.
-        microscope: as for `recording_of`.
-    """
+    """Frames, contours, distances, and the beam in the eye, on the timelines `frame` and `time`."""
 
     def __init__(self, stream: Any, microscope: MicroscopeFile | None) -> None:
         self._stream = stream
@@ -194,7 +178,6 @@ class ViewerRecording:
         """Add a frame; what is added after it belongs to it.
 
         Args:
-            time_s: of the frame; NaN if unknown.
             image: as `rgb_8bit` takes it; None if there is only what was measured.
         """
         import rerun
@@ -214,7 +197,6 @@ class ViewerRecording:
         The distance's lower and upper lines are one standard deviation away from it.
 
         Args:
-            distance: of the spot; None without one.
             doubt: why there is no spot, or why the distance is doubtful; empty if all is well.
         """
         import rerun

@@ -243,9 +243,7 @@ class LightMeter:
 
         Args:
             values: the window's, `window.of(frame, stride)`.
-            window: their place in a checked frame.
             channel: 0, 1, 2 or GREY.
-            stride: px of the frame per value.
         """
         light = self._channel(values, channel, full_scale)
         if self._reference is None:
@@ -255,13 +253,7 @@ class LightMeter:
     def ceiling(
         self, window: Window, channel: int, clips: tuple[float, ...], full_scale: float
     ) -> float:
-        """Light at which pixels are clipped where the wall is brightest.
-
-        Args:
-            window: of a checked frame.
-            channel: 0, 1, 2 or GREY.
-            clips: value at which each channel is clipped.
-        """
+        """Light at which pixels are clipped where the wall is brightest."""
         light = self.response.light(np.array(clips, np.float32), full_scale).tolist()
         grey = (
             sum(w * c for w, c in zip(GREY_WEIGHTS, light, strict=True)) if light[1:] else light[0]

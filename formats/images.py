@@ -61,11 +61,6 @@ def over_black(image: np.ndarray, alpha: np.ndarray, opaque: float) -> np.ndarra
 
     An alpha that is the same everywhere says nothing about the image, and changes nothing.
 
-    Args:
-        image: (H, W) or (H, W, 3).
-        alpha: (H, W).
-        opaque: alpha of what hides the black.
-
     Raises:
         InputError: it is transparent everywhere.
     """

@@ -159,9 +159,7 @@ def check_schema(found: object, history: Mapping[int, str], *, remedy: str) -> N
     """Check the version of a format, for every format alike.
 
     Args:
-        found: the file's version; None if it has none.
         history: what changed with each version that can be read, the oldest first.
-        remedy: sentence about a file whose version never existed.
 
     Raises:
         InputError: the version is missing, unknown, or newer than this software.
@@ -233,7 +231,6 @@ def validated(model: type[_Model], content: object, *, remedy: str) -> _Model:
 
     Args:
         content: mappings, lists and plain values, as a reader of JSON or TOML returns them.
-        remedy: sentence that ends the message of an error.
 
     Raises:
         InputError: about the first key that breaks a rule.

@@ -43,12 +43,7 @@ def fingerprint(path: Path) -> Fingerprint:
 def write_manifest(
     folder: Path, *, schema: int, known: Mapping[str, Fingerprint] | None = None
 ) -> None:
-    """Write manifest.json, or replace it.
-
-    Args:
-        schema: schema of the folder's files.
-        known: files that need not be read again.
-    """
+    """Write manifest.json, or replace it."""
     found = dict(known or {})
     for name, kind in _entries(folder):
         if kind == "file" and name != MANIFEST and name not in found:
@@ -60,9 +55,6 @@ def write_manifest(
 
 def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
     """The files that manifest.json lists.
-
-    Args:
-        remedy: what to do if the manifest is damaged.
 
     Raises:
         InputError: the manifest is damaged.

@@ -93,11 +93,7 @@ def turned(vector: Vector, rotation: Quaternion) -> Vector:
 
 
 class PoseTrack:
-    """Poses by time.
-
-    Args:
-        poses: in any order.
-    """
+    """Poses by time."""
 
     def __init__(self, poses: Iterable[Pose]) -> None:
         self._poses = sorted(poses, key=lambda pose: pose.time_s)
@@ -164,7 +160,6 @@ def read_poses(path: str | Path, *, topic: str | None = None) -> PoseTrack:
     in m and has the time of its header.
 
     Args:
-        path: of the CSV file or the bag.
         topic: of the poses in a bag; None takes `POSE_TOPIC`, or the only topic with poses.
 
     Raises:

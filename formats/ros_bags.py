@@ -73,8 +73,6 @@ def topic_in(
 
     Args:
         name: of the topic; None takes the usual one, or else the only one of these kinds.
-        kinds: message types that the topic may have.
-        usual: name of the rig's topic.
 
     Raises:
         InputError: the bag has no such topic, or several and none was named.

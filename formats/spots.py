@@ -164,7 +164,6 @@ class NoSpot:
     """A frame without a measurable spot, with the reason; falsy.
 
     Attributes:
-        reason: why there is none.
         significance: of a spot that is `TOO_FAINT`: its peak above the background over the standard
             deviation round it; NaN for other reasons.
     """
@@ -316,7 +315,6 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
 
     Args:
         path: of the file; the suffix `.parquet` selects Parquet, any other CSV.
-        records: in the order of the file's lines.
 
     Raises:
         InputError: Parquet without pyarrow installed.
@@ -385,11 +383,7 @@ def csv_line(record: SpotRecord | None) -> str:
 
 
 def parquet_of_csv(lines: Path, path: Path) -> None:
-    """Write the Parquet file with the lines of a CSV file, a part at a time.
-
-    Args:
-        lines: spots file, CSV.
-    """
+    """Write the Parquet file with the lines of a CSV file, a part at a time."""
     pa, csv_reader = pyarrow(), importlib.import_module("pyarrow.csv")
     kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
     schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])

@@ -22,7 +22,6 @@ def spots_stream(path: Path, *, replace: bool = False) -> Iterator[Callable[[Spo
     the only ones.
 
     Args:
-        path: of the spots file, .csv or .parquet.
         replace: whether it may exist; it is then replaced at the end.
 
     Yields:

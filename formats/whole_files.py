@@ -42,7 +42,6 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
     and no other process can start to write the same file. If the block raises, nothing is left.
 
     Args:
-        path: of the finished file or folder.
         replace: replace a file of this name in one step; only for a file that eyespot itself has
             written. Otherwise an existing file or folder is an error, also if it appears while the
             block runs.
@@ -74,10 +73,6 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
 def hidden_beside(path: Path, ending: str) -> Path:
     """Where a file or folder is written, and recognised by `is_unfinished`.
 
-    Args:
-        path: of the finished file or folder.
-        ending: `UNFINISHED` or `STOPPED`.
-
     Raises:
         InputError: the path has no name, as "." and "..", and so exists.
     """
@@ -99,12 +94,7 @@ def refuse_foreign(path: Path) -> None:
 
 
 def require_space(path: Path, needed_bytes: float) -> None:
-    """Raise an InputError if a file or folder of this size does not fit on its disk.
-
-    Args:
-        path: of the file or folder, which need not exist.
-        needed_bytes: its size, rather too small than too large.
-    """
+    """Raise an InputError if a file or folder of this size does not fit on its disk."""
     folder = next(parent for parent in Path(path).absolute().parents if parent.is_dir())
     free = shutil.disk_usage(folder).free
     if free < needed_bytes:
@@ -115,11 +105,7 @@ def require_space(path: Path, needed_bytes: float) -> None:
 
 
 def is_unfinished(name: str) -> bool:
-    """Whether a file name is that of something unfinished, which its writer left or still writes.
-
-    Args:
-        name: without folders.
-    """
+    """Whether a file name is that of something unfinished, which its writer left or still writes."""
     return name.startswith(".") and name.endswith((UNFINISHED, STOPPED))
 
 
@@ -137,7 +123,6 @@ def lock(folder: Path, *, of: Path) -> int:
 
     Args:
         folder: the folder; a link is refused.
-        of: what is written there, for the message.
 
     Returns:
         A file descriptor. `os.close` removes the lock, and so does the end of the process.
@@ -179,10 +164,6 @@ def lock(folder: Path, *, of: Path) -> int:
 def give_name(made: Path, path: Path, *, replace: bool = False) -> None:
     """Give a finished file or folder its name; an error if there is one of this name already.
 
-    Args:
-        made: where it is, on the same disk.
-        replace: replace a file of this name.
-
     Raises:
         InputError: something of this name exists, and is not to be replaced.
     """
@@ -220,10 +201,6 @@ def errors_named(made: Path, path: Path) -> Iterator[None]:
     """Give errors of writing the name of the file that the user knows.
 
     An error of `write` has no name, one of `shutil.copyfile` that of the source first.
-
-    Args:
-        made: where the file or folder is written.
-        path: its name when it is whole.
     """
     try:
         yield
@@ -280,12 +257,7 @@ def _megabytes(size: float) -> str:
 
 
 def cache_file(folder: str, key: str) -> Path:
-    """Where arrays are kept.
-
-    Args:
-        folder: name of a folder of the cache.
-        key: of all that the arrays depend on, hexadecimal.
-    """
+    """Where arrays are kept."""
     caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     return caches / "eyespot" / folder / f"{key}.npz"
 

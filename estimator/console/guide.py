@@ -28,11 +28,7 @@ _DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has f
 
 
 def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response) -> str:
-    """One sentence about the exposure; empty if it is right.
-
-    Args:
-        result: what was measured in the frame.
-    """
+    """One sentence about the exposure; empty if it is right."""
     if isinstance(result, NoSpot):
         return ""
     if result.saturated > _SATURATED:
@@ -70,12 +66,7 @@ class Stage(Enum):
 
 
 class Guide:
-    """Guides one calibration after the other, for all windows of a session.
-
-    Args:
-        session: whose frames and poses are recorded.
-        microscope: file of the session's microscope.
-    """
+    """Guides one calibration after the other, for all windows of a session."""
 
     def __init__(self, session: Session, folder: Path, microscope: Path | None) -> None:
         self._session, self._folder, self._microscope = session, folder, microscope

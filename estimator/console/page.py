@@ -36,10 +36,6 @@ def serve(
 ) -> None:
     """Serve the page until Ctrl-C.
 
-    Args:
-        token: that the page asks for; None for none.
-        poses: as of `Session`.
-
     Raises:
         InputError: options, files or the source are wrong.
         OSError: a file cannot be read.
@@ -86,11 +82,7 @@ def serve(
 
 
 class Page:
-    """One window; all windows show the same session.
-
-    Args:
-        overlay: makes the SVG of a view.
-    """
+    """One window; all windows show the same session."""
 
     def __init__(
         self, session: Session, options: Options, folder: Path, overlay: Callable[[View], str]

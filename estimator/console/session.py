@@ -123,7 +123,6 @@ class View:
     Attributes:
         number: place of the frame in its source, from 0.
         expected_px: where the spot was expected, (x, y) px; None if it was searched.
-        arrived_s: when the frame was read, s since 1970.
     """
 
     version: int
@@ -394,11 +393,7 @@ _EXPECTED_PX = 14  # radius of the circle where the spot was expected
 
 
 def svg_of(view: View, microscope: MicroscopeFile | None) -> str:
-    """The contour, its centre, the tip if it is known, and where the spot was expected.
-
-    Args:
-        microscope: of the frames; None if unknown.
-    """
+    """The contour, its centre, the tip if it is known, and where the spot was expected."""
     camera = microscope.camera() if microscope else None
     parts = []
     distance = view.reading.range

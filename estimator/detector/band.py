@@ -41,8 +41,6 @@ def hidden_edge(
 
     Args:
         ellipse: about which the contour is averaged over the inliers' rays.
-        levels: of the spot, the peak unknown.
-        reach: of the profile, units of the radius.
 
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
@@ -207,7 +205,6 @@ class Refined:
         move: how far the contour moved at most, radii.
         size_variance: of the contour's common offset, in addition to the scatter of the offsets.
         centre_variance: of either coordinate of the centre, radii^2, also in addition.
-        band: from which it was measured.
     """
 
     ellipse: AffineEllipse
@@ -347,7 +344,6 @@ class Band:
         few rays leave it open (Ledoit and Wolf 2004).
 
         Args:
-            disturbances: profiles, (n,) each.
             past_texture: whether texture is to move the shifts as little as possible. A wall's
                 slope across a ray is a disturbance then, too: few rays differ in it from their
                 neighbours, but it moves a whole ellipse.
@@ -458,8 +454,6 @@ def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray) -> 
     """Weights whose sum over a ray varies least, of those with weights @ towards = 1, (n,).
 
     Args:
-        rays: (m, n) samples.
-        towards: (n,) unit vector.
         extra: (n,) a profile that rays also contain, with a random factor of variance one.
     """
     # In units of the rays' own size: fourth powers of very bright or dim light are no numbers.

@@ -99,8 +99,7 @@ class Coarse:
     Attributes:
         levels: (h, w) uint8.
         unit: signal per level.
-        stride: px of the frame per pixel.
-        x0, y0: column and row of the frame under the first pixel, px.
+        stride, x0, y0: px of the frame per pixel, and its column and row under the first one.
     """
 
     levels: np.ndarray
@@ -126,9 +125,6 @@ class Candidate:
     """An ellipse round a bright region, good to a few px, and the region's levels.
 
     Attributes:
-        peak: typical signal of the region.
-        background: typical signal of the rest of the window.
-        mask: of the region's pixels in the coarse window.
         lobed: whether it is one of several like regions of soft light, as of a beam with lobes.
     """
 
@@ -169,7 +165,6 @@ def bright_regions(
     Args:
         min_contrast: (peak - background) / background that texture does not reach. A region of less
             must exceed the scatter of the dark part.
-        min_area: least area of a region, px^2.
         solid: whether rings and halos are left out.
     """
     smooth = cv2.medianBlur(coarse.levels, 3)

@@ -156,7 +156,6 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: AffineEllipse) -
     Args:
         patch: light of the channel or the grey mean to be measured in, at full resolution.
         colours: (h, w, 3) float32 light of the same pixels, nowhere saturated.
-        ellipse: of the spot, roughly.
     """
     light = patch.signal
     height, width = light.shape
@@ -214,8 +213,6 @@ def hollow_share(
 
     Args:
         seen: (RAYS,) rays on which its edge is visible.
-        half: the signal below which a place is dark.
-        width: of the edge, radii.
     """
     inside = _RADIUS < 1 - Sharp.PLATEAU * width
     # On a grid on which the ellipse is the unit circle; NaN outside the patch.

@@ -111,12 +111,10 @@ def robust_step(
     samples of five offsets (RANSAC, Fischler and Bolles 1981; fixed seed) vote for another start.
 
     Args:
-        design: (n, 5), see `offset_design`.
         offsets: (n,) radial offsets of the edges.
         seen: (n,) whether there is an edge.
         start: (n,) edges that are assumed to belong.
         tolerance: error of an offset that always belongs, in units of the radius.
-        limit: error of an offset that never belongs.
 
     Returns:
         The step and the mask of the offsets that belong; None with fewer than 8 of them.
@@ -187,7 +185,6 @@ def covariance_of_axes(ellipse: AffineEllipse, step_covariance: np.ndarray) -> n
     """Covariance of (x, y, semi_major, semi_minor, angle) from that of a step.
 
     Args:
-        ellipse: the one that was stepped.
         step_covariance: 5x5 covariance of the parameters of `AffineEllipse.stepped`.
     """
     a, b, _ = ellipse.axes()
@@ -219,9 +216,7 @@ class Patch:
 
     Attributes:
         signal: (h, w) float32.
-        x0: column of the frame under the first pixel, px.
-        y0: row of the frame under the first pixel, px.
-        stride: px of the frame per pixel.
+        x0, y0, stride: column and row of the frame under the first pixel, and px per pixel.
         ceiling: signal at which pixels are clipped; infinite if none is.
         clipped: fraction of the spot's pixels that are.
     """
@@ -237,9 +232,7 @@ class Patch:
         """Bilinear samples on the ellipse's rays, (RAYS / every, radii); NaN outside the patch.
 
         Args:
-            ellipse: in the frame, px.
             radii: in units of the ellipse, 1 on its contour.
-            every: takes every n-th ray only.
         """
         centre = (ellipse.centre - (self.x0, self.y0)) / self.stride
         rays = (ellipse.shape / self.stride) @ _ACROSS[:, ::every]

@@ -31,7 +31,6 @@ class Levels:
         peak: signal of the spot's brightest part, without noise and texture.
         dome: signal over the peak's, a polynomial in the squared radius.
         variance: of the peak, relative, due to texture.
-        background: signal around the spot.
         background_radius: where it was taken, units of the radius.
         scatter: standard deviation there of what noise leaves after averaging, such as texture;
             infinite if it is out of view.
@@ -104,8 +103,6 @@ def levels_of(
 
     Args:
         profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
-        coarse: shows the background.
-        ellipse: of the spot, to a px or two.
 
     Returns:
         None if the profiles do not fall, or if they are the halo of something brighter.

@@ -116,7 +116,6 @@ def measure_literal(
     """One turn of Algorithm 1's loop.
 
     Args:
-        frame: checked (`image.checked_frame`).
         at: M, the last position or the click (px); None to search the whole frame.
     """
     grey = grey_8bit(frame, settings)

@@ -28,7 +28,6 @@ class SubpixelSettings:
     """Settings of the sub-pixel mode.
 
     Attributes:
-        response: relation of a frame's values to light.
         reference: a frame of the same view without the spot, under the remaining light; it removes
             the wall's texture. None if there is none.
         camera: whose lens distortion is removed from the edge, so that spots are in the image of an

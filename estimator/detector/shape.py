@@ -39,7 +39,6 @@ def spot_shape(
 
     Args:
         frame: in which the spot was measured; as `estimator.measure` takes it.
-        camera: with which the spot was measured.
 
     Returns:
         None if the peak is saturated, the wall round the spot is out of view, or there is no spot.

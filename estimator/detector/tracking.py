@@ -91,8 +91,6 @@ def track(
     """Measure the frames of a sequence, one result a frame.
 
     Args:
-        frames: as `measure` takes them.
-        settings: whose type selects the mode.
         start: (x, y) of the spot in the first frame, px; None finds it.
     """
     state = TrackState(at_px=start)

@@ -65,10 +65,8 @@ class Part(NamedTuple):
 
     Attributes:
         sigma_mm: its standard uncertainty, as part of the distance.
-        freedom: its degrees of freedom.
         source: the quantity that the part comes from, or most of it.
         source_sigma: standard uncertainty of that quantity; NaN if it is no single number.
-        unit: of that quantity.
     """
 
     cause: Cause
@@ -114,7 +112,6 @@ class Budget:
         reading_mm: the distance by the model in use.
         correction_mm: to be added to it: minus the model's error at this c, d and tilt.
         parts: by cause; those that are known to be zero are left out.
-        left_out: what is not assessed, in words.
 
     Example:
         >>> touch, noise = Part(Cause.TOUCH, 0.02), Part(Cause.IMAGE, 0.002, freedom=187)

@@ -151,7 +151,6 @@ class PosePair:
 
     Attributes:
         best: the likelier one, given the ellipse and the axis.
-        mirror: the other one, with the incidence reversed.
         alike: whether ellipse and axis do not decide between the two.
         sigma_mm: of the distance, from the spot's covariance; NaN if that is unknown.
     """

@@ -88,9 +88,7 @@ def distance_from_lens(
 
     Args:
         radius_mm: semi-minor axis of the half-maximum contour on the wall; NaN is nowhere.
-        relative_sigma: of the radius, from the image.
         incidence: of the beam, rad.
-        shape: of the profile; None if unknown.
         peak_irradiance: of the peak, 1/mm2 per unit power, and its relative standard deviation;
             None if unknown.
 
@@ -154,7 +152,6 @@ def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
     """Trace a calibrated lens. Loads JAX; takes some 20 s.
 
     Args:
-        calibration: of the model `lens`.
         wall_curvature: 1/r of the eyeball, 1/mm; 0 of a plane.
 
     Raises:

@@ -81,12 +81,10 @@ class Range:
         sigma_mm: its standard deviation, from the covariances of the spot and the calibration; NaN
             if the spot's mode measures none. Errors of the model itself are not included.
         sigma_image_mm: of `exact`: the part of the spot's and the axis's covariances in `sigma_mm`.
-        others_mm: other distances that explain the spot equally well.
         poses: of `exact`: the best pose and its mirror image (the incidence reversed); of the mode
             pixels: the pose.
         chi_squared: of the mode pixels, per cell: 1 where beam, wall and camera explain the light.
         missing: why there is no distance, if there is none or it is negative.
-        wall: what the mode pixels knew of the wall.
     """
 
     distance_mm: float

@@ -61,13 +61,7 @@ class ConeView(NamedTuple):
 
 
 class SpotImage(NamedTuple):
-    """Image of a spot, from the principal point, px.
-
-    Attributes:
-        centre: (n, 2).
-        semi_major: (n,).
-        semi_minor: (n,).
-    """
+    """Centres, (n, 2), and semi-axes, (n,), of spots, from the principal point, px."""
 
     centre: np.ndarray
     semi_major: np.ndarray
@@ -84,7 +78,6 @@ def spot_image(
     """Ellipse of the image of a cone's edge on the wall; NaN where part of it misses the wall.
 
     Args:
-        eye: of n spots.
         spot: O, (n, 3), mm.
         axis: unit vectors from the tip towards the wall, (n, 3).
         distance: d = |SO|, (n,), mm.
@@ -111,11 +104,9 @@ def distance_of(
     The iteration of `optics.exact_distance` and `optics.distance_by_area`.
 
     Args:
-        eye: of n spots.
         at_px: centre of the ellipse from the principal point, (n, 2).
         size_px: semi-minor axis, or with `by_area` the root of the axes' product, (n,).
         axis: unit vectors, (n, 3).
-        by_area: which of the two the size is.
 
     Returns:
         d, (n,), mm, and O, (n, 3), mm; NaN where there is no such spot.
@@ -206,9 +197,7 @@ class Slopes(NamedTuple):
     """Derivatives of the distance, mm.
 
     Attributes:
-        size: by the size of the spot, per px.
-        x: by its place, per px.
-        y: by its place, per px.
+        size, x, y: by the size of the spot and its place, per px.
         tilt: by the beam's axis, per rad: the root of the squares across it.
         of: by the quantities of `ConeView`, per their unit.
     """
@@ -226,13 +215,7 @@ def slopes_of(
     """Derivatives of `distance_of`, from those of the spot's size at the distance found.
 
     The size e depends on the distance d and on each quantity q, so that at a measured size
-    dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen.
-
-    Args:
-        axis: unit vector, (3,).
-        point: O, (3,), mm.
-        distance: d, mm.
-        by_area: as of `distance_of`.
+    dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen. Axis and point O are (3,), mm.
     """
     given = {
         "k": float(eye.k[0]),

@@ -70,7 +70,6 @@ class Parameters(Options):
         range_topic: `sensor_msgs/Range`.
         beam_topic: `geometry_msgs/PoseWithCovarianceStamped`, in the mode pixels.
         status_topic: `diagnostic_msgs/DiagnosticArray`.
-        rerun: as of `eyespot track`.
     """
 
     image_topic: str = IMAGE_TOPIC
@@ -144,8 +143,6 @@ class Rig:
         """Measure an image; one that cannot be measured gives an output that says why.
 
         Args:
-            message: `sensor_msgs/Image`.
-            time_s: of its header, s.
             number: that the publisher gave to the image; it counts up by one.
         """
         self._count(number)

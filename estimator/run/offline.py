@@ -46,14 +46,11 @@ class Tracking:
 
     Attributes:
         records: one a frame, in order; empty if they are written elsewhere.
-        distances: number of frames with a distance.
-        no_spot: number of frames without a spot, by reason.
         most_significant: of the spots that are too faint, see `NoSpot.significance`; None if no
             spot is.
         doubtful: number of spots without a distance or with a doubtful one, by `Reason`.
         wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
-        ended: how it came to its end.
         fault: what broke it; empty unless `ended` is BROKEN or DISK_FULL.
     """
 
@@ -121,13 +118,11 @@ def track_source(
     source breaks off. A frame that meets a bug is a frame without a spot, see `Reader.read`.
 
     Args:
-        reader: new; it has not read a frame.
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
         show: gets every frame with its reading, for a recording.
         write: gets every record, see `files.spots_stream`; None keeps them in `Tracking.records`,
             1 KB a frame.
-        progress: gets every record once it is written.
 
     Raises:
         InputError: the first frame cannot be measured: it is unreadable, has no time although
@@ -167,10 +162,6 @@ def track_whole_source(
     source: Source, reader: Reader, *, progress: Callable[[SpotRecord], None] = lambda record: None
 ) -> list[SpotRecord]:
     """The records of all frames of a source, for those who need it whole.
-
-    Args:
-        reader: as for `track_source`.
-        progress: as for `track_source`.
 
     Raises:
         InputError: a frame cannot be measured, or the source breaks off.

@@ -343,7 +343,6 @@ class RecordingOptions:
         """Open a recording: its frames, the options with its microscope file, and the poses.
 
         Args:
-            name: see `open_source`.
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
         from formats.microscope import read_microscope

@@ -37,7 +37,6 @@ def annotated(
     """The frame as 8-bit RGB with the ellipse, the frame's number, and the distance or the reason.
 
     Args:
-        response: of the camera; its full scale becomes 255.
         camera: whose distortion was removed from the spot; it is applied again for the drawing.
     """
     picture = rgb_8bit(frame.image, response)

@@ -49,10 +49,6 @@ def progress(what: str, *, total: int | None) -> Iterator[Advance]:
                 measure(frame)
                 advance()
 
-    Args:
-        what: the activity, such as "Rendering".
-        total: number of steps; None if unknown.
-
     Yields:
         A function to call after each step.
     """

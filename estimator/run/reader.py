@@ -39,12 +39,9 @@ class Reading(NamedTuple):
     """What was measured in a frame.
 
     Attributes:
-        mode: that measured it.
-        result: the spot, or why there is none.
         range: its distance; None without a calibration, or where there is none. The mode pixels may
             find one where no spot could be measured.
         pose_age_s: age of the robot's pose at the frame's time; NaN where none was known.
-        budget: what the distance is worth; None without one.
     """
 
     mode: str
@@ -109,11 +106,9 @@ class Mode(ABC, Generic[S, R]):
     """Reads the frames of one sequence in order, and follows the spot from frame to frame.
 
     Args:
-        ranger: computes the distances; None for none.
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
             beam's axis is known from the tool's +z, or from the beam's direction in the tool's
             frame if the calibration contains it.
-        stated: uncertainties that neither spot nor calibration contains.
     """
 
     name: ClassVar[str]
@@ -149,9 +144,6 @@ class Mode(ABC, Generic[S, R]):
 
     def read(self, frame: np.ndarray, context: Context) -> Reading:
         """Measure the next frame.
-
-        Args:
-            frame: as `measure` takes it.
 
         Raises:
             InputError: it is not an image, or its full scale is not known.
@@ -315,7 +307,6 @@ class Reader:
     """Reads the frames of one sequence in order; no frame ends the run.
 
     Args:
-        mode: new; it has read no frame.
         start: (x, y) of the spot in the first frame, px; None finds it.
         size_px: (width, height) for which the microscope file is valid; None accepts any size.
         exposure_s: of all frames; None takes each frame's own.
@@ -363,7 +354,6 @@ class Reader:
         Args:
             image: as `measure` takes it.
             time_s: see `Context`; so are the others.
-            name: of the frame, for the log.
 
         Raises:
             InputError: the image is not an image or not of the microscope's size, its full scale is

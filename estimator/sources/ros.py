@@ -313,10 +313,7 @@ def write_bag(
     Args:
         path: of the bag, `NAME.bag`, or for ROS 2 the folder, which holds an MCAP file; must not
             exist.
-        frames: in the order of time.
-        poses: in the order of time.
-        image_topic: name of the images' topic.
-        pose_topic: name of the poses' topic.
+        frames, poses: in the order of time.
 
     Raises:
         InputError: the file exists, a time is not positive (ROS reads 0 as no time: add an

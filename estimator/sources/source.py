@@ -37,7 +37,7 @@ class Frame:
             empty where frames are no files.
         time_s: when it was taken, on the source's clock; NaN if unknown.
         image: (H, W) or RGB (H, W, 3); uint8, uint16, float32 or float64.
-        exposure_s: exposure time; NaN if unknown.
+        exposure_s: NaN if unknown.
         full_scale: value at which the source's samples end, where it says so; None otherwise.
         fault: why it could not be decoded, and is black or has no pixels; empty if it could.
     """
@@ -62,11 +62,8 @@ class Source:
     """Frames in order; iterating opens the file or the camera and reads them one by one.
 
     Attributes:
-        read: starts an iterator over the frames.
         length: number of frames; None for a camera. Of a video it is what its container says.
-        rate_hz: frames a second; None if unknown.
         live: whether it is a camera, which ends only when it is stopped.
-        microscope_file: that belongs to the source; None without one.
         unrelated: frames that are measured one by one, because a spot cannot be followed from one
             to the next.
         notes: what a user should know of the file, though it is no error.
