@@ -105,7 +105,7 @@ def require_space(path: Path, needed_bytes: float) -> None:
 
 
 def is_unfinished(name: str) -> bool:
-    """Whether a file name is that of something unfinished, which its writer left or still writes."""
+    """Whether a file's name is that of something that its writer has left or still writes."""
     return name.startswith(".") and name.endswith((UNFINISHED, STOPPED))
 
 

@@ -112,6 +112,7 @@ class Budget:
         reading_mm: the distance by the model in use.
         correction_mm: to be added to it: minus the model's error at this c, d and tilt.
         parts: by cause; those that are known to be zero are left out.
+        left_out: what is not assessed, in words.
 
     Example:
         >>> touch, noise = Part(Cause.TOUCH, 0.02), Part(Cause.IMAGE, 0.002, freedom=187)
