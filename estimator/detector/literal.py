@@ -124,7 +124,8 @@ def measure_literal(
         whole = _largest_component(grey, settings)
         if isinstance(whole, NoSpot):
             return whole
-        at = _centroid(whole)
+        moments = cv2.moments(whole, binaryImage=True)
+        at = moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
     x, y = patch_check(*at, p, grey.shape)
     x0, y0 = x - p, y - p
     component = _largest_component(np.ascontiguousarray(grey[y0 : y + p, x0 : x + p]), settings)
@@ -142,12 +143,13 @@ def measure_literal(
         return NoSpot(Reason.TOO_LARGE)
     patch = grey[y0 : y0 + 2 * p, x0 : x0 + 2 * p]
     clip = min(clip_level(patch, component > 0), 255)
+    angle = math.radians(degrees) + (0 if axes[0] == major else math.pi / 2)
     return Spot(
         x_px=x0 + u,
         y_px=y0 + v,
         semi_major_px=major / 2,
         semi_minor_px=minor / 2,
-        angle_rad=_half_turn(math.radians(degrees) + (0 if axes[0] == major else math.pi / 2)),
+        angle_rad=math.pi / 2 - (math.pi / 2 - angle) % math.pi,  # in (-pi/2, pi/2]
         covariance=np.full((5, 5), math.nan),
         edge_width_px=math.nan,
         coverage=math.nan,
@@ -158,7 +160,16 @@ def measure_literal(
 
 def _largest_component(grey: np.ndarray, settings: LiteralSettings) -> np.ndarray | NoSpot:
     """Mask (0 or 1) of the largest bright component, after both filters."""
-    binary = _binary(grey, settings)
+
+    def filtered(image: np.ndarray) -> np.ndarray:
+        side = settings.gaussian_px
+        return cv2.GaussianBlur(cv2.medianBlur(image, settings.median_px), (side, side), 0)
+
+    filters_first = settings.order == "filter_first"
+    light = filtered(grey) if filters_first else grey
+    _, binary = cv2.threshold(light, settings.threshold, 255, cv2.THRESH_BINARY)
+    if not filters_first:
+        _, binary = cv2.threshold(filtered(binary), 127, 255, cv2.THRESH_BINARY)
     count, labels, statistics, _ = cv2.connectedComponentsWithStats(binary)
     if count < 2:
         return NoSpot(Reason.NONE_FOUND)
@@ -167,29 +178,3 @@ def _largest_component(grey: np.ndarray, settings: LiteralSettings) -> np.ndarra
     if areas[largest] <= settings.min_component_px:
         return NoSpot(Reason.TOO_SMALL)
     return (labels == largest + 1).view(np.uint8)
-
-
-def _binary(grey: np.ndarray, settings: LiteralSettings) -> np.ndarray:
-    if settings.order == "filter_first":
-        _, binary = cv2.threshold(
-            _filtered(grey, settings), settings.threshold, 255, cv2.THRESH_BINARY
-        )
-        return binary
-    _, binary = cv2.threshold(grey, settings.threshold, 255, cv2.THRESH_BINARY)
-    _, binary = cv2.threshold(_filtered(binary, settings), 127, 255, cv2.THRESH_BINARY)
-    return binary
-
-
-def _filtered(image: np.ndarray, settings: LiteralSettings) -> np.ndarray:
-    side = settings.gaussian_px
-    return cv2.GaussianBlur(cv2.medianBlur(image, settings.median_px), (side, side), 0)
-
-
-def _centroid(mask: np.ndarray) -> tuple[float, float]:
-    moments = cv2.moments(mask, binaryImage=True)
-    return moments["m10"] / moments["m00"], moments["m01"] / moments["m00"]
-
-
-def _half_turn(angle: float) -> float:
-    """The same axis's angle in (-pi/2, pi/2]."""
-    return math.pi / 2 - (math.pi / 2 - angle) % math.pi

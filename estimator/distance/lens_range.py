@@ -133,18 +133,13 @@ def _likeliest(grid: np.ndarray, cost: np.ndarray) -> LensDistance:
     for first, last in edges.reshape(-1, 2):
         if not first <= best < last:
             others.append(float(grid[first + np.argmin(excess[first:last])]))
-    distance = _vertex(grid, cost, best)
+    distance = float(grid[best])
+    if 0 < best < len(grid) - 1:  # the vertex of the parabola through the least value
+        before, least, after = cost[best - 1 : best + 2]
+        distance += float(0.5 * _STEP * (before - after) / (before - 2 * least + after))
     weight = np.exp(-0.5 * excess)
     spread = weight @ (grid - distance) ** 2 / weight.sum()
     return LensDistance(distance, float(np.sqrt(spread)), tuple(others))
-
-
-def _vertex(grid: np.ndarray, cost: np.ndarray, index: int) -> float:
-    """Of the parabola through the least value and its neighbours."""
-    if not 0 < index < len(grid) - 1:
-        return float(grid[index])
-    before, least, after = cost[index - 1 : index + 2]
-    return float(grid[index] + 0.5 * _STEP * (before - after) / (before - 2 * least + after))
 
 
 @functools.lru_cache(2)  # several microscopes may look at one lens
@@ -247,7 +242,10 @@ def _relative_error(calibration: Calibration) -> np.ndarray:
     import optics
 
     def log_radius(values: Mapping[str, float]) -> np.ndarray:
-        field = optics.LensField(_lens(values), calibration.medium_index)
+        # Unchecked: a step of one standard error may leave what `optics.glue_lens` allows.
+        present: Any = {name: None for name in LENS_PARAMETERS}
+        present |= {name: np.asarray(values[name]) for name in LENS_PARAMETERS if name in values}
+        field = optics.LensField(optics.GlueLens(**present), calibration.medium_index)
         radius = optics.half_maximum_radius(field, distance=_SENSITIVITY_DISTANCES)
         return np.log(np.asarray(radius))
 
@@ -264,12 +262,3 @@ def _relative_error(calibration: Calibration) -> np.ndarray:
             slopes[:, column] = (log_radius({**values, name: value + step}) - middle) / step
     variance = np.einsum("ni,ij,nj->n", slopes, calibration.covariance, slopes)
     return np.sqrt(np.interp(_DISTANCES, _SENSITIVITY_DISTANCES, np.maximum(variance, 0.0)))
-
-
-def _lens(values: Mapping[str, float]) -> optics.GlueLens:
-    """Unchecked: a step of one standard error may leave what `optics.glue_lens` allows."""
-    import optics
-
-    present: Any = {name: None for name in LENS_PARAMETERS}
-    present |= {name: np.asarray(values[name]) for name in LENS_PARAMETERS if name in values}
-    return optics.GlueLens(**present)

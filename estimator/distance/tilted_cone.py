@@ -88,7 +88,10 @@ def spot_image(
     ray = axis[:, None] + around / np.reshape(eye.k, (-1, 1, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         edge = apex[:, None] + _to_wall(eye, apex, ray)[..., None] * ray
-        return _ellipse(_projected(eye, edge))
+        height = edge[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
+        depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
+        per_px = np.reshape(eye.scale, (-1, 1)) * depth
+        return _ellipse(np.stack([edge[..., 0] / per_px, -edge[..., 1] / per_px], axis=-1))
 
 
 def distance_of(
@@ -145,14 +148,6 @@ def _to_wall(eye: ConeView, apex: np.ndarray, ray: np.ndarray) -> np.ndarray:
     along = np.einsum("nk,npk->np", apex, ray)
     inside = np.einsum("nk,nk->n", apex, apex)[:, None] - radius**2
     return (np.sqrt(along**2 - square * inside) - along) / square
-
-
-def _projected(eye: ConeView, point: np.ndarray) -> np.ndarray:
-    """Images of wall points, (n, points, 2), px from the principal point."""
-    height = point[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
-    depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
-    per_px = np.reshape(eye.scale, (-1, 1)) * depth
-    return np.stack([point[..., 0] / per_px, -point[..., 1] / per_px], axis=-1)
 
 
 def _ellipse(contour: np.ndarray) -> SpotImage:
