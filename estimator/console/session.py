@@ -21,7 +21,7 @@ import numpy as np
 from estimator.image import outline_px, rgb_8bit
 from estimator.run.offline import record_of
 from estimator.run.reader import Reader, Reading
-from estimator.sources.ros import write_messages
+from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame, Source
 from formats.camera import Response
 from formats.inputs import InputError
@@ -75,7 +75,7 @@ def _bag_stream(path: Path) -> Iterator[Write]:
 
     def work() -> None:
         try:
-            write_messages(path, (one for several in iter(waiting.get, None) for one in several))
+            write_bag(path, frames=(one for several in iter(waiting.get, None) for one in several))
         except (InputError, OSError) as error:
             faults.append(error)
 

@@ -16,7 +16,7 @@ from dataclasses import replace
 from functools import partial
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
@@ -297,11 +297,9 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
 def write_bag(
     path: str | Path,
     *,
-    frames: Iterable[Frame],
-    poses: Iterable[Pose],
+    frames: Iterable[Frame | Pose],
+    poses: Iterable[Pose] = (),
     ros: Literal[1, 2] = 1,
-    image_topic: str = IMAGE_TOPIC,
-    pose_topic: str = POSE_TOPIC,
 ) -> None:
     """Write a bag with the rig's topics, playable with `rosbag play` or `ros2 bag play`.
 
@@ -313,43 +311,26 @@ def write_bag(
     Args:
         path: of the bag, `NAME.bag`, or for ROS 2 the folder, which holds an MCAP file; must not
             exist.
-        frames, poses: in the order of time.
+        frames, poses: in the order of time; frames may have poses between them.
 
     Raises:
         InputError: the file exists, a time is not positive (ROS reads 0 as no time: add an
             offset to frames and poses alike), or an image is of floats.
     """
-    in_time = cast(Iterator[Frame | Pose], heapq.merge(frames, poses, key=attrgetter("time_s")))
-    write_messages(path, in_time, ros=ros, image_topic=image_topic, pose_topic=pose_topic)
-
-
-def write_messages(
-    path: str | Path,
-    messages: Iterable[Frame | Pose],
-    *,
-    ros: Literal[1, 2] = 1,
-    image_topic: str = IMAGE_TOPIC,
-    pose_topic: str = POSE_TOPIC,
-) -> None:
-    """Write a bag of frames and poses that come in the order of time, as `write_bag`."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_typestore
 
-    path, opened = (
-        Path(path),
-        partial(
-            rosbag2.Writer,
-            version=rosbag2.Writer.VERSION_LATEST,
-            storage_plugin=rosbag2.StoragePlugin.MCAP,
-        ),
-    )
+    newest, mcap = rosbag2.Writer.VERSION_LATEST, rosbag2.StoragePlugin.MCAP
+    of_ros2 = partial(rosbag2.Writer, version=newest, storage_plugin=mcap)
+    opened: Any = rosbag1.Writer if ros == 1 else of_ros2
     types = get_typestore(Stores.ROS1_NOETIC if ros == 1 else Stores.ROS2_HUMBLE)
     to_bytes = types.serialize_ros1 if ros == 1 else types.serialize_cdr
     # ROS 2 names the file inside a bag after the bag; here both have the bag's own name already.
-    with written_whole(path) as whole, (rosbag1.Writer if ros == 1 else opened)(whole) as writer:
-        image_connection = writer.add_connection(image_topic, IMAGE_MESSAGES[0], typestore=types)
-        pose_connection = writer.add_connection(pose_topic, POSE_MESSAGES[0], typestore=types)
-        for item in messages:
+    with written_whole(Path(path)) as whole, opened(whole) as writer:
+        image_connection = writer.add_connection(IMAGE_TOPIC, IMAGE_MESSAGES[0], typestore=types)
+        pose_connection = writer.add_connection(POSE_TOPIC, POSE_MESSAGES[0], typestore=types)
+        in_time: Any = heapq.merge(frames, poses, key=attrgetter("time_s"))
+        for item in in_time:
             if not item.time_s >= 1e-9:
                 raise InputError(
                     f"A bag's times must be positive, because ROS reads 0 as no time; got "
