@@ -1,5 +1,6 @@
 """Small rendered stacks of a known cone for tests of the mode pixels, and what it reads in them."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -60,3 +61,10 @@ def readings_of(stack, folder: Path, poses=None, **options):
         (pose,) = found.poses
         chi_squared = pose.chi_squared(labels.tip_mm, labels.axis)
         yield found.wall, found.distance_mm - labels.d_mm, chi_squared
+
+
+def assert_posed(readings, within_mm: float = math.inf) -> None:
+    """The poses are within their stated errors, and the distances within a limit of the truth."""
+    _, off_mm, chi_squared = zip(*readings, strict=True)
+    assert max(map(abs, off_mm)) < within_mm
+    assert max(chi_squared) < 30  # of five numbers it exceeds that once in 70,000

@@ -3,7 +3,6 @@
 import itertools
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +14,10 @@ from estimator.pixels.tracker import PixelRanger
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.inputs import InputError
-from formats.poses import read_poses
 from formats.spots import NoSpot, Reason, RecordedPose, SpotRecord, read_spots, write_spots
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes, square_lattice
-from tests.pixel_stacks import calibration_in, cone_stack
+from tests.pixel_stacks import assert_posed, calibration_in, cone_stack, reader_in, readings_of
 
 _HALF_ANGLE, _APEX = math.atan(1 / 20), -5.117
 _WALL = optics.Sphere(11.5)
@@ -190,51 +188,19 @@ def test_a_window_that_has_moved_by_more_than_its_side_has_none_of_its_cells(way
     assert not rolled(np.ones(COUNT**2), *way).any()
 
 
-def _rendered(folder: Path, *, texture_seed: int):
-    return cone_stack(folder, phantom={"wall": "printed paper", "texture_seed": texture_seed})
-
-
-@pytest.fixture(scope="module")
-def stack(tmp_path_factory):
-    return _rendered(tmp_path_factory.mktemp("pixels") / "stack", texture_seed=4)
-
-
-def test_poses_of_rendered_frames_are_within_their_stated_errors(stack, tmp_path):
-    reader = Options.of(
-        {
-            "mode": "pixels",
-            "calibration": calibration_in(tmp_path),
-            "microscope": stack.folder / "microscope.json",
-            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
-        }
-    ).reader()
-    assert reader.mode.name == "pixels"
-    poses = read_poses(stack.folder / "kinematics.csv")
-    distances = []
-    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
-        reading = reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-        )
-        assert reading.range is not None
-        assert not reading.doubt
-        (pose,) = reading.range.poses
-        # Chi squared of five numbers exceeds 30 once in 70,000.
-        assert pose.chi_squared(labels.tip_mm, labels.axis) < 30
-        distances.append(reading.distance_mm - labels.d_mm)
+def test_poses_of_rendered_frames_are_within_their_stated_errors(paper_stack, tmp_path):
     # 5 px RMS of the semi-minor axis would be 0.7 mm; a texture of 5 % leaves some micrometres.
-    assert np.max(np.abs(distances)) < 0.02
+    assert_posed(readings_of(paper_stack, tmp_path), within_mm=0.02)
+    reader = reader_in(paper_stack, tmp_path)
+    assert not any(reader.read(frame.image).doubt for frame in open_source(paper_stack.folder))
 
 
-def test_a_wall_that_has_changed_does_not_pull_the_pose(stack, tmp_path):
-    other = _rendered(tmp_path / "other", texture_seed=9)
-    reader = Options.of(
-        {
-            "mode": "pixels",
-            "calibration": calibration_in(tmp_path),
-            "microscope": stack.folder / "microscope.json",
-        }
-    ).reader()
-    frames = [list(open_source(one.folder)) for one in (stack, other)]
+def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
+    paper = {"wall": "printed paper", "texture_seed": 9}
+    other = cone_stack(tmp_path / "other", phantom=paper)
+    reader = reader_in(paper_stack, tmp_path, eye_from_robot=None)
+    assert reader.mode.name == "pixels"
+    frames = [list(open_source(one.folder)) for one in (paper_stack, other)]
     for wall, index in ((0, 0), (0, 1), (1, 2)):
         reading = reader.read(frames[wall][index].image)
     assert reading.range is not None
@@ -245,8 +211,8 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(stack, tmp_path):
     assert off @ np.linalg.solve(pose.covariance[:3, :3], off) < 21
 
 
-def test_a_microscope_file_without_the_camera_s_noise_is_refused(stack, tmp_path):
-    content = json.loads((stack.folder / "microscope.json").read_text())
+def test_a_microscope_file_without_the_camera_s_noise_is_refused(paper_stack, tmp_path):
+    content = json.loads((paper_stack.folder / "microscope.json").read_text())
     del content["camera"]
     path = tmp_path / "microscope.json"
     path.write_text(json.dumps(content))
@@ -255,8 +221,8 @@ def test_a_microscope_file_without_the_camera_s_noise_is_refused(stack, tmp_path
         Options.of(options).reader()
 
 
-def test_the_mode_needs_a_calibration_and_takes_no_model(stack, tmp_path):
-    microscope = stack.folder / "microscope.json"
+def test_the_mode_needs_a_calibration_and_takes_no_model(paper_stack, tmp_path):
+    microscope = paper_stack.folder / "microscope.json"
     with pytest.raises(InputError, match="needs a calibration"):
         Options.of({"mode": "pixels", "microscope": microscope}).reader()
     options = {"mode": "pixels", "calibration": calibration_in(tmp_path), "microscope": microscope}

@@ -7,7 +7,7 @@ from estimator.pixels.cells import COUNT, CellLight, CellWindow, WallMotion
 from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import OWN, Linear
 from estimator.sources.opening import open_source
-from tests.pixel_stacks import cone_stack, readings_of
+from tests.pixel_stacks import assert_posed, cone_stack, readings_of
 
 
 def test_a_point_of_the_map_comes_back_from_the_image():
@@ -101,9 +101,8 @@ def test_a_wall_that_turns_with_the_eye_is_registered(tmp_path):
     assert {wall for wall, _, _ in readings[1:]} == {WallMemory.MOVED}
     # Once its motion is known. Printed paper leaves a few micrometres; a map that stayed behind by
     # 0.1 mm would be no better than none.
-    assert max(abs(distance) for _, distance, _ in readings[2:]) < 0.015
-    # Chi squared of five numbers exceeds 30 once in 70,000.
-    assert max(chi_squared for _, _, chi_squared in readings) < 30
+    assert_posed(readings[2:], within_mm=0.015)
+    assert_posed(readings)
 
 
 def test_a_drift_of_the_microscope_is_within_the_stated_errors(tmp_path):
@@ -111,7 +110,7 @@ def test_a_drift_of_the_microscope_is_within_the_stated_errors(tmp_path):
     readings = list(readings_of(stack, tmp_path))
     assert {wall for wall, _, _ in readings[1:]} == {WallMemory.MOVED}
     # The tip is up to 0.45 mm off; the microscope file cannot know that, the standard errors do.
-    assert max(chi_squared for _, _, chi_squared in readings) < 30
+    assert_posed(readings)
 
 
 def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
@@ -129,9 +128,7 @@ def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
     )
     times = [frame.exposure_s for frame in open_source(stack.folder)]
     assert min(times) > 0.03
-    readings = list(readings_of(stack, tmp_path))
-    assert max(abs(distance) for _, distance, _ in readings) < 0.005
-    assert max(chi_squared for _, _, chi_squared in readings) < 30
+    assert_posed(readings_of(stack, tmp_path), within_mm=0.005)
 
 
 def test_a_shake_as_stated_is_no_motion_of_the_wall(tmp_path):

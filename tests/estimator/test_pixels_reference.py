@@ -9,7 +9,7 @@ from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.inputs import InputError
 from formats.poses import read_poses
-from tests.pixel_stacks import calibration_in, cone_stack
+from tests.pixel_stacks import calibration_in, cone_stack, reader_in
 
 _RETINA = {"wall": "retina", "texture_seed": 6}
 
@@ -33,15 +33,7 @@ def stack(tmp_path_factory):
 
 
 def _first(stack, folder, **options):
-    reader = Options.of(
-        {
-            "mode": "pixels",
-            "calibration": calibration_in(folder),
-            "microscope": stack.folder / "microscope.json",
-            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
-            **options,
-        }
-    ).reader()
+    reader = reader_in(stack, folder, **options)
     # A retina is dark: the tip withdraws by some 60 um during an exposure.
     poses = read_poses(stack.folder / "kinematics.csv")
     frame = list(open_source(stack.folder))[1]

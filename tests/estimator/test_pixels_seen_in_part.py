@@ -8,9 +8,8 @@ from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_model import covered, halo
 from estimator.pixels.picture import hidden_pixels
 from formats.spots import NoSpot, Outline, Reason
-from tests.pixel_stacks import cone_stack, readings_of
+from tests.pixel_stacks import assert_posed, cone_stack, readings_of
 
-_MOST = 30.0  # chi squared of five numbers exceeds it once in 70,000
 _SPOT = Outline(150.3, 119.6, 60.0, 50.0, 0.4, edge_width_px=0.5)
 
 
@@ -28,14 +27,14 @@ def _ellipse(shape=(240, 300), *, parts=8):
 
 
 def _readings(folder, reason, **tables):
-    """Errors of distances and chi squared in frames that the sub-pixel mode does not measure."""
+    """What `readings_of` says of frames that the sub-pixel mode does not measure."""
     spot = {"eccentricity_mm": 0.066, "azimuth_deg": 0.0, "incidence_deg": 31.4}
     microscope = {"width_px": 640, "height_px": 480, "scale_mm_px": 0.0067}
     stack = cone_stack(folder / "stack", **{"spot": spot, "microscope": microscope} | tables)
     for frame in open_source(stack.folder):
         result, _ = measure(frame.image, TrackState(), SubpixelSettings())
         assert result == NoSpot(reason)
-    return [(distance, chi_squared) for _, distance, chi_squared in readings_of(stack, folder)]
+    return list(readings_of(stack, folder))
 
 
 def test_a_shadow_over_more_than_half_of_the_contour_leaves_a_pose(tmp_path):
@@ -50,7 +49,7 @@ def test_a_shadow_over_more_than_half_of_the_contour_leaves_a_pose(tmp_path):
         },
         motion={"start_mm": 2.8, "travel_mm": 0.2, "frames": 2, "speed_mm_s": 1.0},
     )
-    assert max(chi_squared for _, chi_squared in found) < _MOST
+    assert_posed(found)
 
 
 def test_a_tip_at_the_wall_has_a_pose_with_a_beam_that_is_known_less_well(tmp_path):
@@ -62,10 +61,8 @@ def test_a_tip_at_the_wall_has_a_pose_with_a_beam_that_is_known_less_well(tmp_pa
         microscope={"width_px": 640, "height_px": 480},
         motion={"start_mm": "contact", "travel_mm": 0.6, "frames": 4, "speed_mm_s": 0.1},
     )
-    found = list(readings_of(stack, tmp_path, sigma_b_mm=0.028))
-    assert max(chi_squared for _, _, chi_squared in found) < _MOST
     # The true b was told: what is left are the frame's own errors.
-    assert max(abs(distance) for _, distance, _ in found) < 0.028
+    assert_posed(readings_of(stack, tmp_path, sigma_b_mm=0.028), within_mm=0.028)
 
 
 @pytest.mark.parametrize(("wall", "level"), [("printed paper", 0.12), ("retina", 0.18)])
@@ -82,8 +79,7 @@ def test_a_saturated_spot_has_a_pose(tmp_path, wall, level):
         },
         motion={"start_mm": 2.8, "travel_mm": 0.4, "frames": 3, "speed_mm_s": 1.0},
     )
-    assert max(abs(distance) for distance, _ in found) < 0.04
-    assert max(chi_squared for _, chi_squared in found) < _MOST
+    assert_posed(found, within_mm=0.04)
 
 
 @pytest.mark.parametrize("full_scales", [3.0, 30.0])
