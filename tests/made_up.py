@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,3 +66,33 @@ def a_microscope(**changed: Any) -> MicroscopeFile:
         "eye_radius_mm": 11.5,
     }
     return MicroscopeFile(**given | changed)
+
+
+def a_microscope_file(
+    folder: Path,
+    size_px: tuple[int, int] = (640, 480),
+    *,
+    scale_mm_px: float = 0.0067,
+    pinhole_height_mm: float | None = None,
+    **keys: Any,
+) -> Path:
+    """microscope.json, telecentric without a pinhole; looks at the middle of the frame."""
+    u, v = ((side - 1) / 2 for side in size_px)
+    content = {
+        "schema": 1,
+        "width_px": size_px[0],
+        "height_px": size_px[1],
+        "camera_matrix": None,
+        "distortion": [0.0] * 5,
+        "scale_mm_px": scale_mm_px,
+        "principal_point_px": [u, v],
+        "pinhole_height_mm": pinhole_height_mm,
+        "eye_radius_mm": 11.5,
+        "response": "linear",
+    }
+    if pinhole_height_mm is not None:
+        focal = (pinhole_height_mm + 11.5) / scale_mm_px
+        content["camera_matrix"] = [[focal, 0, u], [0, focal, v], [0, 0, 1]]
+    path = folder / "microscope.json"
+    path.write_text(json.dumps(content | keys))
+    return path

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable
 from pathlib import Path
@@ -18,6 +17,7 @@ from formats.camera import CameraNoise, Response
 from formats.inputs import InputError
 from formats.spots import NoSpot, Reason, Spot
 from tests.drawn_spots import spot_image
+from tests.made_up import a_microscope_file
 
 SHAPE = (240, 320)
 LEVELS = [  # bits of the camera, where it clips, shift to the upper bits
@@ -177,25 +177,6 @@ def test_a_curve_counts_from_the_cameras_full_scale(tmp_path: Path) -> None:
         measured(frame, SubpixelSettings(response=Response(full_scale=1023)))
 
 
-def _microscope(folder: Path, **keys: object) -> Path:
-    """A microscope file of a camera with 12 bits."""
-    content = {
-        "schema": 1,
-        "width_px": SHAPE[1],
-        "height_px": SHAPE[0],
-        "camera_matrix": [[3432.8, 0, 159.5], [0, 3432.8, 119.5], [0, 0, 1]],
-        "distortion": [0.0] * 5,
-        "scale_mm_px": 23.0 / 3432.8,
-        "principal_point_px": [159.5, 119.5],
-        "pinhole_height_mm": 11.5,
-        "eye_radius_mm": 11.5,
-        "response": "srgb",
-    }
-    path = folder / "microscope.json"
-    path.write_text(json.dumps(content | keys))
-    return path
-
-
 SHEET = {"full_well_e": 9000.0, "read_noise_e": 8.0, "black_level_dn": 8.0, "bit_depth": 12}
 
 
@@ -203,7 +184,9 @@ SHEET = {"full_well_e": 9000.0, "read_noise_e": 8.0, "black_level_dn": 8.0, "bit
 def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
     image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
     frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
-    reader = Options.of({"microscope": _microscope(tmp_path, **keys)}).reader()
+    size = SHAPE[1], SHAPE[0]
+    microscope = a_microscope_file(tmp_path, size, pinhole_height_mm=11.5, response="srgb", **keys)
+    reader = Options.of({"microscope": microscope}).reader()
     spot = reader.read(frame).result
     assert isinstance(spot, Spot)
     assert_within(spot, (40, 30))

@@ -1,7 +1,5 @@
 """A camera's noise measured from pairs of frames, against the data sheet that made the frames."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
@@ -12,6 +10,7 @@ from formats.microscope import read_microscope
 from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
 from tests.command_line import call
+from tests.made_up import a_microscope_file
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
 _LEVELS = (0.0, 0.12, 0.25, 0.4, 0.6, 0.8)
@@ -61,23 +60,7 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
     for number, pair in enumerate(_pairs()):
         for k, frame in enumerate(pair):
             cv2.imwrite(f"{folder}/{number}{k}.png", frame[..., ::-1])
-    microscope = tmp_path / "microscope.json"
-    microscope.write_text(
-        json.dumps(
-            {
-                "schema": 1,
-                "width_px": 640,
-                "height_px": 480,
-                "camera_matrix": None,
-                "distortion": [0.0] * 5,
-                "scale_mm_px": 0.0067,
-                "principal_point_px": [319.5, 239.5],
-                "pinhole_height_mm": None,
-                "eye_radius_mm": 11.5,
-                "response": "linear",
-            }
-        )
-    )
+    microscope = a_microscope_file(tmp_path)
     out = tmp_path / "with_camera.json"
     options = [str(folder), "--microscope", str(microscope), "--out", str(out)]
     result = call(["camera", *options])

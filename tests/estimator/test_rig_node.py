@@ -38,6 +38,7 @@ from estimator.rig.rig import OutputState, Parameters, Rig
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from formats.poses import read_poses
+from tests.made_up import a_microscope_file
 from tests.rig_recordings import (
     HOME,
     calibrated,
@@ -80,13 +81,10 @@ def disc(x: float, y: float, radius: float) -> np.ndarray:
 
 
 DARK = np.full((240, 320), 20, np.uint8)
-# Of a pinhole on the sphere, 6.7 um/px at the pole.
-MICROSCOPE = """{
- "schema": 1, "width_px": 320, "height_px": 240,
- "camera_matrix": [[1716.4179104477612, 0, 159.5], [0, 1716.4179104477612, 119.5], [0, 0, 1]],
- "distortion": [0, 0, 0, 0, 0], "scale_mm_px": 0.0134, "principal_point_px": [159.5, 119.5],
- "pinhole_height_mm": 11.5, "eye_radius_mm": 11.5, "response": "linear"
-}"""
+
+
+def microscope_in(folder: Path) -> Path:
+    return a_microscope_file(folder, (320, 240), scale_mm_px=0.0134, pinhole_height_mm=11.5)
 
 
 def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
@@ -114,8 +112,7 @@ def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
 
 
 def test_the_distance_is_in_metres(tmp_path: Path) -> None:
-    microscope = tmp_path / "microscope.json"
-    microscope.write_text(MICROSCOPE)
+    microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
@@ -125,8 +122,7 @@ def test_the_distance_is_in_metres(tmp_path: Path) -> None:
 
 
 def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
-    microscope = tmp_path / "microscope.json"
-    microscope.write_text(MICROSCOPE)
+    microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     # At contact the spot has -b/(delta k) = 19.1 px.
     reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 17.0)), 1.0, 0)
@@ -214,8 +210,7 @@ def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: st
 
 
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
-    microscope = tmp_path / "microscope.json"
-    microscope.write_text(MICROSCOPE)
+    microscope = microscope_in(tmp_path)
     turned = Rig(Parameters(microscope=microscope)).output(image_message(DARK.T.copy()), 1.0, 0)
     assert "240x320 px" in turned.doubt
     outside = Rig(Parameters(start=(320.0, 10.0))).output(image_message(DARK), 1.0, 0)

@@ -44,7 +44,7 @@ from tests.drawn_recording import (
     write_video,
 )
 from tests.drawn_sets import labels_of
-from tests.made_up import a_calibration
+from tests.made_up import a_calibration, a_microscope_file
 
 EYESPOT = Path(sys.executable).with_name("eyespot")
 SCALE_MM_PX = 0.0067
@@ -84,22 +84,8 @@ def frames(tmp_path, images) -> Path:
 @pytest.fixture
 def microscope(tmp_path) -> Path:
     """A telecentric one with a curved response."""
-    content = {
-        "schema": 1,
-        "width_px": SHAPE[1],
-        "height_px": SHAPE[0],
-        "camera_matrix": None,
-        "distortion": [0.0] * 5,
-        "scale_mm_px": SCALE_MM_PX,
-        "principal_point_px": [100.0, 80.0],
-        "pinhole_height_mm": None,
-        "eye_radius_mm": 11.5,
-        "response": "srgb",
-        "paper_exposure_s": 0.01,
-    }
-    path = tmp_path / "microscope.json"
-    path.write_text(json.dumps(content))
-    return path
+    size = SHAPE[1], SHAPE[0]
+    return a_microscope_file(tmp_path, size, response="srgb", paper_exposure_s=0.01)
 
 
 @pytest.fixture
