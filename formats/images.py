@@ -264,24 +264,26 @@ def decoded_image(data: bytes) -> DecodedImage:
     """
     if not data:
         raise InputError("is empty")
-    if _is_cut_short(data):
+    # Decoders fill what lacks at the end with grey.
+    is_cut = data.startswith(_PNG) and b"IEND" not in data
+    if data.startswith(b"\xff\xd8"):  # a JPEG's end of image, and its start of the last scan
+        is_cut = data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")
+    if is_cut:
         raise InputError("is truncated")
     try:
-        return (_tiff if data.startswith(_TIFF) else _image)(data)
+        if not data.startswith(_TIFF):
+            return _image(data)
+        with opened_tiff(io.BytesIO(data)) as file:
+            pages, whole = pages_of_frames(file)
+            if not whole:
+                raise InputError("is truncated")
+            if len(pages) > 1:
+                raise InputError(f"holds {len(pages)} frames. Give it as a source of its own")
+            return image_of_page(file.pages[pages[0]].aspage())
     except (InputError, MemoryError):
         raise
     except Exception as error:  # decoders raise errors of all kinds
         raise InputError(_DAMAGED) from error
-
-
-def _tiff(data: bytes) -> DecodedImage:
-    with opened_tiff(io.BytesIO(data)) as file:
-        pages, whole = pages_of_frames(file)
-        if not whole:
-            raise InputError("is truncated")
-        if len(pages) > 1:
-            raise InputError(f"holds {len(pages)} frames. Give it as a source of its own")
-        return image_of_page(file.pages[pages[0]].aspage())
 
 
 def _image(data: bytes) -> DecodedImage:
@@ -350,12 +352,3 @@ def _full_scale(data: bytes, image: np.ndarray) -> float | None:
     if not (image & ((1 << unused) - 1)).any():
         return float((2**bits - 1) << unused)
     return 2.0**bits - 1 if image.max() < 2**bits else None
-
-
-def _is_cut_short(data: bytes) -> bool:
-    """Whether a PNG or JPEG lacks its end, which decoders fill with grey."""
-    if data.startswith(_PNG):
-        return b"IEND" not in data
-    if data.startswith(b"\xff\xd8"):
-        return data.rfind(b"\xff\xd9") < data.rfind(b"\xff\xda")  # end of image, start of scan
-    return False

@@ -61,6 +61,7 @@ _MOST_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
 _MOST_DOTS = 100  # of a line
 _DEEPEST = 16  # levels of lists and tables; our formats have eight at most
 _LARGEST = 2**63  # TOML's whole numbers, those of NumPy and of HDF5 have 64 bits
+_SURROGATE = re.compile("[\ud800-\udfff]")  # alone it cannot be written
 
 
 @contextmanager
@@ -194,8 +195,11 @@ def check_values(content: object) -> None:
                 below += [*value.keys(), *value.values()]
             elif isinstance(value, list):
                 below += value
-            elif isinstance(value, str):
-                _check_text(value)
+            elif isinstance(value, str) and ("\0" in value or _SURROGATE.search(value)):
+                raise InputError(
+                    f"text must be Unicode without NUL; got {shortened(value)}. Remove the "
+                    "character."
+                )
             elif isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
                 raise InputError(
                     f"a whole number must have at most 64 bits; got {shortened(value)}."
@@ -204,17 +208,6 @@ def check_values(content: object) -> None:
             return
         layer = below
     raise InputError(f"nested more than {_DEEPEST} levels deep.")
-
-
-def _check_text(text: str) -> None:
-    try:
-        is_text = "\0" not in text and (text.isascii() or bool(text.encode()))
-    except UnicodeEncodeError:
-        is_text = False
-    if not is_text:
-        raise InputError(
-            f"text must be Unicode without NUL; got {shortened(text)}. Remove the character."
-        )
 
 
 _Model = TypeVar("_Model", bound=BaseModel)

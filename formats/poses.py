@@ -180,12 +180,17 @@ def _from_bag(path: Path, topic: str | None) -> Iterator[Pose]:
         topic = topic_in(reader, path, topic, kinds=POSE_MESSAGES, usual=POSE_TOPIC)
         for index, (received_s, message) in enumerate(messages_of(reader, path, topic)):
             with in_file(f"{path}, {topic}, message {index}"):
-                yield _pose_of_message(message, received_s)
+                if isinstance(message, InputError):
+                    raise message
+                yield pose_of_message(message, received_s)
 
 
-def _pose_of_message(message: Any, received_s: float) -> Pose:
-    if isinstance(message, InputError):
-        raise message
+def pose_of_message(message: Any, received_s: float) -> Pose:
+    """The pose in a `Transform`, mm, or a `PoseStamped`, m, that arrived at a time, s.
+
+    Raises:
+        InputError: its rotation is no unit quaternion, or a number is not finite.
+    """
     if hasattr(message, "translation"):
         time_s, scale = received_s, 1.0
         position, turn = message.translation, message.rotation
@@ -214,14 +219,9 @@ def _from_csv(path: Path) -> Iterator[Pose]:
 
     for row, where in csv_rows(path, check=check):
         with in_file(where):
-            yield _pose(row, direction)
-
-
-def _pose(row: dict[str, str], direction: tuple[str, ...]) -> Pose:
-    time_s, x, y, z = (number_in(row[name], name) for name in ("time_s", *_POSITION))
-    towards = [number_in(row[name], name) for name in direction]
-    if direction is _AXIS:
-        ax, ay, az = towards
-        return Pose.along((ax, ay, az), time_s=time_s, position_mm=(x, y, z))
-    qx, qy, qz, qw = towards
-    return Pose(time_s=time_s, position_mm=(x, y, z), rotation=(qx, qy, qz, qw))
+            time_s, x, y, z = (number_in(row[name], name) for name in ("time_s", *_POSITION))
+            towards: Any = tuple(number_in(row[name], name) for name in direction)
+            if direction is _AXIS:
+                yield Pose.along(towards, time_s=time_s, position_mm=(x, y, z))
+            else:
+                yield Pose(time_s=time_s, position_mm=(x, y, z), rotation=towards)

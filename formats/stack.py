@@ -268,7 +268,7 @@ class Stack:
         if type(found) is not kind or (isinstance(found, float) and not math.isfinite(found)):
             raise InputError(
                 f"{self.folder / 'stack.toml'}: {key} must be a finite {kind.__name__}; got "
-                f"{shortened(found)}. Render the stack again."
+                f"{shortened(found)}. {_AGAIN}"
             )
         return found
 
@@ -277,9 +277,9 @@ class Stack:
         try:
             return read_image(path).image
         except FileNotFoundError as error:
-            raise InputError(f"{path} is missing. Render the stack again.") from error
+            raise InputError(f"{path} is missing. {_AGAIN}") from error
         except InputError as error:
-            raise InputError(f"{path} {error}. Render the stack again.") from error
+            raise InputError(f"{path} {error}. {_AGAIN}") from error
 
     def images(self, exposure: str) -> Iterator[np.ndarray]:
         """Images (RGB) of one kind of exposure, in order."""
@@ -318,42 +318,31 @@ def read_stack(folder: Path) -> Stack:
             f"{folder} is not a stack: {Path(error.filename).name} is missing."
         ) from error
     lines = text.removesuffix("\n").split("\n") if text else []
-    labels = tuple(_parse(folder, n, line) for n, line in enumerate(lines, 1))
-    _match(folder, labels)
-    return Stack(folder, labels, description)
-
-
-def _parse(folder: Path, number: int, line: str) -> FrameLabels:
-    with in_file(f"{folder / 'metadata.jsonl'}, line {number}"):
-        row = validated(FrameLabels, object_in(line), remedy=_AGAIN)
-        for name in (row.file_name, row.mask_file_name):
-            inside(folder, name)
-        for name, value in row:
-            # What is unknown is NaN or infinite; with other numbers nothing could be computed.
-            known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
-            if known and not abs(value) <= _LARGEST:
-                raise InputError(
-                    f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}"
-                )
-    return row
-
-
-def _match(folder: Path, labels: tuple[FrameLabels, ...]) -> None:
-    """Every line has its frame, every frame its line."""
     frames = {f"frames/{path.name}" for path in (folder / "frames").glob("*.png")}
-    seen: set[str] = set()
-    for number, row in enumerate(labels, 1):
-        where = f"{folder / 'metadata.jsonl'}, line {number}"
-        if row.file_name in seen:
-            raise InputError(f"{where}: {row.file_name} has a line already.")
-        if row.file_name not in frames:
-            raise InputError(f"{where}: {folder / row.file_name} is missing.")
-        seen.add(row.file_name)
-    if unlabelled := sorted(frames - seen):
+    found: dict[str, FrameLabels] = {}
+    for number, line in enumerate(lines, 1):
+        with in_file(f"{folder / 'metadata.jsonl'}, line {number}"):
+            row = validated(FrameLabels, object_in(line), remedy=_AGAIN)
+            for name in (row.file_name, row.mask_file_name):
+                inside(folder, name)
+            for name, value in row:
+                # What is unknown is NaN or infinite; with other numbers nothing could be computed.
+                known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+                if known and not abs(value) <= _LARGEST:
+                    raise InputError(
+                        f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}"
+                    )
+            if row.file_name in found:
+                raise InputError(f"{row.file_name} has a line already.")
+            if row.file_name not in frames:
+                raise InputError(f"{folder / row.file_name} is missing.")
+            found[row.file_name] = row
+    if unlabelled := sorted(frames - found.keys()):
         raise InputError(
             f"{folder / unlabelled[0]} has no line in metadata.jsonl, which ends after line "
-            f"{len(labels)}. Render the stack again."
+            f"{len(found)}. {_AGAIN}"
         )
+    return Stack(folder, tuple(found.values()), description)
 
 
 def linear_name(labels: FrameLabels) -> str:

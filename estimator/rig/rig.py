@@ -21,7 +21,7 @@ from estimator.sources.ros import IMAGE_TOPIC, frame_of_message
 from estimator.sources.source import Frame
 from estimator.viewer import recording_of
 from formats.inputs import InputError
-from formats.poses import POSE_TOPIC, Pose, PoseTrack
+from formats.poses import POSE_TOPIC, Pose, PoseTrack, pose_of_message
 from formats.spots import NoSpot, Reason, Spot
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
@@ -43,12 +43,7 @@ class RecentPoses:
         Raises:
             InputError: its rotation is no unit quaternion, or a number is not finite.
         """
-        position, turn = message.translation, message.rotation
-        pose = Pose(
-            time_s=received_s,
-            position_mm=(position.x, position.y, position.z),
-            rotation=(turn.x, turn.y, turn.z, turn.w),
-        )
+        pose = pose_of_message(message, received_s)
         # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
         kept = self._poses[1 - POSES_KEPT :]
         # A recording that begins anew sets the clock back; the older poses lie in its future.
