@@ -32,6 +32,7 @@ def cone_stack(folder: Path, **tables):
 def calibration_in(folder: Path, *, sigma_b_mm: float = 1e-5) -> Path:
     """The calibration file of the cone that is rendered, whose b has some stated error."""
     path = folder / "cone.json"
+    path.unlink(missing_ok=True)
     write_calibration(path, a_calibration(covariance=np.diag([1e-8, sigma_b_mm**2])))
     return path
 

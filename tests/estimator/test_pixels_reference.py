@@ -49,7 +49,6 @@ def _first(stack, folder, **options):
 
 def test_a_wall_that_is_known_beforehand_makes_the_first_frame_better(stack, tmp_path):
     found, chi_squared = _first(stack, tmp_path, reference=_reference(tmp_path, phantom=_RETINA))
-    (tmp_path / "cone.json").unlink()
     blind, _ = _first(stack, tmp_path)
     assert (found.wall, blind.wall) == (WallMemory.KNOWN, WallMemory.NEW)
     # What is left is the camera's noise and cells that the edge cuts.
