@@ -70,7 +70,7 @@ def assert_same(
         result = one.result if isinstance(one, SpotRecord) else one
         if isinstance(other, Spot):
             assert isinstance(result, Spot)
-            upper = [vars(s) | {"covariance": np.triu(s.covariance)} for s in (result, other)]
-            np.testing.assert_equal(*upper)
+            mine, its = (vars(s) | {"covariance": np.triu(s.covariance)} for s in (result, other))
+            np.testing.assert_equal(mine, its)
         else:
             assert result == other

@@ -41,7 +41,7 @@ def a_calibration(
     values: Mapping[str, float] = CONE, *, covariance: np.ndarray | None = None, **changed: Any
 ) -> Calibration:
     """Of a planar cone in air, without errors."""
-    given = {"model": "planar", "medium": "air", "medium_index": 1.0} | changed
+    plain: dict[str, Any] = {"model": "planar", "medium": "air", "medium_index": 1.0}
     exact = np.zeros((len(values), len(values)))
     return Calibration(
         values=values,
@@ -49,7 +49,7 @@ def a_calibration(
         fitted_on="made up for a test",
         data_sha256="0" * 64,
         software="test",
-        **given,
+        **plain | changed,
     )
 
 
@@ -78,7 +78,7 @@ def a_microscope_file(
 ) -> Path:
     """microscope.json, telecentric without a pinhole; looks at the middle of the frame."""
     u, v = ((side - 1) / 2 for side in size_px)
-    content = {
+    content: dict[str, Any] = {
         "schema": 1,
         "width_px": size_px[0],
         "height_px": size_px[1],

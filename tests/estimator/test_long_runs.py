@@ -246,7 +246,11 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
 
 def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Path) -> None:
     names = ["NA", "null", "", "a,b", 'q"', "n\nl", "nan.png"]
-    plain = {"time_s": math.nan, "mode": "subpixel", "result": NoSpot(Reason.CLIPPED)}
+    plain: dict[str, Any] = {
+        "time_s": math.nan,
+        "mode": "subpixel",
+        "result": NoSpot(Reason.CLIPPED),
+    }
     records = [SpotRecord(frame=k, file_name=name, **plain) for k, name in enumerate(names)]
     write_spots(tmp_path / "whole.parquet", records)
     with spots_stream(tmp_path / "stream.parquet") as write:

@@ -51,7 +51,7 @@ def covariance_of(semi_major, semi_minor, sigma_px):
 
 
 def spot(*ellipse, covariance=None):
-    clean = covariance_of(*map(float, ellipse[2:4]), 1e-3)
+    clean = covariance_of(float(ellipse[2]), float(ellipse[3]), 1e-3)
     return a_spot(*ellipse, covariance=clean if covariance is None else covariance)
 
 

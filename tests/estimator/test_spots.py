@@ -31,7 +31,7 @@ _NUMBERS = (
 def _spot(**changes: Any) -> Spot:
     root = np.random.default_rng(0).normal(0, 0.1, (5, 5))
     shares = {"coverage": 0.75, "inlier_fraction": 0.9}
-    given = {"covariance": root @ root.T, "edge_width_px": 2.1} | shares | changes
+    given: dict[str, Any] = {"covariance": root @ root.T, "edge_width_px": 2.1} | shares | changes
     return a_spot(1 / 3, 2e-17, 66.0, 60.0, -1.5, **given)
 
 
