@@ -6,7 +6,6 @@ from .beam import slope as slope
 from .camera import Camera as Camera
 from .camera import Microscope as Microscope
 from .camera import microscope as microscope
-from .camera import microscope_from_camera_matrix as microscope_from_camera_matrix
 from .contour import cone_contour as cone_contour
 from .contour import ellipse_mismatch as ellipse_mismatch
 from .contour import mismatch_covariance as mismatch_covariance

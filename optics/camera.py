@@ -199,40 +199,6 @@ def microscope(
     )
 
 
-def microscope_from_camera_matrix(
-    matrix: Float[Array, "3 3"],
-    *,
-    working_distance: float,
-    eye_radius: float,
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0),
-) -> Microscope:
-    """Microscope from an OpenCV camera matrix and the distance from pinhole to pole.
-
-    Args:
-        matrix: K, px; square pixels without skew.
-        working_distance: z_F + r, mm; it has the sign of K's focal length.
-        eye_radius: r, mm.
-        distortion: (k1, k2, p1, p2, k3).
-
-    Raises:
-        InputError: the pixels are not square or K has skew (relative 1e-6), which this pinhole
-            does not model; rectify the images first.
-    """
-    fx, fy, skew = float(matrix[0][0]), float(matrix[1][1]), float(matrix[0][1])
-    if max(abs(fx - fy), abs(skew)) > 1e-6 * abs(fx):
-        raise InputError(
-            f"microscope_from_camera_matrix needs square pixels without skew; got fx={fx} px, "
-            f"fy={fy} px, skew={skew} px. Rectify the images (cv2.undistort) first."
-        )
-    return microscope(
-        scale=working_distance / fx,
-        pinhole_height=working_distance - eye_radius,
-        eye_radius=eye_radius,
-        principal_point=(float(matrix[0][2]), float(matrix[1][2])),
-        distortion=distortion,
-    )
-
-
 def _known(value: Array) -> bool:
     return not isinstance(value, jax.core.Tracer)
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 import optics
 from scenes.camera import light_information
 from scenes.description.settings import SceneError
-from scenes.rendering.render import FineWall, ImageWindow, Renderer
+from scenes.rendering.render import Exposed, FineWall, ImageWindow, Renderer
 from scenes.world.world import World
 
 
@@ -257,15 +257,12 @@ class Bounds:
         self._reach, self._factor = (_EDGE, _SHARP) if is_sharp else (_TAILS, _SMOOTH)
         self._at_rest: FineWall | None = None
 
-    def labels(
-        self, frame: int, radiance: np.ndarray, *, exposure_s: float, sub_frames: int
-    ) -> dict[str, float]:
-        """The labels bound_* of one image; without them if the image does not determine an ellipse.
+    def labels(self, frame: int, light: Exposed, exposure_s: float) -> dict[str, float]:
+        """The labels bound_* of one image; without them if it does not determine an ellipse.
 
         Args:
-            radiance: noise-free light during the exposure, H x W x 3.
+            light: noise-free, during the exposure.
             exposure_s: exposure time, s.
-            sub_frames: number of sub-frames in that light.
         """
         ellipse = self._motion.ellipses[frame]
         window = self._window([ellipse])
@@ -276,11 +273,13 @@ class Bounds:
             frame,
             self._wall(frame, window),
             exposure_s=exposure_s,
-            sub_frames=min(sub_frames, _MOST_PARTS),
+            sub_frames=min(light.sub_frames, _MOST_PARTS),
         )
         exposure = exposure_s * self._scene.exposures.sensitivity_mm2_sr_mj
         information = light_information(
-            radiance[top:bottom, left:right], exposure=exposure, settings=self._scene.camera
+            light.radiance[top:bottom, left:right],
+            exposure=exposure,
+            settings=self._scene.camera,
         )
         found = ellipse_information(
             direct,

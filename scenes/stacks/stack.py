@@ -21,7 +21,7 @@ from optics.viewing.camera import PathCamera
 from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
 from scenes.rendering.images import images_of
-from scenes.rendering.render import LinearFrame, Renderer
+from scenes.rendering.render import Renderer
 from scenes.stacks.bound import Bounds
 from scenes.world.labels import paper_exposure, spot_labels
 from scenes.world.motion import frame_count, kinematics, longest_exposure
@@ -118,39 +118,26 @@ def render_stack(
 def _render_frames(
     renderer: Renderer, photography: Photography, writer: StackWriter, progress: Callable[[], None]
 ) -> None:
-    """Render the missing frames on this thread; meter, expose and encode on others.
-
-    A frame is metered while the next one is rendered. Then its sub-frames (motion blur) follow.
-    """
+    """Render and meter the missing frames on this thread; photograph and encode them on another."""
     scene, kinds = renderer.scene, renderer.scene.exposures.kinds
-    frames = range(renderer.world.times.size)
-    names = {
-        f: [f"frames/{f * len(kinds) + order:06d}.png" for order in range(len(kinds))]
-        for f in frames
-    }
-    missing = [frame for frame in frames if not all(map(writer.has, names[frame]))]
-    for _ in range(len(frames) - len(missing)):
-        progress()
     bounds = Bounds(renderer) if scene.exposures.bound else None
 
-    def metered(frame: int, sharp: LinearFrame) -> tuple[np.ndarray, list[float]]:
-        """The mask of the spot, and the exposure times in the order of exposures.kinds."""
-        mask = renderer.mask(frame, sharp)
-        return mask, [photography.exposure_s(kind, sharp.radiance, mask) for kind in kinds]
+    def names(frame: int) -> list[str]:
+        return [f"frames/{frame * len(kinds) + order:06d}.png" for order in range(len(kinds))]
 
     def photograph(
         frame: int,
-        sharp: LinearFrame,
         mask: np.ndarray,
+        visible_fraction: float,
         exposed: list[tuple[np.ndarray, float, dict[str, float]]],
     ) -> None:
         """Write the image of each exposure: its light, its time and the labels of its bound."""
-        spot = spot_labels(renderer.world, frame) | {"visible_fraction": sharp.visible_fraction}
+        spot = spot_labels(renderer.world, frame) | {"visible_fraction": visible_fraction}
         for order, (light, duration, bound) in enumerate(exposed):
             raw, written = photography.images(light, exposure_s=duration, frame=frame, order=order)
             saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
             labels = FrameLabels(
-                file_name=names[frame][order],
+                file_name=names(frame)[order],
                 mask_file_name=f"masks/{frame:06d}.png",
                 exposure=kinds[order],
                 exposure_s=duration,
@@ -164,32 +151,23 @@ def _render_frames(
                 light if scene.exposures.keep_linear else None,
             )
 
-    waiting: tuple[int, LinearFrame, Future[tuple[np.ndarray, list[float]]]] | None = None
     writing: list[Future[None]] = []
     with ThreadPoolExecutor(max_workers=2) as pool:
-        for frame in (*missing, None):  # after the last frame, what is being metered
-            previous = waiting
-            if frame is not None:
+        for frame in range(renderer.world.times.size):
+            if not all(map(writer.has, names(frame))):
                 sharp = renderer.render(frame)
-                waiting = frame, sharp, pool.submit(metered, frame, sharp)
-            if previous is not None:
-                before, image, metering = previous
-                mask, durations = metering.result()
+                mask = renderer.mask(frame, sharp)
                 exposed = []
-                for duration in durations:
-                    light = renderer.exposed(before, image, exposure_s=duration)
-                    bound = {}
-                    if bounds is not None:
-                        bound = bounds.labels(
-                            *(before, light.radiance),
-                            exposure_s=duration,
-                            sub_frames=light.sub_frames,
-                        )
+                for kind in kinds:
+                    duration = photography.exposure_s(kind, sharp.radiance, mask)
+                    light = renderer.exposed(frame, sharp, exposure_s=duration)
+                    bound = {} if bounds is None else bounds.labels(frame, light, duration)
                     exposed.append((light.radiance, duration, bound))
-                writing.append(pool.submit(photograph, before, image, mask, exposed))
+                task = photograph, frame, mask, sharp.visible_fraction, exposed
+                writing.append(pool.submit(*task))
                 if len(writing) > _QUEUE:
                     writing[-_QUEUE - 1].result()
-                progress()
+            progress()
         for future in writing:
             future.result()
 

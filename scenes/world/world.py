@@ -81,6 +81,10 @@ class LensLight(NamedTuple):
     transmitted: float
 
 
+LIGHT_FILES = ("irradiance.py", "irradiance_edges.py", "lens.py", "lens_table.py", "refraction.py")
+"""The files of `optics` on which a lens's light depends."""
+
+
 @functools.lru_cache(maxsize=4)
 def lens_light(lens: str, medium_index: float) -> LensLight:
     """Light of a lens, computed once and then read from the user's cache folder.
@@ -104,8 +108,8 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
     # The key is made of all that the result depends on: lens, medium and code.
     numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
     key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
-    for source in (Path(__file__), *sorted(Path(optics.__file__).parent.glob("*.py"))):
-        key.update(source.read_bytes())
+    for source in LIGHT_FILES:
+        key.update((Path(optics.__file__).parent / source).read_bytes())
     kept = kept_arrays(cache_file("lens_light", key.hexdigest()), compute)
     table = optics.IrradianceTable(
         values=kept["values"],

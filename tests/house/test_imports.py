@@ -151,77 +151,82 @@ def test_scenes_take_progress_and_recordings_from_the_estimator_and_nothing_else
     }
 
 
-@pytest.mark.parametrize(
-    ("module", "unwanted"),
-    [
-        ("formats", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
-        ("estimator", ["jax", "mitsuba", "drjit", "optics", "skimage"]),
-        ("eyespot", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic", "cyclopts"]),
-        ("eyespot.command_line", ["jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic"]),
-        ("optics", ["jax", "mitsuba", "drjit", "cv2"]),
-        ("optics.models", ["jax", "mitsuba", "drjit", "cv2"]),
-        ("scenes", ["mitsuba", "drjit"]),
-        ("calibration", ["mitsuba", "drjit"]),
-    ],
-)
-def test_an_import_leaves_heavy_libraries_alone(module, unwanted):
-    code = f"import sys, {module}; print(*sys.modules)"
-    child = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
-    )
-    assert not set(unwanted) & set(child.stdout.split())
-
-
-HEAVY = {"jax", "mitsuba", "drjit", "cv2", "matplotlib", "distributed"}
-
-# Which heavy libraries a command may load to do its work.
-MAY_LOAD = {
-    ("version",): set(),
-    ("scene", "init", "{new}"): set(),
-    ("scene", "schema"): set(),
-    ("dataset", "verify", "{folder}"): {"cv2"},
-    ("export", "{folder}", "--to", "hdf5", "--out", "{new}"): {"cv2"},
-    ("track", "{folder}", "--out", "{new}.csv"): {"cv2"},
-}
-
-
-def loaded_by(*words: str) -> set[str]:
-    """The heavy libraries that a run of the command has loaded when it ends, well or not."""
-    code = (
-        f"import sys; sys.argv = {['eyespot', *words]}\n"
-        "import eyespot\n"
-        "try: eyespot.main()\n"
-        "finally: print('LOADED', *sys.modules)"
-    )
+def modules_after(*steps: str) -> list[set[str]]:
+    """The modules that a new process has loaded after each of these statements."""
+    code = "import sys\n" + "".join(f"{step}\nprint('LOADED', *sys.modules)\n" for step in steps)
     child = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=HOME
     )
-    *_, loaded = child.stdout.rpartition("LOADED")
-    assert loaded, child.stderr
-    return HEAVY & set(loaded.split())
+    loaded = [line for line in child.stdout.splitlines() if line.startswith("LOADED")]
+    assert len(loaded) == len(steps), child.stderr
+    return [set(line.split()) for line in loaded]
 
 
-@pytest.mark.parametrize(("words", "allowed"), MAY_LOAD.items(), ids=lambda w: "-".join(w)[:14])
-def test_a_command_loads_only_what_it_uses(words, allowed, tmp_path):
-    (tmp_path / "folder").mkdir()
-    places = {"folder": tmp_path / "folder", "new": tmp_path / "new"}
-    assert loaded_by(*(word.format(**places) for word in words)) <= allowed
+_OF_THE_COMMAND_LINE = {"jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic"}
+_OF_PHYSICS = {"jax", "mitsuba", "drjit", "optics", "skimage"}
+
+
+@pytest.mark.parametrize(
+    "unwanted",
+    [
+        {
+            "eyespot": _OF_THE_COMMAND_LINE | {"cyclopts"},
+            "eyespot.command_line": _OF_THE_COMMAND_LINE,
+            "formats": _OF_PHYSICS,
+            "estimator": _OF_PHYSICS,
+        },
+        {
+            "optics.models": {"jax", "mitsuba", "drjit", "cv2"},
+            "optics": {"jax", "mitsuba", "drjit", "cv2"},
+            "scenes": {"mitsuba", "drjit"},
+            "calibration": {"mitsuba", "drjit"},
+        },
+    ],
+    ids=lambda unwanted: "-".join(unwanted),
+)
+def test_an_import_leaves_heavy_libraries_alone(unwanted):
+    loaded = modules_after(*(f"import {module}" for module in unwanted))
+    for (module, names), found in zip(unwanted.items(), loaded, strict=True):
+        assert not names & found, module
+
+
+HEAVY = {"jax", "mitsuba", "drjit", "cv2", "matplotlib", "distributed"}
+RUN = """
+import eyespot
+def run(*words):
+    sys.argv = ["eyespot", *words]
+    try: eyespot.main()
+    except SystemExit: pass
+"""
+
+
+def test_a_command_loads_only_what_it_uses(tmp_path):
+    folder, new = tmp_path / "folder", tmp_path / "new"
+    folder.mkdir()
+    commands = {
+        ("version",): set(),
+        ("scene", "init", f"{new}"): set(),
+        ("scene", "schema"): set(),
+        ("dataset", "verify", f"{folder}"): {"cv2"},
+        ("export", f"{folder}", "--to", "hdf5", "--out", f"{new}"): {"cv2"},
+        ("track", f"{folder}", "--out", f"{new}.csv"): {"cv2"},
+    }
+    _, *loaded = modules_after(RUN, *(f"run(*{words})" for words in commands))
+    for (words, allowed), found in zip(commands.items(), loaded, strict=True):
+        assert HEAVY & found <= allowed, words
 
 
 def test_no_help_loads_a_heavy_library():
     """But that of a study, whose command stands in the file of what it computes."""
     code = (
-        "import importlib, sys, eyespot.command_line\n"
+        "import importlib, eyespot.command_line\n"
         "groups = eyespot.command_line.COMMANDS.values()\n"
         "for command in [path for group in groups for path in group]:\n"
         "    if not command.startswith('benchmarks.studies.'):\n"
         "        importlib.import_module(command.partition(':')[0])\n"
-        "print(*sys.modules)"
     )
-    child = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
-    )
-    assert not HEAVY & set(child.stdout.split())
+    (loaded,) = modules_after(code)
+    assert not HEAVY & loaded
 
 
 def test_what_a_user_can_correct_is_an_input_error():

@@ -82,15 +82,6 @@ def test_camera_matrix_and_distortion_are_those_of_opencv():
     np.testing.assert_allclose(eye.project(jnp.asarray(points)), expected[:, 0], atol=1e-4)
 
 
-def test_camera_matrix_round_trip():
-    eye = camera(50.0, principal_point=(3.0, 4.0))
-    again = optics.microscope_from_camera_matrix(
-        eye.camera_matrix(), working_distance=50.0 + R_EYE, eye_radius=R_EYE
-    )
-    np.testing.assert_allclose(again.scale, SCALE, rtol=1e-14)
-    np.testing.assert_allclose(again.principal_point, [3.0, 4.0])
-
-
 @pytest.mark.parametrize("height", [-R_EYE, -float("inf"), float("nan")])
 def test_a_pinhole_on_the_retina_is_refused_with_the_way_out(height):
     with pytest.raises(InputError, match=r"eye_radius=11\.5 mm.* Move the pinhole"):

@@ -11,6 +11,7 @@ from scipy.integrate import quad
 import optics
 from optics.lens_table import LensField, transmitted_power
 from tests.lens_quadrature import irradiance
+from tests.photons import Drop, photons
 from tests.random_lenses import random_lens
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
@@ -195,48 +196,13 @@ def test_the_field_has_no_sources(medium):
     assert through[0] - through[1] == pytest.approx(leaves, abs=2e-5)
 
 
-def photons(lens, medium, count, seed):
-    """Trace photons through the cap in NumPy: positions on the cap, directions, transmittances."""
-    rng = np.random.default_rng(seed)
-    a_c, length, a, h, index, aperture = (
-        float(x)
-        for x in (
-            lens.core_radius,
-            lens.glue_length,
-            lens.aperture_radius,
-            lens.sag,
-            lens.glue_index,
-            lens.numerical_aperture,
-        )
-    )
-    p = a_c * np.sqrt(rng.uniform(size=count))
-    turn = rng.uniform(0, 2 * np.pi, (2, count))
-    sine = aperture / index * np.sqrt(rng.uniform(size=count))
-    start = np.column_stack([p * np.cos(turn[0]), p * np.sin(turn[0]), np.full(count, -length)])
-    way = np.column_stack([sine * np.cos(turn[1]), sine * np.sin(turn[1]), np.sqrt(1 - sine**2)])
-    bend = (a**2 + h**2) / (2 * h)
-    centre = np.array([0.0, 0.0, -bend])
-    along = np.sum((start - centre) * way, axis=1)
-    path = -along + np.sqrt(along**2 - np.sum((start - centre) ** 2, axis=1) + bend**2)
-    point = start + path[:, None] * way
-    normal = (point - centre) / bend
-    cos1 = np.sum(way * normal, axis=1)
-    kept = (np.hypot(point[:, 0], point[:, 1]) < a) & ((index / medium) ** 2 * (1 - cos1**2) < 1)
-    point, normal, way, cos1 = point[kept], normal[kept], way[kept], cos1[kept]
-    cos2 = np.sqrt(1 - (index / medium) ** 2 * (1 - cos1**2))
-    out = index / medium * way + (cos2 - index / medium * cos1)[:, None] * normal
-    s = (index * cos1 - medium * cos2) / (index * cos1 + medium * cos2)
-    q = (medium * cos1 - index * cos2) / (medium * cos1 + index * cos2)
-    return point, out, 1 - (s**2 + q**2) / 2
-
-
 @pytest.mark.parametrize("seed", range(10))
 def test_photons_of_random_lenses_land_where_the_field_says(seed):
-    lens, medium = random_lens(np.random.default_rng(seed)), (AIR, VITREOUS)[seed % 2]
+    rng = np.random.default_rng(seed)
+    lens, medium = random_lens(rng), (AIR, VITREOUS)[seed % 2]
     count, distance = 400_000, (0.1, 0.4, 2.0)[seed % 3]
-    point, out, weight = photons(lens, medium, count, seed)
-    path = (distance - point[:, 2]) / out[:, 2]
-    rho = np.hypot(*(point[:, :2] + path[:, None] * out[:, :2]).T)
+    x, y, slope_x, slope_y, weight, _ = photons(Drop.of(lens), medium, rng.random((4, count)))
+    rho = np.hypot(x + distance * slope_x, y + distance * slope_y)
     edges = np.append(0.0, np.quantile(rho, [0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99]))
     for first, last in pairwise(edges):
         r, area = nodes(first, last, 64)
@@ -247,34 +213,6 @@ def test_photons_of_random_lenses_land_where_the_field_says(seed):
         # 70 comparisons: 4.5 sigma is passed by chance once in 2000 runs. The 64 nodes of a ring
         # that a caustic crosses are good to 1e-3 of it.
         assert abs(mean - expected) < 4.5 * sigma + 1e-3 * expected
-
-
-@pytest.mark.parametrize("medium", [AIR, VITREOUS])
-def test_photons_traced_forwards_land_where_the_field_says(medium):
-    count = 1_000_000
-    point, out, weight = photons(DOME, medium, count, seed=11)
-    for distance in (0.15, 0.7, 3.0):
-        path = (distance - point[:, 2]) / out[:, 2]
-        place = point[:, :2] + path[:, None] * out[:, :2]
-        rho = np.hypot(place[:, 0], place[:, 1])
-        radial = np.sum(place * out[:, :2], axis=1) / rho / out[:, 2]
-        edges = np.quantile(rho, np.linspace(0.0, 0.98, 13))
-        edges[0] = 0.0
-        for first, last in pairwise(edges):
-            r, area = nodes(first, last, 24)
-            lateral, axial = field(DOME, medium, r, distance)
-            inside = (rho >= first) & (rho < last)
-            # Flux through the ring, and its lateral part: each photon brings T and T ω_ρ/ω_s.
-            for value, sample in ((axial, weight), (lateral, weight * radial)):
-                expected = np.sum(2 * np.pi * r * area * value)
-                found = np.where(inside, sample, 0.0)
-                sample_sum, squares = found.sum() / len(found), (found**2).sum() / len(found)
-                share = len(found) / count
-                mean, second = share * sample_sum, share * squares
-                sigma = np.sqrt((second - mean**2) / count)
-                # 144 comparisons: 4.5 sigma is passed by chance once in 1000 runs. The 24 nodes
-                # of a ring that a caustic crosses are good to 3e-4 of it.
-                assert abs(mean - expected) < 4.5 * sigma + 3e-4 * abs(expected)
 
 
 @pytest.mark.slow
@@ -341,16 +279,3 @@ def test_derivatives_in_every_parameter_are_those_of_differences(core, sag, leng
         # Differences of differences: slopes change by their own size over 1 mm or faster, so
         # (2e-6)² times some 1e4 is left of them. Wider steps reach breaks that come and go.
         np.testing.assert_allclose(slope[:, which], difference, atol=1e-5 * steepest)
-
-
-@pytest.mark.slow
-def test_wall_points_can_be_batched_and_compiled_in_any_shape():
-    radius = np.linspace(0.0, 0.4, 6).reshape(2, 3)
-    plain = field(DOME, AIR, radius, 0.8)
-
-    def one(r):
-        return jnp.stack(optics.vector_irradiance(DOME, medium_index=AIR, radius=r, distance=0.8))
-
-    mapped = np.asarray(jax.jit(jax.vmap(jax.vmap(one)))(radius))
-    # The compiler may reorder sums.
-    np.testing.assert_allclose(np.moveaxis(mapped, -1, 0), plain, rtol=1e-10, atol=1e-12)

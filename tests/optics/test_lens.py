@@ -297,14 +297,3 @@ def test_power_has_the_derivatives_of_its_differences():
         difference = (power(*(at + step)) - power(*(at - step))) / 2e-5
         # Both carry the error of the quadrature where total reflection leaves the core: 2e-5.
         assert float(slope) == pytest.approx(float(difference), rel=5e-5)
-
-
-def test_emitted_rays_can_be_batched_and_compiled():
-    points = jnp.linspace(-0.1, 0.1, 6).reshape(3, 2)
-    directions = jnp.full((3, 2), 0.02)
-
-    def out(point, direction):
-        return emitted_rays(lens(), medium_index=AIR, points=point, directions=direction).direction
-
-    together = out(points, directions)
-    np.testing.assert_allclose(jax.jit(jax.vmap(out))(points, directions), together, rtol=1e-14)

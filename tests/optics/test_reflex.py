@@ -12,12 +12,11 @@ pytestmark = pytest.mark.usefixtures("fast_compilation")
 DISTANCE_MM = 200.0
 
 
-def path_to(lens=None, *, eye="navarro", distance=DISTANCE_MM, **options):
+def path_to(lens=None, *, distance=DISTANCE_MM):
     return viewing.viewing_path(
-        viewing.load_eye(eye, wavelength_nm=555.0),
+        viewing.load_eye("navarro", wavelength_nm=555.0),
         None if lens is None else viewing.load_viewing_lens(lens),
         pinhole_distance=distance,
-        **options,
     )
 
 
@@ -128,12 +127,7 @@ def test_on_the_axis_fresnel_says_how_bright():
 
 
 def test_a_gradient_lens_bends_light_on_its_way_back_as_on_its_way_there():
-    """Light that comes back the way it came: a mirror at right angles to every line of sight."""
-    path = path_to(eye="liou-brennan")
-    for reflex in viewing.reflexes(path):
-        # On the axis every surface is at right angles.
-        np.testing.assert_allclose(np.asarray(reflex.place(jnp.zeros(2))), 0.0, atol=1e-12)
-    medium = path.elements[3].medium
+    medium = viewing.load_eye("liou-brennan").lens[0].medium
     back = medium.reversed(1.59)
     places = np.linspace(0.0, 1.59, 5)
 

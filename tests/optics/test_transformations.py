@@ -26,7 +26,13 @@ BEAM = {
     "half_angle": 0.05,
     "apex_offset": -5.0,
 }
-SQUARE = {"scale": SCALE, "k": 20.0, "b": -5.0, "eccentricity": 3.0, "eye_radius": R_EYE}
+USUAL = {
+    **{"semi_minor_px": 60.0, "scale": SCALE, "k": 20.0, "b": -5.0, "half_angle": 0.05},
+    **{"eccentricity": 3.0, "eye_radius": R_EYE, "inverse_working_distance": 0.01},
+    **{"distance": 3.0, "spot_radius": 0.5, "right_px": 300.0, "down_px": -200.0},
+    **{"flux": 1.0, "reflectance": 0.5, "radius": 0.07, "length": 0.05},
+}
+"""Arguments of closed forms by name."""
 # The core is narrower than the cap: where they are equal the power has a kink.
 LENS = {
     "core_radius": 0.2,
@@ -37,11 +43,6 @@ LENS = {
     "glue_index": 1.49,
 }
 POSE_CONE: dict[str, Any] = {"half_angle": 0.05, "apex_offset": -5.0}
-CLEAN = optics.spot_contour(
-    optics.beam_at_spot(WALL, **BEAM),
-    WALL,
-    optics.microscope(scale=SCALE, pinhole_height=200.0, eye_radius=R_EYE),
-)
 TENT = optics.IrradianceTable(
     values=jnp.stack([jnp.zeros((33, 65)), jnp.tile(jnp.linspace(1.0, 0.0, 65), (33, 1))], axis=-1),
     medium_index=jnp.asarray(1.0),
@@ -55,18 +56,22 @@ def flat(tree: object) -> jax.Array:
     return jnp.concatenate([leaf for leaf in leaves if jnp.issubdtype(leaf.dtype, jnp.floating)])
 
 
-def of(function: Callable, given: dict, **fixed: object) -> tuple[Callable, list[float]]:
-    """A function of the vector of the values given by keyword."""
+def of(function: Callable, given: dict | None = None) -> tuple[Callable, list[float]]:
+    """A function of the vector of the values given by keyword, or of those in `USUAL`."""
+    if given is None:
+        given = {
+            name: USUAL[name] for name in inspect.signature(function).parameters & USUAL.keys()
+        }
     names = list(given)
 
     def called(x):
-        return flat(function(**dict(zip(names, x, strict=True)), **fixed))
+        return flat(function(**dict(zip(names, x, strict=True))))
 
     return called, list(given.values())
 
 
-def camera(scale=SCALE, height=200.0):
-    return optics.microscope(scale=scale, pinhole_height=height, eye_radius=R_EYE)
+def camera():
+    return optics.microscope(scale=SCALE, pinhole_height=200.0, eye_radius=R_EYE)
 
 
 def beam(x):
@@ -82,9 +87,7 @@ def lens(x):
 
 
 AT_BEAM, AT_LENS = list(BEAM.values()), list(LENS.values())
-TIP = [*optics.beam_at_spot(WALL, **BEAM).tip.tolist()]
-SQUARE_SPOT = {"spot_radius": 0.5, "eccentricity": 3.0, "eye_radius": R_EYE, "scale": SCALE}
-
+CLEAN = seen(AT_BEAM)
 MEASURED = optics.Ellipse(jnp.array([3.0, 4.0]), jnp.array(60.0), jnp.array(50.0), jnp.array(0.3))
 
 QUICK: dict[str, tuple[Callable, list[float]]] = {
@@ -103,7 +106,9 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         ),
         [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
     ),
-    "microscope": of(optics.microscope, {"scale": SCALE, "pinhole_height": 90.0}, eye_radius=R_EYE),
+    "microscope": of(
+        partial(optics.microscope, eye_radius=R_EYE), {"scale": SCALE, "pinhole_height": 90.0}
+    ),
     "refract": (
         lambda x: flat(
             optics.refract(
@@ -117,11 +122,12 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
     ),
     "beam_at_spot": (lambda x: flat(beam(x)), AT_BEAM),
     "contact_distance": of(
-        lambda **k: optics.contact_distance(WALL, **k), {"incidence": 0.4, "rim_radius": 0.25}
+        partial(optics.contact_distance, WALL), {"incidence": 0.4, "rim_radius": 0.25}
     ),
     "perpendicular_frame": (lambda x: flat(optics.perpendicular_frame(x)), [0.48, 0.6, 0.64]),
-    "slope": of(optics.slope, {"half_angle": 0.05}),
-    "pole_plane": of(optics.pole_plane, {"tilt": 0.2, "tilt_azimuth": 0.4}, eye_radius=R_EYE),
+    "pole_plane": of(
+        partial(optics.pole_plane, eye_radius=R_EYE), {"tilt": 0.2, "tilt_azimuth": 0.4}
+    ),
     "cone_contour": (lambda x: flat(optics.cone_contour(beam(x), WALL, points=32)), AT_BEAM),
     "spot_contour": (lambda x: flat(seen(x)), AT_BEAM),
     "ellipse_of_contour": (lambda x: flat(optics.ellipse_of_contour(seen(x))), AT_BEAM),
@@ -131,75 +137,31 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         ),
         [3.0, 4.0, 60.0, 50.0, 0.3],
     ),
-    "exact_semi_minor": of(lambda **k: optics.exact_semi_minor(WALL, camera(), **k), BEAM),
-    "planar_distance": of(
-        optics.planar_distance, {"semi_minor_px": 60.0, "scale": SCALE, "k": 20.0, "b": -5.0}
-    ),
-    "sagitta": of(optics.sagitta, {"spot_radius": 0.5, "eye_radius": R_EYE}),
-    "sphere_distance": of(
-        optics.sphere_distance, {"spot_radius": 0.5, "k": 20.0, "b": -5.0, "eye_radius": R_EYE}
-    ),
-    "square_spot_radius": of(
-        optics.square_spot_radius, {"distance": 3.0, "k": 20.0, "b": -5.0, "eye_radius": R_EYE}
-    ),
-    "closed_form_distance": of(
-        lambda **k: optics.closed_form_distance("corrected", **k),
-        SQUARE | {"semi_minor_px": 60.0, "inverse_working_distance": 0.01},
-    ),
-    "eyeball_point": of(
-        optics.eyeball_point,
-        {
-            "right_px": 300.0,
-            "down_px": -200.0,
-            "scale": SCALE,
-            "eye_radius": R_EYE,
-            "inverse_working_distance": 0.01,
-        },
-    ),
-    "enclosed": of(optics.enclosed, {"radius": 0.07, "length": 0.05}),
-    "plane_point": of(
-        partial(optics.plane_point, normal=(0.1, -0.2, 0.97)),
-        {
-            "right_px": 300.0,
-            "down_px": -200.0,
-            "scale": SCALE,
-            "eye_radius": R_EYE,
-            "inverse_working_distance": 0.01,
-        },
-    ),
-    "paper_foreshortening": of(
-        optics.paper_foreshortening, {"eccentricity": 3.0, "eye_radius": R_EYE}
-    ),
-    "paper_pinhole_distance": of(
-        optics.paper_pinhole_distance, {"eccentricity": 3.0, "eye_radius": R_EYE}
-    ),
-    "paper_angle_s_d_e": of(
-        optics.paper_angle_s_d_e, {"spot_radius": 0.5, "eccentricity": 3.0, "eye_radius": R_EYE}
-    ),
-    "small_plane_spot_radius": of(
-        optics.small_plane_spot_radius,
-        {"semi_minor_px": 60.0, "scale": SCALE, "eccentricity": 3.0, "eye_radius": R_EYE},
-    ),
-    "small_plane_distance": of(optics.small_plane_distance, SQUARE | {"semi_minor_px": 60.0}),
-    "corrected_factor": of(
-        optics.corrected_factor,
-        {"eccentricity": 3.0, "eye_radius": R_EYE, "inverse_working_distance": 0.01},
-    ),
-    "corrected_distance": of(
-        optics.corrected_distance,
-        SQUARE | {"semi_minor_px": 60.0, "inverse_working_distance": 0.01},
-    ),
-    "stereographic_semi_axis": of(optics.stereographic_semi_axis, SQUARE_SPOT),
-    "stereographic_distance": of(optics.stereographic_distance, SQUARE | {"semi_minor_px": 60.0}),
-    "square_spot_axes": of(
-        optics.square_spot_axes, SQUARE_SPOT | {"inverse_working_distance": 0.01}
-    ),
-    "indirect_irradiance": of(
-        optics.indirect_irradiance, {"flux": 1.0, "reflectance": 0.5, "eye_radius": R_EYE}
-    ),
+    "exact_semi_minor": of(partial(optics.exact_semi_minor, WALL, camera()), BEAM),
+    "closed_form_distance": of(partial(optics.closed_form_distance, "corrected")),
+    "plane_point": of(partial(optics.plane_point, normal=(0.1, -0.2, 0.97))),
+    **{
+        name: of(getattr(optics, name))
+        for name in dir(optics)
+        if getattr(getattr(optics, name), "__module__", "") == "optics.models"
+        and name not in ("closed_form_distance", "plane_point")
+    },
+    **{name: of(getattr(optics, name)) for name in ("slope", "enclosed", "indirect_irradiance")},
     "wall_irradiance": (
         lambda x: flat(optics.wall_irradiance(TENT, beam(x[:7]), WALL, radius=x[7:8], angle=x[8:])),
         [*AT_BEAM, 0.31, 0.4],
+    ),
+    "glue_lens": (lambda x: flat(lens(x)), AT_LENS),
+    "emitted_rays": (
+        lambda x: flat(
+            optics.emitted_rays(
+                lens(x),
+                medium_index=1.0,
+                points=jnp.array([[0.1, 0.05]]),
+                directions=jnp.array([[0.02, 0.03]]),
+            )
+        ),
+        AT_LENS,
     ),
     "half_maximum_radius": (lambda x: optics.half_maximum_radius(TENT, distance=x), [3.0]),
     "isophote_radius": (
@@ -210,7 +172,7 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
 SLOW: dict[str, tuple[Callable, list[float]]] = {
     "spot_ellipse": (lambda x: flat(optics.spot_ellipse(beam(x), PLANE, camera())), AT_BEAM),
     "exact_distance": of(
-        lambda **k: optics.exact_distance(WALL, camera(), **k),
+        partial(optics.exact_distance, WALL, camera()),
         {name: value for name, value in BEAM.items() if name != "distance"}
         | {"semi_minor_px": 60.0},
     ),
@@ -249,18 +211,6 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
         ),
         [1.0],
     ),
-    "glue_lens": (lambda x: flat(lens(x)), AT_LENS),
-    "emitted_rays": (
-        lambda x: flat(
-            optics.emitted_rays(
-                lens(x),
-                medium_index=1.0,
-                points=jnp.array([[0.1, 0.05]]),
-                directions=jnp.array([[0.02, 0.03]]),
-            )
-        ),
-        AT_LENS,
-    ),
     "transmitted_power": (
         lambda x: flat(optics.transmitted_power(lens(x), medium_index=1.336)),
         AT_LENS,
@@ -277,17 +227,16 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
 ELSEWHERE = {
     "components": "an unpacking",
     "dot": "three products",
-    "irradiance_table": "test_optics_irradiance_table: accuracy of look-ups and derivatives",
-    "effective_cone": "test_optics_irradiance_table: the slope's derivative by the lens",
+    "irradiance_table": "test_irradiance_table: accuracy of look-ups and derivatives",
+    "effective_cone": "test_irradiance_table: the slope's derivative by the lens",
     "spread_nodes": "numbers of a quadrature, without arguments that could be traced",
-    "lit_share": "test_optics_wall_spread: the closed form of a half plane, one batched look-up",
+    "lit_share": "test_wall_spread: the closed form of a half plane, one batched look-up",
     "spread_contours": "a loop in Python over compiled batches",
     "spread_spots": "a loop in Python over compiled batches",
     "spot_truth": "a loop in Python over compiled batches",
     "ambiguous_distances": "a list of intervals, found by NumPy",
     "lens_names": "reads files",
     "load_lens": "reads a file",
-    "microscope_from_camera_matrix": "takes numbers of a file and judges them",
 }
 
 CASES = [
@@ -299,11 +248,7 @@ CASES = [
 def test_every_public_function_is_accounted_for():
     offered = {name: getattr(optics, name) for name in dir(optics)}
     functions = {
-        name
-        for name, value in offered.items()
-        if callable(value)
-        and not inspect.isclass(value)
-        and not value.__module__.startswith("optics.input_")  # readers of files, no formulas
+        name for name, value in offered.items() if callable(value) and not inspect.isclass(value)
     }
     assert functions == QUICK.keys() | SLOW.keys() | ELSEWHERE.keys()
 

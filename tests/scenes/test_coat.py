@@ -8,16 +8,15 @@ import pytest
 
 import optics
 from scenes import Renderer, Scene
+from tests.scene_tables import BARE, scene_of
 
 
 def scene(coat: str, **parts: Any) -> Scene:
     """An even plane under a telecentric microscope, with a beam of no power."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"kind": "plane", "wall": "uniform", "coat": coat},
-        "source": {"kind": "cone", "power_mw": 1e-9},
+    plain = {
+        "phantom": {"kind": "plane", "coat": coat, "indirect": "closed form"},
+        "source": {"power_mw": 1e-9},
         "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 1},
-        "instrument": {"visible": False},
         "microscope": {
             "pinhole_height_mm": math.inf,
             "illumination_mw_mm2": 1.0,
@@ -26,9 +25,7 @@ def scene(coat: str, **parts: Any) -> Scene:
             "height_px": 32,
         },
     }
-    for name, values in parts.items():
-        plain[name] = {**plain[name], **values}
-    return Scene.model_validate(plain)
+    return scene_of(BARE, plain, parts)
 
 
 def radiance(settings: Scene) -> float:

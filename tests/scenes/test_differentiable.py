@@ -21,6 +21,7 @@ from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers import least_squares
 from scenes import Scene, SceneError, World, load_mitsuba
 from scenes.world.world import LensLight
+from tests.scene_tables import BARE, scene_of
 
 ALPHA = 1e-3
 STEP = {
@@ -55,22 +56,10 @@ def scene(lens: dict[str, float], folder: Path, **parts: Any) -> Scene:
     path = folder / "lens.toml"
     keys = "\n".join(f"{key} = {value}" for key, value in lens.items())
     path.write_text(f"schema = 1\n[lens]\n{keys}\n", encoding="utf-8")
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off"},
-        "source": {"kind": "photons", "lens": str(path), "medium": "vitreous"},
-        "instrument": {"visible": False},
-        "motion": {"start_mm": 3.0, "travel_mm": 0.001, "frames": 1},
-        "microscope": {
-            "illumination_mw_mm2": 0.0,
-            "width_px": 64,
-            "height_px": 48,
-            "scale_mm_px": 0.04,
-        },
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    window = {"width_px": 64, "height_px": 48, "scale_mm_px": 0.04}
+    source = {"kind": "photons", "lens": str(path), "medium": "vitreous"}
+    motion = {"start_mm": 3.0, "travel_mm": 0.001, "frames": 1}
+    return scene_of(BARE, {"microscope": window, "source": source, "motion": motion}, parts)
 
 
 PLANE = {"kind": "plane"}

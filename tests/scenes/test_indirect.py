@@ -8,27 +8,15 @@ import scipy.stats
 
 import optics
 from scenes import Renderer, Scene, load_mitsuba
+from tests.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:
     """A uniform sphere in the light of one source, its own reflections traced."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "traced"},
-        "source": {"kind": "cone"},
-        "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 2},
-        "instrument": {"visible": False},
-        "microscope": {
-            "illumination_mw_mm2": 0.0,
-            "width_px": 96,
-            "height_px": 96,
-            "scale_mm_px": 0.05,
-            "samples": 16,
-        },
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    window = {"width_px": 96, "height_px": 96, "scale_mm_px": 0.05, "samples": 16}
+    motion = {"start_mm": 0.5, "travel_mm": 5.5, "frames": 2}
+    traced = {"indirect": "traced"}
+    return scene_of(BARE, {"phantom": traced, "microscope": window, "motion": motion}, parts)
 
 
 def indirect_radiance(renderer: Renderer, frame: int) -> np.ndarray:

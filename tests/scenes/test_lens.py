@@ -1,31 +1,27 @@
 """The glue lens as an emitter: its table in Mitsuba, its light on the wall, its labels."""
 
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from skimage.measure import find_contours
 
 import optics
-from scenes import Renderer, Scene
+from scenes import Renderer
 from tests.lens_quadrature import irradiance
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
+from tests.scene_tables import BARE, scene_of
 
 
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
-    settings: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"kind": "plane", "wall": "uniform", "indirect": "off"},
+    lens = {
+        "phantom": {"kind": "plane"},
         "source": {"kind": "lens", "lens": "dome", "power_mw": 2.0},
         "spot": {"eccentricity_mm": 2.0, "incidence_deg": 20.0},
         "motion": {"start_mm": 1.0, "travel_mm": 1.5, "frames": 2},
-        "instrument": {"visible": False},
-        "microscope": {"illumination_mw_mm2": 0.0},
     }
-    return Renderer(Scene.model_validate(settings))
+    return Renderer(scene_of(BARE, lens))
 
 
 def test_mitsuba_looks_the_table_up_as_optics_does(renderer):

@@ -23,23 +23,15 @@ from scenes import (
 )
 from scenes.world.motion import frame_times, kinematics
 from scenes.world.world import World
+from tests.scene_tables import BARE, scene_of
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
 
 
 def scene(**parts: Any) -> Scene:
     """A uniform wall under the ideal cone's direct light alone, unless told otherwise."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off"},
-        "source": {"kind": "cone"},
-        "spot": {"eccentricity_mm": 2.0, "azimuth_deg": 20.0, "incidence_azimuth_deg": 60.0},
-        "instrument": {"visible": False},
-        "microscope": {"illumination_mw_mm2": 0.0},
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values} if isinstance(values, dict) else values
-    return Scene.model_validate(plain)
+    spot = {"eccentricity_mm": 2.0, "azimuth_deg": 20.0, "incidence_azimuth_deg": 60.0}
+    return scene_of(BARE, {"spot": spot}, parts)
 
 
 def hand(**keys: Any) -> dict[str, Any]:

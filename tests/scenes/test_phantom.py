@@ -1,7 +1,5 @@
 """What stands in the eye besides the beam: a picture of the user's own, a second tool."""
 
-from typing import Any
-
 import cv2
 import jax.numpy as jnp
 import numpy as np
@@ -11,21 +9,15 @@ import scipy.ndimage
 from scenes import Renderer, Scene, SceneError
 from scenes.walls.picture import PHOTOGRAPH
 from scenes.world.world import World
+from tests.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:
     """An eye in even light, seen from the sphere's height, with a beam of no power."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off"},
-        "source": {"kind": "cone", "power_mw": 1e-9},
-        "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 1},
-        "instrument": {"visible": False},
-        "microscope": {"light": "ambient", "scale_mm_px": 0.02, "samples": 16},
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    even = {"light": "ambient", "scale_mm_px": 0.02, "samples": 16, "illumination_mw_mm2": 0.05}
+    motion = {"start_mm": 3.0, "travel_mm": 1.0, "frames": 1}
+    dark = {"power_mw": 1e-9}
+    return scene_of(BARE, {"microscope": even, "motion": motion, "source": dark}, parts)
 
 
 def dots(path, places_mm, *, mm_px, size, radius_mm=0.15):

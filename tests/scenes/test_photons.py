@@ -16,6 +16,7 @@ import scipy.stats
 
 import optics
 from scenes import Renderer, Scene, load_mitsuba
+from tests.scene_tables import BARE, scene_of
 
 SEEDS = 16
 ALPHA = 1e-3
@@ -47,21 +48,10 @@ def lateral(vectors: np.ndarray) -> np.ndarray:
 
 def scene(kind: str, **parts) -> Scene:
     """A uniform wall in the lens's direct light alone."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"kind": "plane", "wall": "uniform", "indirect": "off"},
-        "source": {"kind": kind, "lens": "dome", "photons_per_pixel": 512},
-        "instrument": {"visible": False},
-        "microscope": {
-            "illumination_mw_mm2": 0.0,
-            "width_px": 96,
-            "height_px": 96,
-            "samples": 64,
-        },
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    source = {"kind": kind, "lens": "dome", "photons_per_pixel": 512}
+    window = {"width_px": 96, "height_px": 96, "samples": 64}
+    plain = {"phantom": {"kind": "plane"}, "source": source, "microscope": window}
+    return scene_of(BARE, plain, parts)
 
 
 def withdrawal(distance: float) -> dict[str, Any]:

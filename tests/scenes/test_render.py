@@ -1,13 +1,10 @@
 """Rendered frames against closed forms, labels and Mitsuba's own integrator."""
 
-from typing import Any
-
 import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
 from estimator import SubpixelSettings, TrackState, measure
 from formats.inputs import InputError
 from formats.spots import Spot
@@ -23,21 +20,12 @@ from scenes import (
 )
 from scenes.camera import after_jpeg
 from scenes.world.world import World
+from tests.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:
     """A uniform wall under the ideal cone's direct light alone, unless told otherwise."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off"},
-        "source": {"kind": "cone"},
-        "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2},
-        "instrument": {"visible": False},
-        "microscope": {"illumination_mw_mm2": 0.0},
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    return scene_of(BARE, {"motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2}}, parts)
 
 
 # Brown's five, all at work: at c = 5 mm and z_F = 11.5 mm, 0.3 of the focal length from the axis,
@@ -229,26 +217,6 @@ def test_the_preview_is_the_middle_frame_in_half_of_its_size(tmp_path):
     per_light = np.median(((small - 4) / blocks)[flat & (small > 100)])
     assert np.abs(small - 4 - per_light * blocks)[flat].max() <= 1.0
     assert 150 < small.max() < 255
-
-
-@pytest.mark.parametrize("height", [11.5, 200.0])
-def test_labels_of_a_distorting_microscope_are_those_of_opencv(height):
-    settings = scene(
-        spot={"eccentricity_mm": 4.0, "azimuth_deg": 50.0},
-        microscope={"pinhole_height_mm": height, "distortion": LENS},
-    )
-    microscope = World(settings).microscope
-    assert isinstance(microscope, optics.Microscope)
-    points = np.asarray(World(settings).truth.origin)
-    # OpenCV's camera: x right, y down, z away, at the pinhole.
-    seen = (points - [0.0, 0.0, height]) * [1.0, -1.0, -1.0]
-    matrix = np.asarray(microscope.camera_matrix())
-    expected, _ = cv2.projectPoints(seen, np.zeros(3), np.zeros(3), matrix, np.array(LENS))
-    expected = np.asarray(expected)[:, 0]
-    found = np.asarray(microscope.project(jnp.asarray(points)))
-    np.testing.assert_allclose(found, expected, atol=1e-9)
-    # The window is shifted so that the spot's centre lies in its middle.
-    np.testing.assert_allclose(expected[0], [319.5, 239.5], atol=1e-6)
 
 
 def test_ambient_light_is_even_and_vignetting_takes_the_corners_by_the_square_of_the_distance():

@@ -1,28 +1,25 @@
 """What makes frames fast changes nothing: pixels rendered again, and lenses kept on disk."""
 
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import optics
 from formats.whole_files import kept_arrays
 from scenes import Scene, load_mitsuba
 from scenes.rendering.images import Images
-from scenes.world.world import World
+from scenes.world.world import LIGHT_FILES, World
+from tests.scene_tables import scene_of
 
 
 def scene(**parts: Any) -> Scene:
     """A withdrawal of the ideal cone with its instrument, in a small window."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "source": {"kind": "cone"},
-        "microscope": {"width_px": 200, "height_px": 150, "scale_mm_px": 0.025},
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    plain.setdefault("motion", {"travel_mm": 4.0, "frames": 3})
-    return Scene.model_validate(plain)
+    window = {"width_px": 200, "height_px": 150, "scale_mm_px": 0.025}
+    parts.setdefault("motion", {"travel_mm": 4.0, "frames": 3})
+    return scene_of({"source": {"kind": "cone"}, "microscope": window}, parts)
 
 
 @pytest.mark.parametrize(
@@ -78,6 +75,13 @@ def test_what_was_computed_once_is_read_and_a_damaged_file_is_written_anew(tmp_p
         assert len(computed) == runs
         file.write_bytes(damage(file.read_bytes()))
     assert [path.name for path in file.parent.iterdir()] == ["lens.npz"]
+
+
+def test_a_lens_is_computed_anew_if_any_code_that_it_depends_on_changes():
+    folder = Path(optics.__file__).parent
+    text = "".join((folder / file).read_text() for file in LIGHT_FILES)
+    used = {f"{name}.py" for name in re.findall(r"^from optics\.(\w+) import", text, re.MULTILINE)}
+    assert used <= {*LIGHT_FILES}
 
 
 def test_a_cache_that_cannot_be_written_costs_no_result(tmp_path):

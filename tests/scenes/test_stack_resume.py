@@ -28,12 +28,12 @@ from scenes import (
     render_stack,
     scene_toml,
 )
+from tests.scene_tables import scene_of
 
 
 def scene(**parts: Any) -> Scene:
     """Ten small frames of a slow withdrawal, with everything that a stack can hold."""
-    plain: dict[str, Any] = {
-        "schema": 1,
+    plain = {
         "source": {"kind": "cone"},
         "phantom": {"wall": "uniform"},
         "motion": {"start_mm": 2.0, "travel_mm": 0.1, "frames": 10},
@@ -41,9 +41,7 @@ def scene(**parts: Any) -> Scene:
         "exposures": {"keep_linear": True},
         "clocks": {"kinematics_hz": 20.0},
     }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values} if isinstance(values, dict) else values
-    return Scene.model_validate(plain)
+    return scene_of(plain, parts)
 
 
 def moving() -> Scene:

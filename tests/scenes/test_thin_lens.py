@@ -6,31 +6,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenes import Renderer, Scene
+from scenes import Renderer
+from tests.scene_tables import BARE, scene_of
 
 SCALE_MM_PX = 0.02
 
 
 def spot(pinhole_height_mm: float, **microscope: Any) -> np.ndarray:
     """A cone's spot on a matt plane at the pole, square to it, with no other light."""
-    settings = {
-        "schema": 1,
-        "phantom": {"kind": "plane", "wall": "uniform", "indirect": "off"},
-        "source": {"kind": "cone"},
+    window = {"scale_mm_px": SCALE_MM_PX, "width_px": 128, "height_px": 128, "samples": 1024}
+    seen = {**window, "pinhole_height_mm": pinhole_height_mm, **microscope}
+    plain = {
+        "phantom": {"kind": "plane"},
         "spot": {"incidence_deg": 0.0},
         "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 1},
-        "instrument": {"visible": False},
-        "microscope": {
-            "pinhole_height_mm": pinhole_height_mm,
-            "illumination_mw_mm2": 0.0,
-            "scale_mm_px": SCALE_MM_PX,
-            "width_px": 128,
-            "height_px": 128,
-            "samples": 1024,
-            **microscope,
-        },
     }
-    return Renderer(Scene.model_validate(settings)).render(0).radiance[..., 0].astype(float)
+    image = Renderer(scene_of(BARE, plain, {"microscope": seen})).render(0).radiance
+    return image[..., 0].astype(float)
 
 
 def moments(image: np.ndarray) -> np.ndarray:

@@ -1,7 +1,5 @@
 """Rendered walls that spread light: labels in the pixels, colours, and a real scattering medium."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from pydantic import ValidationError
@@ -11,24 +9,17 @@ from skimage.measure import EllipseModel, find_contours
 from formats.stack import read_stack
 from scenes import Renderer, Scene, load_mitsuba, render_stack
 from scenes.walls.picture import wall_spread
+from tests.scene_tables import BARE, scene_of
 from tests.spread_disc import lit_by_disc
 
 LENGTH = 0.05
 
 
 def scene(**parts) -> Scene:
-    """A uniform wall under the ideal cone's direct light alone, unless told otherwise."""
-    plain: dict[str, Any] = {
-        "schema": 1,
-        "phantom": {"wall": "uniform", "indirect": "off", "spread": "own"},
-        "source": {"kind": "cone"},
-        "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2},
-        "instrument": {"visible": False},
-        "microscope": {"illumination_mw_mm2": 0.0},
-    }
-    for name, values in parts.items():
-        plain[name] = {**plain.get(name, {}), **values}
-    return Scene.model_validate(plain)
+    """A uniform wall that spreads the ideal cone's direct light, unless told otherwise."""
+    spread = {"phantom": {"spread": "own"}}
+    motion = {"start_mm": 3.0, "travel_mm": 1.0, "frames": 2}
+    return scene_of(BARE, spread, {"motion": motion}, parts)
 
 
 @pytest.mark.parametrize(
