@@ -1,23 +1,17 @@
 """Do 95 % of the predictions hold? Plans against stacks whose truth is drawn as the plan states.
 
-    python -m tests.prediction_coverage 40
-
 Every stack is rendered from a scene of its own: each uncertain key has its value plus its stated
 uncertainty times a normal number, the wall has another texture and the camera other noise.
 """
 
 from __future__ import annotations
 
-import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from benchmarks.predictions.plan import (
-    SURE,
     Judgement,
     Plan,
     judged,
@@ -82,27 +76,3 @@ def drawn(plan: Plan, number: int) -> dict[str, float | int]:
         for key, (value, sigma) in plan.uncertain.items()
     }
     return values | {"seed": number, "phantom__texture_seed": number}
-
-
-def main() -> None:
-    """Print how many predictions held, by quantity and in all."""
-    with tempfile.TemporaryDirectory() as made:
-        folder, scene = Path(made), planned_scene()
-        plan = plan_of(scene, folder)
-        found = [
-            verdict(plan, scene, folder, **drawn(plan, number))
-            for number in range(int(sys.argv[1]))
-        ]
-    tallies = pd.concat([one.tallies for one in found]).groupby("quantity", sort=False)
-    for quantity, hits, misses in tallies[["hits", "misses"]].sum().itertuples():
-        print(f"{quantity}: {hits} of {hits + misses} ({100 * hits / (hits + misses):.1f} %)")
-    hits, count = sum(one.hits for one in found), sum(one.predictions for one in found)
-    print(f"all: {hits} of {count} ({100 * hits / count:.1f} %)")
-    pulls = np.concatenate([one.causes.pull for one in found])
-    far = np.sum(np.abs(pulls) > SURE)
-    print(f"pulls of the keys: RMS {np.sqrt(np.mean(pulls**2)):.2f}, {far} of {pulls.size} too far")
-    print(f"misfit, in the noise: {np.median([one.misfit for one in found]):.2f} (median)")
-
-
-if __name__ == "__main__":
-    main()

@@ -27,9 +27,9 @@ from calibration.spots.cone_trials import (
 )
 from formats.inputs import read_toml
 from optics.viewing.camera import PathCamera, local_magnification, path_camera
-from optics.viewing.eye import Eye, ViewingLens, load_viewing_lens
+from optics.viewing.eye import Eye, load_viewing_lens
 from optics.viewing.path import viewing_path
-from optics.viewing.trace import Conic, Medium, Refracting
+from optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067
 NOMINAL_RADIUS_MM = 12.0
@@ -129,7 +129,7 @@ def cameras(path: str, eyes: Eye, pupil_radius: Float[Array, ""]) -> PathCamera:
 
 @eqx.filter_jit
 def _cameras(
-    viewing_lens: ViewingLens, form: str, eyes: Eye, pupil_radius: Float[Array, ""]
+    viewing_lens: Element, form: str, eyes: Eye, pupil_radius: Float[Array, ""]
 ) -> PathCamera:
     # Lenses of one structure differ in numbers only, and are compiled once.
     def camera(eye: Eye) -> PathCamera:
@@ -138,7 +138,7 @@ def _cameras(
             viewing_lens,
             form=form,
             pupil_radius=pupil_radius,
-            pinhole_distance=PINHOLE_ABOVE_MM + viewing_lens.above_cornea,
+            pinhole_distance=PINHOLE_ABOVE_MM - viewing_lens.depth,
         )
         # A robot's axes belong to an upright image, so a wide-field lens needs its inverter.
         return path_camera(found, scale=SCALE_MM_PX, upright=True)

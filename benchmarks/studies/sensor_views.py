@@ -22,8 +22,8 @@ from skimage.measure import points_in_poly
 import optics
 import scenes
 from optics.viewing import (
+    ThinLens,
     ViewingPath,
-    WideFieldLens,
     bare_path,
     load_eye,
     load_viewing_lens,
@@ -136,7 +136,7 @@ def beam_of(one: InstrumentPlace) -> optics.Beam:
 def views(path: str) -> Views:
     """The microscopes that look through a path."""
     lens = PATHS[path]
-    inverted = lens is not None and isinstance(load_viewing_lens(lens), WideFieldLens)
+    inverted = lens is not None and isinstance(load_viewing_lens(lens), ThinLens)
     return _views(_through(lens), bare=lens is None, inverted=inverted)
 
 

@@ -11,10 +11,7 @@ from .camera import pencils as pencils
 from .camera import reflexes as reflexes
 from .camera import side_camera as side_camera
 from .camera import wall_point as wall_point
-from .eye import ContactLens as ContactLens
 from .eye import Eye as Eye
-from .eye import ViewingLens as ViewingLens
-from .eye import WideFieldLens as WideFieldLens
 from .eye import eye_names as eye_names
 from .eye import load_eye as load_eye
 from .eye import load_viewing_lens as load_viewing_lens

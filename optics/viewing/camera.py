@@ -21,6 +21,7 @@ from optics.surface import bisected
 from optics.viewing.path import (
     ViewingPath,
     chebyshev_nodes,
+    last_medium,
     lines_of_sight,
     series,
     series_and_slope,
@@ -31,7 +32,6 @@ from optics.viewing.trace import (
     VIGNETTED,
     Element,
     Iris,
-    Medium,
     Refracting,
     ThinLens,
     TracedRays,
@@ -654,12 +654,12 @@ def _returned(
     direction = jnp.stack([aim * closeness, across, across + 1.0], axis=-1)
     direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
     there = trace(before, origin, direction)
-    medium, front = _last(before)
+    medium, front = last_medium(before)
     point, direction, meets = medium.to_surface(
         there.point, there.direction, mirror.surface, front=front
     )
     normal = mirror.surface.normal(point)
-    depth = mirror.surface.depth
+    depth = mirror.depth
     _, passed, _ = refract(
         direction=direction,
         normal=normal,
@@ -683,22 +683,14 @@ def _returned(
     return place, part, returns & (jnp.abs(slope) < _STEEPEST)
 
 
-def _last(elements: tuple[Element, ...]) -> tuple[Medium, Float[Array, ""]]:
-    """The medium behind elements, and the depth at which it begins; air in front of all."""
-    for element in reversed(elements):
-        if isinstance(element, Refracting):
-            return element.medium, element.surface.depth
-    return Medium(1.0), jnp.zeros(())
-
-
 def _reversed(elements: tuple[Element, ...]) -> tuple[Element, ...]:
     """Elements as light meets them that comes back, with depths that count upwards."""
     found: list[Element] = []
     for number in reversed(range(len(elements))):
         element = elements[number]
         if isinstance(element, Refracting):
-            medium, front = _last(elements[:number])
-            behind = medium.reversed(element.surface.depth - front)
+            medium, front = last_medium(elements[:number])
+            behind = medium.reversed(element.depth - front)
             found.append(Refracting(element.surface.reversed(), behind))
         elif isinstance(element, ThinLens):
             found.append(ThinLens(depth=-element.depth, power=element.power))

@@ -24,7 +24,7 @@ from formats.inputs import (
     shortened,
     validated,
 )
-from optics.viewing.trace import Conic, Medium, Refracting
+from optics.viewing.trace import Conic, Element, Medium, Refracting, ThinLens
 
 _HISTORY = {1: "the first format"}
 _HERE = Path(__file__).parent
@@ -288,45 +288,6 @@ def _eye(file: EyeFile, wavelength_nm: float, refraction_d: float) -> Eye:
     )
 
 
-class ContactLens(eqx.Module):
-    """A lens on the cornea; its back fits the cornea's front without a gap.
-
-    Attributes:
-        front_curvature: 1/R, 1/mm; positive if it converges, 0 for a plane.
-        thickness: on the axis, mm.
-        index: of its material.
-    """
-
-    front_curvature: Float[Array, ""]
-    thickness: Float[Array, ""]
-    index: Float[Array, ""]
-
-    @property
-    def above_cornea(self) -> Float[Array, ""]:
-        """Height of its front above the cornea's vertex, mm."""
-        return self.thickness
-
-
-class WideFieldLens(eqx.Module):
-    """An ideal thin lens above the cornea; it inverts the image.
-
-    Attributes:
-        power: 1/f, 1/mm.
-        height: above the cornea's vertex, mm.
-    """
-
-    power: Float[Array, ""]
-    height: Float[Array, ""]
-
-    @property
-    def above_cornea(self) -> Float[Array, ""]:
-        """Height above the cornea's vertex, mm."""
-        return self.height
-
-
-ViewingLens = ContactLens | WideFieldLens
-
-
 class _ContactLensFile(Strict):
     kind: Literal["contact"]
     front_curvature_per_mm: float = Field(ge=-0.5, le=0.5)
@@ -343,13 +304,16 @@ class _ViewingLensFile(Strict):
     lens: _ContactLensFile | _WideFieldFile = Field(discriminator="kind")
 
 
-def load_viewing_lens(name_or_path: str | Path) -> ViewingLens:
+def load_viewing_lens(name_or_path: str | Path) -> Element:
     """Read a viewing lens from its name or from a TOML file in the same format.
-
-    A wide-field lens is held one focal length above the cornea.
 
     Args:
         name_or_path: name of a lens that comes with the package, or the path of a `.toml` file.
+
+    Returns:
+        The front of a contact lens with its material, whose back fits the cornea's front without a
+        gap; or an ideal thin lens, which is held one focal length above the cornea and inverts the
+        image.
 
     Raises:
         InputError: no such lens, or an unknown, missing or wrong key.
@@ -357,9 +321,6 @@ def load_viewing_lens(name_or_path: str | Path) -> ViewingLens:
     file = read_data_file(_ViewingLensFile, "lenses", name_or_path).lens
     if isinstance(file, _WideFieldFile):
         power = file.power_d / 1000.0
-        return WideFieldLens(power=jnp.asarray(power), height=jnp.asarray(1.0 / power))
-    return ContactLens(
-        front_curvature=jnp.asarray(file.front_curvature_per_mm),
-        thickness=jnp.asarray(file.thickness_mm),
-        index=jnp.asarray(file.index),
-    )
+        return ThinLens(depth=jnp.asarray(-1.0 / power), power=jnp.asarray(power))
+    front = Conic(depth=-file.thickness_mm, curvature=file.front_curvature_per_mm)
+    return Refracting(front, Medium(file.index))

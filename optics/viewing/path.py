@@ -15,14 +15,13 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int, ScalarLike
 
 from formats.inputs import InputError
-from optics.viewing.eye import ContactLens, Eye, ViewingLens
+from optics.viewing.eye import Eye
 from optics.viewing.trace import (
     Conic,
     Element,
     Iris,
     Medium,
     Refracting,
-    ThinLens,
     TracedRays,
     trace,
 )
@@ -86,7 +85,7 @@ class ViewingPath(eqx.Module):
     @property
     def medium_index(self) -> Float[Array, ""]:
         """Refractive index of the medium in front of the retina."""
-        return _media(self.elements)[-1].index
+        return last_medium(self.elements)[0].index
 
 
 class LinesOfSight(NamedTuple):
@@ -106,7 +105,7 @@ class LinesOfSight(NamedTuple):
 
 def viewing_path(
     eye: Eye,
-    viewing_lens: ViewingLens | None = None,
+    viewing_lens: Element | None = None,
     *,
     form: str = "phakic",
     fill_index: ScalarLike | None = None,
@@ -117,7 +116,7 @@ def viewing_path(
 
     Args:
         eye: at the wavelength of the light.
-        viewing_lens: on or above the cornea, or None.
+        viewing_lens: on or above the cornea (`load_viewing_lens`), or None.
         form: one of `FORMS`. An aphakic eye is filled with one medium from the cornea on.
         fill_index: refractive index of what fills the vitreous cavity; None for the eye's vitreous.
         pupil_radius: of the iris, mm.
@@ -139,7 +138,7 @@ def viewing_path(
         case _:
             inside = (back, iris, *eye.lens[:-1], _before(eye.lens[-1], fill))
     return ViewingPath(
-        elements=(*_in_front(viewing_lens, front), front, *inside),
+        elements=(*(() if viewing_lens is None else (viewing_lens,)), front, *inside),
         pinhole_closeness=1.0 / jnp.asarray(pinhole_distance, float),
         pole_depth=eye.axial_length,
         retina_semi_axes=eye.retina_semi_axes,
@@ -153,9 +152,7 @@ def lines_of_sight(path: ViewingPath, aim: Float[Array, "*batch"]) -> LinesOfSig
         aim: distance from the axis at which the line, before any refraction, would cross the plane
             of the cornea's vertex, mm.
     """
-    start = path.elements[0]
-    depth = start.surface.depth if isinstance(start, Refracting) else start.depth
-    depth = depth - _START_MM
+    depth = path.elements[0].depth - _START_MM
     across = jnp.zeros_like(aim)
     origin = jnp.stack(
         [aim * (1.0 + path.pinhole_closeness * depth), across, across + depth], axis=-1
@@ -195,7 +192,7 @@ def skew_lines(
 def equivalent_power(elements: tuple[Element, ...]) -> Float[Array, ""]:
     """Paraxial power of elements in air on their front side, n'/f', 1/mm."""
     _, slope = _parallel(elements)
-    return -_media(elements)[-1].index * slope
+    return -last_medium(elements)[0].index * slope
 
 
 def back_focus(elements: tuple[Element, ...]) -> Float[Array, ""]:
@@ -214,18 +211,18 @@ def _parallel(elements: tuple[Element, ...]) -> tuple[Float[Array, ""], Float[Ar
         start = jnp.stack([height, 0.0 * height, -100.0 + 0.0 * height])
         rays = trace(elements, start, jnp.array([0.0, 0.0, 1.0]))
         slope = rays.direction[0] / rays.direction[2]
-        behind = rays.point[2] - _last_depth(elements)
+        behind = rays.point[2] - last_medium(elements)[1]
         return rays.point[0] - behind * slope, slope
 
     return jax.jvp(end, (jnp.zeros(()),), (jnp.ones(()),))[1]
 
 
-def _media(elements: tuple[Element, ...]) -> list[Medium]:
-    return [element.medium for element in elements if isinstance(element, Refracting)]
-
-
-def _last_depth(elements: tuple[Element, ...]) -> Float[Array, ""]:
-    return [e.surface.depth for e in elements if isinstance(e, Refracting)][-1]
+def last_medium(elements: tuple[Element, ...]) -> tuple[Medium, Float[Array, ""]]:
+    """The medium behind elements, and the depth at which it begins; air in front of all."""
+    for element in reversed(elements):
+        if isinstance(element, Refracting):
+            return element.medium, element.depth
+    return Medium(1.0), jnp.zeros(())
 
 
 def _before(boundary: Refracting, index: ScalarLike) -> Refracting:
@@ -233,18 +230,9 @@ def _before(boundary: Refracting, index: ScalarLike) -> Refracting:
     return Refracting(boundary.surface, Medium(index))
 
 
-def _in_front(lens: ViewingLens | None, cornea: Refracting) -> tuple[Element, ...]:
-    if lens is None:
-        return ()
-    if isinstance(lens, ContactLens):
-        front = Conic(depth=-lens.thickness, curvature=lens.front_curvature)
-        return (Refracting(front, Medium(lens.index)),)
-    return (ThinLens(depth=-lens.height, power=lens.power),)
-
-
 def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
     """An artificial lens that makes the eye, filled with its vitreous, emmetropic."""
-    middle = (eye.lens[0].surface.depth + eye.lens[-1].surface.depth) / 2
+    middle = (eye.lens[0].depth + eye.lens[-1].depth) / 2
     half = _IMPLANT_THICKNESS_MM / 2
 
     def lens(curvature: Float[Array, ""], behind: ScalarLike) -> tuple[Refracting, Refracting]:
@@ -255,7 +243,7 @@ def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
     def defocus(curvature: Float[Array, ""], _: None) -> Float[Array, ""]:
         elements = (*eye.cornea, *lens(curvature, eye.vitreous_index))
         height, slope = _parallel(elements)
-        return height + slope * (eye.axial_length - _last_depth(elements))
+        return height + slope * (eye.axial_length - last_medium(elements)[1])
 
     newton: optx.AbstractRootFinder = optx.Newton(rtol=1e-12, atol=1e-12)
     curvature = optx.root_find(defocus, newton, jnp.asarray(0.05), throw=False).value

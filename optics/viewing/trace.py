@@ -201,6 +201,11 @@ class Refracting(eqx.Module):
     surface: Conic
     medium: Medium
 
+    @property
+    def depth(self) -> Float[Array, ""]:
+        """Depth zeta of the vertex, mm below the cornea's vertex."""
+        return self.surface.depth
+
 
 class ThinLens(eqx.Module):
     """An ideal thin lens in air: it takes power times height off a ray's slope.
@@ -273,17 +278,16 @@ def trace(
             point, direction, meets = medium.to_surface(
                 point, direction, element.surface, front=front
             )
-            depth = element.surface.depth
             direction, passed, passes = refract(
                 direction=direction,
                 normal=element.surface.normal(point),
                 index_incident=medium.index_at(point, front=front),
-                index_transmitted=element.medium.index_at(point, front=depth),
+                index_transmitted=element.medium.index_at(point, front=element.depth),
             )
             status = _first(status, ~meets, MISSED)
             status = _first(status, ~passes, REFLECTED)
             transmittance = transmittance * passed
-            medium, front = element.medium, depth
+            medium, front = element.medium, element.depth
         else:
             along = (element.depth - point[..., 2]) / direction[..., 2]
             point = point + along[..., None] * direction

@@ -150,7 +150,7 @@ def _path(scene: Scene, *, channel: int) -> ViewingPath:
     lens = None if viewing.lens == "none" else load_viewing_lens(viewing.lens)
     medium = scene.source.medium
     cornea = float(eye.axial_length) - scene.phantom.radius_mm
-    highest = cornea + (0.0 if lens is None else float(lens.above_cornea))
+    highest = cornea - (0.0 if lens is None else float(lens.depth))
     if not height > highest:
         raise SceneError(
             f"microscope.pinhole_height_mm must lie above the viewing lens and the cornea, at "

@@ -147,10 +147,10 @@ def test_frames_of_another_wall_image_are_not_used(tmp_path):
 
     def painted(grey: int) -> Scene:
         cv2.imwrite(str(picture), np.full((40, 40, 3), grey, np.uint8))
-        return scene(phantom={"wall": "image", "wall_image": str(picture)})
+        return scene(phantom={"wall": "image", "wall_image": str(picture)}, motion={"frames": 3})
 
     with pytest.raises(KeyboardInterrupt):
-        render_stack(painted(90), tmp_path / "stack", progress=Stop(5))
+        render_stack(painted(90), tmp_path / "stack", progress=Stop(2))
     render_stack(painted(200), tmp_path / "stack")
     render_stack(painted(200), tmp_path / "whole")
     assert digests(tmp_path / "stack") == digests(tmp_path / "whole")

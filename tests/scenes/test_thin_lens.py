@@ -1,5 +1,6 @@
 """The microscope as a thin lens: light from out of focus is spread over a disc, none is lost."""
 
+import functools
 import math
 from typing import Any
 
@@ -12,6 +13,7 @@ from tests.scene_tables import BARE, scene_of
 SCALE_MM_PX = 0.02
 
 
+@functools.cache
 def spot(pinhole_height_mm: float, **microscope: Any) -> np.ndarray:
     """A cone's spot on a matt plane at the pole, square to it, with no other light."""
     window = {"scale_mm_px": SCALE_MM_PX, "width_px": 128, "height_px": 128, "samples": 1024}
