@@ -13,59 +13,34 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
-from formats.calibration import Calibration, write_calibration
+from formats.calibration import write_calibration
+from scenes import load_scene, render_stack
+from scenes.world.labels import true_calibration
 
 HERE = Path(__file__).parent
 PORT = 8123
-SCENE = """
-schema = 1
-seed = 5
-[source]
-kind = "cone"
-[motion]
-kind = "withdrawal"
-travel_mm = 4.0
-frames = 80
-speed_mm_s = 0.5
-[microscope]
-scale_mm_px = 0.0134
-width_px = 320
-height_px = 240
-[exposures]
-kinds = ["metered"]
-"""
+SCENE = [
+    *("seed=5", "source.kind=cone", 'exposures.kinds=["metered"]'),
+    *("motion.travel_mm=4", "motion.frames=80", "motion.speed_mm_s=0.5"),
+    *("microscope.scale_mm_px=0.0134", "microscope.width_px=320", "microscope.height_px=240"),
+]
 
 
 def main() -> None:
     """Render a stack, show it in the console, and take a picture at its end."""
+    scene = load_scene(None, SCENE)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        (folder / "scene.toml").write_text(SCENE)
-        _eyespot("render", "scene.toml", "--out", "withdrawal", folder=folder).wait()
-        cone = Calibration(
-            model="exact",
-            values={"k": 20.0, "b": -5.117},
-            covariance=np.diag([0.01**2, 0.005**2]),
-            medium="air",
-            medium_index=1.0,
-            fitted_on="the scene's own values",
-            data_sha256="0" * 64,
-            software="none",
-        )
-        write_calibration(folder / "cone.json", cone)
-        words = ("console", "withdrawal", "--calibration", "cone.json", "--port", f"{PORT}")
-        console = _eyespot(*words, folder=folder)
+        render_stack(scene, folder / "withdrawal")
+        write_calibration(folder / "cone.json", true_calibration(scene))
+        words = ("withdrawal", "--calibration", "cone.json", "--port", f"{PORT}")
+        command = [sys.executable, "-m", "eyespot", "console", *words]
+        console = subprocess.Popen(command, cwd=folder)
         try:
             _photograph()
         finally:
             console.terminate()
             console.wait()
-
-
-def _eyespot(*words: str, folder: Path) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", "eyespot", *words], cwd=folder)
 
 
 def _photograph() -> None:

@@ -28,34 +28,12 @@ from scenes.world.motion import frame_count, kinematics, longest_exposure
 from scenes.world.world import World
 
 
-class Photography:
-    """Exposes the frames of one stack.
+def metered_time(scene: Scene, camera: CameraSensor, light: np.ndarray, mask: np.ndarray) -> float:
+    """Exposure time of a `metered` frame by the light within the mask, s.
 
-    Attributes:
-        paper_exposure_s: fixed exposure time of the `paper` frames.
+    It is never longer than the time between two frames, even if the frame is then dark.
     """
-
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._camera = CameraSensor(world.scene)
-        self.paper_exposure_s = paper_exposure(world)
-
-    def exposure_s(self, kind: str, light: np.ndarray, mask: np.ndarray) -> float:
-        """Exposure time; for `metered` it depends on the light within the mask.
-
-        It is never longer than the time between two frames, even if a metered frame is then dark.
-        """
-        if kind == "paper":
-            return self.paper_exposure_s
-        return min(self._camera.metered_s(light, mask), longest_exposure(self._world.scene))
-
-    def images(
-        self, light: np.ndarray, *, exposure_s: float, frame: int, order: int
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """The camera's image with the order-th kind of exposure, before and after JPEG."""
-        seed = [self._world.scene.seed, frame, order]
-        raw = self._camera.raw(light, exposure_s=exposure_s, noise_seed=seed)
-        return raw, self._camera.written(raw)
+    return min(camera.metered_s(light, mask), longest_exposure(scene))
 
 
 # Frames that may wait for noise and encoding. More would only use memory.
@@ -95,7 +73,7 @@ def render_stack(
     with writer:
         renderer = Renderer(scene, variant=variant)
         world = renderer.world
-        photography = Photography(world)
+        paper_s = paper_exposure(world)
         writer.describe(
             stack={
                 "scene": scene.model_dump(mode="json", by_alias=True),
@@ -108,18 +86,19 @@ def render_stack(
                     "approximations": scene.approximations,
                 },
             },
-            microscope=microscope_file(world, photography.paper_exposure_s),
+            microscope=microscope_file(world, paper_s),
             kinematics=kinematics(scene, world.motion),
         )
-        _render_frames(renderer, photography, writer, progress)
+        _render_frames(renderer, paper_s, writer, progress)
     return read_stack(out)
 
 
 def _render_frames(
-    renderer: Renderer, photography: Photography, writer: StackWriter, progress: Callable[[], None]
+    renderer: Renderer, paper_s: float, writer: StackWriter, progress: Callable[[], None]
 ) -> None:
     """Render and meter the missing frames on this thread; photograph and encode them on another."""
     scene, kinds = renderer.scene, renderer.scene.exposures.kinds
+    camera = CameraSensor(scene)
     bounds = Bounds(renderer) if scene.exposures.bound else None
 
     def names(frame: int) -> list[str]:
@@ -134,7 +113,7 @@ def _render_frames(
         """Write the image of each exposure: its light, its time and the labels of its bound."""
         spot = spot_labels(renderer.world, frame) | {"visible_fraction": visible_fraction}
         for order, (light, duration, bound) in enumerate(exposed):
-            raw, written = photography.images(light, exposure_s=duration, frame=frame, order=order)
+            raw = camera.raw(light, exposure_s=duration, noise_seed=[scene.seed, frame, order])
             saturated = np.any(raw[mask] >= scene.camera.full_scale_dn, axis=-1)
             labels = FrameLabels(
                 file_name=names(frame)[order],
@@ -145,7 +124,7 @@ def _render_frames(
                 **(spot | bound),
             )
             writer.add(
-                written,
+                camera.written(raw),
                 labels,
                 np.uint8(255) * mask if order == 0 else None,
                 light if scene.exposures.keep_linear else None,
@@ -159,12 +138,14 @@ def _render_frames(
                 mask = renderer.mask(frame, sharp)
                 exposed = []
                 for kind in kinds:
-                    duration = photography.exposure_s(kind, sharp.radiance, mask)
+                    duration = paper_s
+                    if kind == "metered":
+                        duration = metered_time(scene, camera, sharp.radiance, mask)
                     light = renderer.exposed(frame, sharp, exposure_s=duration)
                     bound = {} if bounds is None else bounds.labels(frame, light, duration)
                     exposed.append((light.radiance, duration, bound))
-                task = photograph, frame, mask, sharp.visible_fraction, exposed
-                writing.append(pool.submit(*task))
+                seen = sharp.visible_fraction
+                writing.append(pool.submit(photograph, frame, mask, seen, exposed))
                 if len(writing) > _QUEUE:
                     writing[-_QUEUE - 1].result()
             progress()
@@ -291,12 +272,14 @@ def render_image(
     count = renderer.world.times.size
     if not 0 <= frame < count:
         raise InputError(f"frame = {frame} is not in the scene: it has 0 to {count - 1}.")
-    photography = Photography(renderer.world)
-    sharp = renderer.render(frame)
-    duration = photography.exposure_s(kind, sharp.radiance, renderer.mask(frame, sharp))
+    camera, sharp = CameraSensor(scene), renderer.render(frame)
+    if kind == "metered":
+        duration = metered_time(scene, camera, sharp.radiance, renderer.mask(frame, sharp))
+    else:
+        duration = paper_exposure(renderer.world)
     light = renderer.exposed(frame, sharp, exposure_s=duration).radiance
-    order = kinds.index(kind)
-    return photography.images(light, exposure_s=duration, frame=frame, order=order)[1]
+    seed = [scene.seed, frame, kinds.index(kind)]
+    return camera.written(camera.raw(light, exposure_s=duration, noise_seed=seed))
 
 
 class LiveCamera:

@@ -12,7 +12,6 @@ import optics
 from optics.lens_table import LensField, transmitted_power
 from tests.lens_quadrature import irradiance
 from tests.photons import Drop, photons
-from tests.random_lenses import random_lens
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 DOME, FLAT = optics.load_lens("dome"), optics.load_lens("paper-candidate")
@@ -26,6 +25,21 @@ def field(lens, medium, radius, distance):
 def nodes(first, last, count):
     x, weight = np.polynomial.legendre.leggauss(count)
     return first + (last - first) * (x + 1) / 2, weight * (last - first) / 2
+
+
+def random_lens(rng):
+    """A lens from a flat end to half a ball, with or without a rim, as people make them."""
+    aperture = rng.uniform(0.2, 0.35)
+    core = rng.uniform(0.15, min(0.3, aperture))
+    sag, rim = rng.uniform(0.001, aperture), rng.uniform(0.0, 0.4)
+    return optics.glue_lens(
+        core_radius=core,
+        aperture_radius=aperture,
+        sag=sag,
+        glue_length=sag + rim,
+        glue_index=rng.uniform(1.45, 1.55),
+        numerical_aperture=rng.uniform(0.05, 0.3),
+    )
 
 
 def test_a_lambertian_disc_on_its_axis():
