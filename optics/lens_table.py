@@ -244,22 +244,13 @@ class IrradianceTable(eqx.Module):
     farthest: float = _FARTHEST
 
     def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
-        """Radius outside which there is no light at a distance from the tip, mm.
-
-        Args:
-            distance: s, mm.
-        """
+        """Radius outside which there is no light at a distance s (mm) from the tip, mm."""
         return self.contact_radius + self.slope * jnp.asarray(distance)
 
     def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Look up V_rho and V_s, 1/mm² per unit power in the core.
-
-        Args:
-            radius: distance from the axis, mm.
-            distance: s, distance from the tip along the axis, mm.
-        """
+        """Look up V_rho and V_s, with arguments and results as those of `LensField`."""
         return _look_up(self, jnp.asarray(radius), jnp.asarray(distance))
 
 
@@ -369,6 +360,7 @@ _AMBIGUITY_SAMPLES = 1200
 _FIELD_SAMPLES = 1025
 
 Light = IrradianceTable | LensField
+"""Light of a lens in a medium, as a table or by quadrature."""
 
 
 class EffectiveCone(NamedTuple):
@@ -390,7 +382,6 @@ def half_maximum_radius(light: Light, *, distance: ArrayLike) -> Float[Array, "*
     """Radius of the outermost circle on a plane with half of the plane's peak irradiance.
 
     Args:
-        light: of a lens in a medium, as a table or by quadrature.
         distance: d, distance of the plane from the tip, mm.
 
     Returns:
@@ -407,7 +398,6 @@ def isophote_radius(
     """Radius of the outermost circle on a plane with a given irradiance.
 
     Args:
-        light: of a lens in a medium, as a table or by quadrature.
         distance: d, distance of the plane from the tip, mm.
         level: irradiance per unit power in the core, 1/mm², such as a camera's threshold.
 
@@ -428,7 +418,6 @@ def effective_cone(
     """Fit d = kR + b by least squares over evenly spaced distances (Zhou et al. 2020, eq. 1).
 
     Args:
-        light: of a lens in a medium, as a table or by quadrature.
         from_distance: smallest d, mm.
         to_distance: largest d, mm.
         level: irradiance of the isophote with radius R, 1/mm² per unit power; None for the half
@@ -459,7 +448,6 @@ def ambiguous_distances(
     """Intervals of distances that share their half-maximum radius with another distance.
 
     Args:
-        light: of a lens in a medium, as a table or by quadrature.
         from_distance: smallest d, mm.
         to_distance: largest d, mm.
 

@@ -61,11 +61,7 @@ def stereographic_semi_axis(
     $f = 2r/\delta$: the pinhole is the centre of a stereographic projection, so the image is a
     circle (c is that of O, the beam's axis on the wall, not of the image circle's centre).
 
-    Args:
-        spot_radius: R, mm.
-        eccentricity: c of O, mm.
-        eye_radius: r, mm.
-        scale: delta, mm/px at the pole.
+    Args: as for `square_spot_axes`.
 
     Returns:
         e1', px.
@@ -132,13 +128,7 @@ def plane_point(
     At a height t above the pole the line is at q (1 - kappa t), as for `eyeball_point`. It meets
     the plane at $t = -\mathbf n\cdot\mathbf q/(n_z - \kappa\,\mathbf n\cdot\mathbf q)$.
 
-    Args:
-        right_px: image point, to the right of the principal point, px.
-        down_px: image point, below the principal point, px.
-        scale: delta, mm/px at the pole.
-        eye_radius: r, mm; the pole lies at -r.
-        inverse_working_distance: kappa = 1/(z_F + r), 1/mm; 0 is telecentric.
-        normal: of the plane, n_z > 0.
+    Args: as for `eyeball_point`; `normal` is the plane's, n_z > 0.
 
     Returns:
         X, Y, Z on the first axis, mm, eye frame; NaN if the line does not meet the plane.
@@ -352,11 +342,7 @@ def corrected_factor(
     $m = \cos\varphi + \frac{r\sin^2\varphi}{z_F + r\cos\varphi}$: magnification by depth, and
     foreshortening if the meridional axis is the shorter one. With $\kappa = 1/(z_F + r)$,
     $z_F + r\cos\varphi = (1 - \kappa r (1 - \cos\varphi))/\kappa$, finite for $\kappa = 0$.
-
-    Args:
-        eccentricity: c, mm.
-        eye_radius: r, mm.
-        inverse_working_distance: kappa, 1/mm.
+    Args: as for `closed_form_distance`.
     """
     xp = array_namespace(eccentricity, eye_radius, inverse_working_distance)
     r = xp.asarray(eye_radius)

@@ -1,13 +1,10 @@
-"""Images by photons, with derivatives by the lens and its pose.
-
-Import after `load_mitsuba`.
+"""Images by photons, with derivatives by the lens and its pose. Import after `load_mitsuba`.
 
 The derivatives are correct because the position of each photon on the film and its power are smooth
-functions of all parameters; no parameter is compared with a random number. `smooth_lens` ensures
+functions of all parameters; no parameter is compared with a random number. `leave_cap` ensures
 this for the lens. On the film, a quadratic spline spreads each photon over nine pixels. An
 instrument in the beam would hide photons by a comparison, so scenes with one are refused.
 
-Photons behind the glue lens, as a smooth function of its parameters. Import after `load_mitsuba`.
 `scenes.rendering.photons` traces the same lens as Mitsuba's glass, where random numbers decide
 which photons the rim absorbs and the cap reflects. Here every photon is drawn so that it passes the
 aperture and leaves the cap. Fresnel's equations give its power, which falls to zero where total

@@ -197,7 +197,7 @@ def test_a_ray_traced_forwards_is_found_again_backwards():
     wall = point + 0.7 * out
     radius, cap_radius = np.hypot(wall[:, 0], wall[:, 1]), np.hypot(point[:, 0], point[:, 1])
     turn = np.arctan2(wall[:, 1], wall[:, 0]) - np.arctan2(point[:, 1], point[:, 0])
-    rays = RingRays(lens(), AIR, radius, wall[:, 2])
+    rays = RingRays(lens(), *map(jnp.asarray, (AIR, radius, wall[:, 2])))
     back = rays.trace(cap_radius, np.sin(turn / 2) ** 2)
     sine_limit, core = 0.2 / GLUE, 0.25
     # cone and face are squared ratios less 1: rounding of order 1e-15 over the ratio of distances.
@@ -210,9 +210,9 @@ def test_a_ray_traced_forwards_is_found_again_backwards():
 def test_no_light_comes_through_the_cap_from_behind():
     # In a medium of the glue's index the two cosines of such a ray cancel: 0/0 but for rounding.
     rng = np.random.default_rng(0)
-    wall = rng.uniform(0.0, 0.5, 10_000), rng.uniform(0.001, 0.1, 10_000)
+    wall = GLUE, rng.uniform(0.0, 0.5, 10_000), rng.uniform(0.001, 0.1, 10_000)
     cap = rng.uniform(0.0, 0.25, 10_000), rng.uniform(0.0, 1.0, 10_000)
-    back = RingRays(lens(), GLUE, *wall).trace(*map(jnp.asarray, cap))
+    back = RingRays(lens(), *map(jnp.asarray, wall)).trace(*map(jnp.asarray, cap))
     behind = np.asarray(back.drop) >= 0.0
     assert 0.2 < np.mean(behind) < 1.0
     assert np.all(np.isfinite(back.axial)) and np.all(np.isfinite(back.lateral))

@@ -12,6 +12,7 @@ def test_lines_of_the_scenes_own_microscope_give_its_image():
         None,
         (
             "source.kind=cone",
+            "motion.frames=3",
             "microscope.width_px=64",
             "microscope.height_px=48",
             "microscope.scale_mm_px=0.05",
@@ -19,7 +20,7 @@ def test_lines_of_the_scenes_own_microscope_give_its_image():
         ),
     )
     renderer = Renderer(scene)
-    image = renderer.render(30).radiance
+    image = renderer.render(1).radiance
     rows, columns = np.divmod(np.arange(48 * 64), 64)
     point, direction = map(
         np.asarray, renderer.world.microscope.ray(np.stack([columns, rows], axis=-1).astype(float))

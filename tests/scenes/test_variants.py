@@ -21,12 +21,11 @@ kind = "cone"
 eccentricity_mm = 2.0
 [motion]
 start_mm = 3.0
-travel_mm = 1.0
-frames = 2
+frames = 1
 [microscope]
-scale_mm_px = 0.05
-width_px = 48
-height_px = 32
+scale_mm_px = 0.1
+width_px = 24
+height_px = 16
 [exposures]
 kinds = ["metered"]
 """
