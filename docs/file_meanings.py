@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import itertools
 import re
 from typing import Any
+
+from formats.spots import PARAMETERS
 
 
 def named(place: str) -> Any:
@@ -108,12 +111,7 @@ MEANINGS = {
 """Meanings that no docstring has, by kind of file and key."""
 
 
-def _covariance_meanings() -> dict[str, str]:
-    from formats.spots import PARAMETERS
-
-    count = len(PARAMETERS)
-    pairs = ((PARAMETERS[i], PARAMETERS[j]) for i in range(count) for j in range(i, count))
-    return {f"cov_{a}_{b}": f"Covariance of {a} and {b}, px and rad." for a, b in pairs}
-
-
-MEANINGS["spots"] |= _covariance_meanings()
+MEANINGS["spots"] |= {
+    f"cov_{a}_{b}": f"Covariance of {a} and {b}, px and rad."
+    for a, b in itertools.combinations_with_replacement(PARAMETERS, 2)
+}

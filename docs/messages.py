@@ -5,10 +5,11 @@ from __future__ import annotations
 import ast
 import errno
 import inspect
+import itertools
 import re
 from collections.abc import Iterator, Mapping
+from operator import itemgetter
 from pathlib import Path
-from typing import NamedTuple
 
 from calibration.command.verdict import Fault, remedy
 from estimator.distance.budget import Cause
@@ -24,20 +25,6 @@ _ERRORS = (
     *("BeingWrittenError", "SpecError", "SetError", "RendererUnavailable", "PupilUnavailable"),
 )
 """What a user can correct; anything else that is raised is a bug."""
-
-
-class Message(NamedTuple):
-    """A message of an error.
-
-    Attributes:
-        file: where it is raised.
-        line: the line there.
-        text: with {names} where values are inserted.
-    """
-
-    file: str
-    line: int
-    text: str
 
 
 def reasons_page() -> Iterator[str]:
@@ -89,24 +76,21 @@ def errors_page() -> Iterator[str]:
     yield "A message names what is wrong, with value and unit, the rule, and the way out. The words"
     yield "in braces are replaced by values. In Python these are `formats.inputs.InputError`."
     for package in PACKAGES:
-        mine = [message for message in found if message.file.startswith(f"{package}/")]
+        mine = [(file, text) for file, text in found if file.startswith(f"{package}/")]
         yield f"\n### {package} ({len(mine)})\n"
-        file = ""
-        for message in mine:
-            if message.file != file:
-                file = message.file
-                yield f"\n`{file}`\n"
-            yield f"- {_quoted(message.text)}"
+        for file, texts in itertools.groupby(mine, itemgetter(0)):
+            yield f"\n`{file}`\n"
+            yield from (f"- {_quoted(text)}" for _, text in texts)
 
 
-def messages() -> Iterator[Message]:
-    """Every message of every error that a user can correct, by file and line."""
+def messages() -> Iterator[tuple[str, str]]:
+    """File and text of every error that a user can correct, with {names} of inserted values."""
     for package in PACKAGES:
         for path in sorted((HOME / package).rglob("*.py")):
             tree = ast.parse(path.read_text(encoding="utf-8"))
+            found = sorted((node.lineno, _text(node)) for node in _raised(tree))
             file = path.relative_to(HOME).as_posix()
-            found = [Message(file, node.lineno, _text(node)) for node in _raised(tree)]
-            yield from sorted(message for message in found if message.text)
+            yield from ((file, text) for _, text in found if text)
 
 
 def _raised(tree: ast.Module) -> Iterator[ast.Call]:

@@ -7,7 +7,6 @@ import csv
 import json
 import pkgutil
 import re
-import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,7 +15,6 @@ from typing import Any
 import jsonschema
 import pytest
 
-import eyespot
 from calibration.command.verdict import Fault
 from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES
@@ -24,7 +22,7 @@ from docs.schemas import KINDS, rows_of, schema_of
 from estimator.distance.budget import Cause
 from formats.spots import Reason
 from scenes import Scene
-from tests.command_line import WORDS, options_of
+from tests.command_line import WORDS, call, options_of
 
 HOME = Path(__file__).resolve().parents[2]
 SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
@@ -196,33 +194,24 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("written")
     changes = [word for change in SCENE for word in ("--set", change)]
     (folder / "stated.toml").write_text("eye_radius_sigma_mm = 0.2\ntouch_sigma_mm = 0.02\n")
-    call("scene", "init", folder / "scene.toml")
-    call("render", folder / "scene.toml", "--out", folder / "stack", *changes)
-    call("fit", folder / "stack", "--model", "cone", "--out", folder / "beam.json")
+    printed("scene", "init", folder / "scene.toml")
+    printed("render", folder / "scene.toml", "--out", folder / "stack", *changes)
+    printed("fit", folder / "stack", "--model", "cone", "--out", folder / "beam.json")
     calibrated = ("--calibration", folder / "beam.json", "--model", "exact")
-    call("track", folder / "stack", *calibrated, "--out", folder / "spots.csv")
+    printed("track", folder / "stack", *calibrated, "--out", folder / "spots.csv")
     stated = ("--stated", folder / "stated.toml", "--json")
-    budget = call("budget", folder / "stack", *calibrated, *stated, "--frame", "6")
+    budget = printed("budget", folder / "stack", *calibrated, *stated, "--frame", "6")
     (folder / "budget.json").write_text(budget)
     plan = ("--uncertain", "phantom.radius_mm=0.2", "--calibration", folder / "beam.json")
-    call("preregister", folder / "scene.toml", "--out", folder / "plan.json", *plan, *changes)
+    printed("preregister", folder / "scene.toml", "--out", folder / "plan.json", *plan, *changes)
     return folder
 
 
-def call(*words: object) -> str:
+def printed(*words: object) -> str:
     """Run a command in this process; returns what it prints."""
-    import contextlib
-    import io
-
-    said, before = io.StringIO(), sys.argv
-    sys.argv = ["eyespot", *map(str, words)]
-    try:
-        with contextlib.redirect_stdout(said), pytest.raises(SystemExit) as ended:
-            eyespot.main()
-    finally:
-        sys.argv = before
-    assert not ended.value.code, words
-    return said.getvalue()
+    done = call([str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
 
 READERS: dict[str, Callable[[Path], object]] = {

@@ -1,7 +1,6 @@
 """The JSON schema of scene files against the files that the program itself takes and refuses."""
 
 import json
-import sys
 import tomllib
 from typing import Any
 
@@ -9,8 +8,8 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-import eyespot
 from scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
+from tests.command_line import call
 
 
 def accepted_by_schema(content: dict[str, Any]) -> bool:
@@ -57,22 +56,19 @@ def test_an_editor_with_the_schema_says_what_the_program_says(content, good):
     assert accepted_by_schema(content) is good
 
 
-def run(monkeypatch, *arguments):
-    monkeypatch.setattr(sys, "argv", ["eyespot", *map(str, arguments)])
-    with pytest.raises(SystemExit) as exit_:
-        eyespot.main()
-    assert not exit_.value.code
+def run(*words):
+    done = call([str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout
 
 
-def test_a_new_scene_file_names_the_schema_that_lies_beside_it(monkeypatch, capsys, tmp_path):
-    run(monkeypatch, "scene", "init", tmp_path / "alone.toml")
+def test_a_new_scene_file_names_the_schema_that_lies_beside_it(tmp_path):
+    run("scene", "init", tmp_path / "alone.toml")
     assert "#:schema" not in (tmp_path / "alone.toml").read_text()
-    capsys.readouterr()
-    run(monkeypatch, "scene", "schema")
-    schema = capsys.readouterr().out
+    schema = run("scene", "schema")
     assert json.loads(schema) == scene_schema()
     (tmp_path / "scene.schema.json").write_text(schema)
-    run(monkeypatch, "scene", "init", tmp_path / "scene.toml")
+    run("scene", "init", tmp_path / "scene.toml")
     first, *rest = (tmp_path / "scene.toml").read_text().splitlines()
     assert first == "#:schema ./scene.schema.json"
     assert rest == (tmp_path / "alone.toml").read_text().splitlines()
@@ -106,11 +102,11 @@ def test_what_is_set_without_effect_is_said_and_a_default_in_a_file_is_not(tmp_p
     assert found.startswith(said)
 
 
-def test_the_real_microscope_has_a_name(monkeypatch, tmp_path):
+def test_the_real_microscope_has_a_name(tmp_path):
     file = tmp_path / "scene.toml"
-    run(monkeypatch, "scene", "init", file, "--microscope", "real")
+    run("scene", "init", file, "--microscope", "real")
     assert load_scene(file).microscope.pinhole_height_mm == 200.0
-    run(monkeypatch, "scene", "init", file, "--overwrite")
+    run("scene", "init", file, "--overwrite")
     assert load_scene(file) == Scene()
 
 
