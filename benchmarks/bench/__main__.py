@@ -1,9 +1,9 @@
 """Runs benchmarks: `python -m benchmarks.bench [NAME ...] [--full]`.
 
 A benchmark is a class in the form of airspeed velocity: `params` and `param_names`, `setup`,
-perhaps `setup_cache`, and methods `time_…` (a call is timed), `track_…` (the result is the number,
-its unit the end of the name) and `peakmem_…` (MB after the call). A row of the table is a
-combination of parameters, a column a method.
+perhaps `setup_cache`, and methods `time_…` (a call is timed) and `track_…` (the result is the
+number, its unit the end of the name). A row of the table is a combination of parameters, a column a
+method.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from __future__ import annotations
 import inspect
 import itertools
 import os
-import resource
 import time
 from collections.abc import Callable
 from functools import partial
@@ -23,7 +22,7 @@ import numpy as np
 import pandas as pd
 from cyclopts import Parameter
 
-FILES = ("detector", "fits", "load", "pixels", "viewing")
+FILES = ("fits", "load", "pixels", "speed")
 LONG = {"Branches", "Coverage", "AdverseSet", "Memory", "Books"}
 """What `make bench` leaves out, because it takes long."""
 
@@ -77,15 +76,9 @@ def _timed(about: str, call: Callable[[], object]) -> dict[str, float]:
     return {f"{about}_ms": 1e3 * np.median(wall), f"{about}_cpu_ms": 1e3 * np.median(worked)}
 
 
-def _peak_memory(about: str, call: Callable[[], object]) -> dict[str, float]:
-    call()
-    return {f"{about}_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3}
-
-
 _MEASURES: dict[str, Callable[[str, Callable[[], Any]], dict[str, Any]]] = {
     "time": _timed,
     "track": lambda about, call: {about: call()},
-    "peakmem": _peak_memory,
 }
 
 

@@ -157,7 +157,6 @@ class FramePose:
                             "axis_deg": angle_deg(fit.axis, np.array(labels.axis)),
                             "distance_mm": fit.values["touch"] - labels.d_mm,
                             "sigma_axis_deg": math.degrees(math.hypot(*sigmas)),
-                            "chi_squared": fit.chi_squared_per_dof,
                         }
                     )
         return pd.DataFrame(rows)

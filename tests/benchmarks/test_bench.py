@@ -49,7 +49,7 @@ def test_every_benchmark_takes_its_parameters():
         values = [None] * hasattr(kind, "setup_cache") + [p[0] for p in getattr(kind, "params", ())]
         assert len(getattr(kind, "params", ())) == len(getattr(kind, "param_names", ())), name
         for method in dir(kind):
-            if method == "setup" or method.startswith(("time_", "track_", "peakmem_")):
+            if method == "setup" or method.startswith(("time_", "track_")):
                 inspect.signature(getattr(kind, method)).bind(None, *values)
 
 
