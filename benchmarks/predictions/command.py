@@ -25,7 +25,6 @@ def preregister(
     changes: Changes = (),
     calibration: Path | None = None,
     model: str | None = None,
-    exposure: str | None = None,
 ) -> None:
     """Write down what an experiment will measure, with intervals, before it is done.
 
@@ -37,11 +36,10 @@ def preregister(
             Repeatable.
         calibration: Calibration file with which distances will be read.
         model: Distance model (default: the calibration file's).
-        exposure: Kind of the images (default: metered, if the scene has it).
     """
-    from benchmarks.predictions.plan import predicted, write_plan
+    from benchmarks.predictions.plan import predicted
     from estimator.run.progress_bar import progress
-    from formats.whole_files import refuse_existing
+    from formats.whole_files import refuse_existing, written_whole
     from scenes import load_scene
     from scenes.world.motion import frame_count
 
@@ -57,10 +55,10 @@ def preregister(
             raise InputError(
                 f"--uncertain must be KEY=SIGMA, such as phantom.radius_mm=0.2; got {text!r}."
             ) from None
-    given: dict[str, Any] = {"calibration": calibration, "model": model, "exposure": exposure}
     with progress("Rehearsing", total=frame_count(settings)) as advance:
-        plan = predicted(settings, sigmas, **given, progress=advance)
-    write_plan(out, plan)
+        plan = predicted(settings, sigmas, calibration=calibration, model=model, progress=advance)
+    with written_whole(out) as partial:
+        partial.write_text(plan.model_dump_json(by_alias=True) + "\n", encoding="utf-8")
     print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {plan.sha256}")
 
 
@@ -93,8 +91,9 @@ def adjudicate(
 
     agreed = read_plan(plan)
     given: dict[str, Any] = {"poses": poses, "microscope": microscope, "start_s": start_s}
-    seen = measured_as_planned(agreed, source, eye_from_robot=eye_from_robot, **given)
-    found = judged(agreed, seen)
+    found = judged(
+        agreed, measured_as_planned(agreed, source, eye_from_robot=eye_from_robot, **given)
+    )
     if as_json:
         content = {
             "plan_sha256": agreed.sha256,

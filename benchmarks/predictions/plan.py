@@ -34,7 +34,6 @@ from formats.inputs import (
 from formats.microscope import read_microscope
 from formats.poses import PoseTrack, read_poses
 from formats.spots import Spot
-from formats.whole_files import written_whole
 from scenes import Scene, World, changed, render_stack, scene_toml
 from scenes.world.motion import kinematics
 
@@ -103,12 +102,6 @@ class Plan(Strict):
         return np.array(getattr(self, name), float)
 
 
-def write_plan(path: Path, plan: Plan) -> None:
-    """Write a plan, whole or not at all."""
-    with written_whole(path) as partial:
-        partial.write_text(plan.model_dump_json(by_alias=True) + "\n", encoding="utf-8")
-
-
 def read_plan(path: Path) -> Plan:
     """The plan of a file.
 
@@ -143,9 +136,10 @@ def _sha256(content: dict[str, Any]) -> str:
 _SIGMAS = [f"sigma_{name}" for name in QUANTITIES[:ELLIPSE]]
 
 
-def _travelled(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Stamps, and how far the tip then is from the first pose, from rows of stamp and position."""
-    return poses[:, 0], np.linalg.norm(poses[:, 1:4] - poses[0, 1:4], axis=1)
+def _travelled(times: Any, positions: Any, at: np.ndarray | pd.Series) -> np.ndarray:
+    """How far the tip is from its first position at some times, mm; NaN outside of its own."""
+    far = np.linalg.norm(positions - positions[0], axis=1)
+    return np.interp(at, times, far, left=np.nan, right=np.nan)
 
 
 def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> pd.DataFrame:
@@ -155,7 +149,7 @@ def _observed(source: Source, options: Options, poses: PoseTrack | None = None) 
     and `no_spot`, why there is no spot. What was not measured is NaN.
     """
     centre = read_microscope(options.microscope).principal_point_px if options.microscope else 0.0
-    rows: list[dict[str, Any]] = []
+    numbers, rows = [*QUANTITIES, *_SIGMAS], []
     for record in track_source(source, options.reader(), poses=poses).records:
         row: dict[str, Any] = {"time_s": record.time_s}
         if isinstance(spot := record.result, Spot):
@@ -165,12 +159,11 @@ def _observed(source: Source, options: Options, poses: PoseTrack | None = None) 
         else:
             row["no_spot"] = record.reason
         rows.append(row)
-    seen = pd.DataFrame(rows, columns=["time_s", *QUANTITIES, *_SIGMAS, "no_spot"])
+    seen = pd.DataFrame(rows, columns=["time_s", *numbers, "no_spot"])
     if poses is not None:
-        stamped = np.array([[pose.time_s, *pose.position_mm] for pose in poses])
-        times, travelled = _travelled(stamped)
-        seen["robot_mm"] = np.interp(seen.time_s, times, travelled, left=np.nan, right=np.nan)
-    return seen.astype({name: float for name in (*QUANTITIES, *_SIGMAS)})
+        stamps, positions = zip(*((pose.time_s, pose.position_mm) for pose in poses), strict=True)
+        seen["robot_mm"] = _travelled(stamps, np.array(positions), seen.time_s)
+    return seen.astype(dict.fromkeys(numbers, float))
 
 
 def measured_as_planned(
@@ -184,11 +177,8 @@ def measured_as_planned(
 ) -> pd.DataFrame:
     """Measure a recording of a planned experiment with the plan's calibration, on its clock.
 
-    The arguments are those of `eyespot adjudicate`.
-
-    Returns:
-        A row a frame: `time_s`, `QUANTITIES` (NaN where one was not measured), and `no_spot`, why
-        there is no spot.
+    The arguments are those of `eyespot adjudicate`. The result has a row a frame: `time_s`,
+    `QUANTITIES` (NaN where one was not measured), and `no_spot`, why there is no spot.
 
     Raises:
         InputError: a file is wrong, or the source cannot be measured or has no times.
@@ -220,7 +210,6 @@ def predicted(
     *,
     calibration: Path | None = None,
     model: str | None = None,
-    exposure: str | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> Plan:
     """The plan of an experiment.
@@ -234,9 +223,7 @@ def predicted(
         InputError: a key is unknown or no number, or a scene beside the planned one is impossible.
     """
     kinds = scene.exposures.kinds
-    kind = exposure or ("metered" if "metered" in kinds else kinds[0])
-    if kind not in kinds:
-        raise InputError(f"exposure = {kind!r} is none of the scene's: {', '.join(kinds)}.")
+    kind = "metered" if "metered" in kinds else kinds[0]
     stated = {key: _stated(scene, key, sigma) for key, sigma in uncertain.items()}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "rehearsal"
@@ -258,15 +245,11 @@ def predicted(
         noise[:, ELLIPSE] = reach / expected[:, minor] * noise[:, minor]
     jitter = math.hypot(scene.clocks.kinematics_jitter_s, scene.clocks.camera_jitter_s)
     noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
-    down, up = (
-        np.array(
-            [
-                _exact(World(changed(scene, {key: value + side * sigma})), times, ranger)
-                for key, (value, sigma) in stated.items()
-            ]
-        ).reshape(-1, *expected.shape)
-        for side in (-1, 1)
-    )
+    beside = [
+        [_exact(World(changed(scene, {key: value + by})), times, ranger) for by in (-sigma, sigma)]
+        for key, (value, sigma) in stated.items()
+    ]
+    down, up = np.moveaxis(np.reshape(beside, (-1, 2, *expected.shape)), 1, 0)
     # What is not proportional to an error, as where a motion begins, counts as noise.
     noise = np.sqrt(noise**2 + np.sum(((up + down) / 2 - expected) ** 2, axis=0))
     # Where the rehearsal has no spot, none is predicted.
@@ -328,7 +311,8 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
             row[ELLIPSE] = ranger.distance(spot, axis=beam).distance_mm
     # The robot reports its poses; the jitter of its clock is noise.
     still = changed(world.scene, {"clocks.kinematics_jitter_s": 0.0})
-    found[:, -1] = np.interp(times, *_travelled(kinematics(still, world.motion)))
+    reported = kinematics(still, world.motion)
+    found[:, -1] = _travelled(reported[:, 0], reported[:, 1:4], times)
     return found
 
 
@@ -341,7 +325,7 @@ _WIDE = 1e6  # of a key that is fitted freely, in its standard uncertainties
 
 
 class Judgement(NamedTuple):
-    """Which predictions held.
+    """Which predictions held, in number and by quantity.
 
     Attributes:
         tallies: by quantity: hits in the interval; misses, of which some are unmeasured; RMS of
@@ -352,27 +336,16 @@ class Judgement(NamedTuple):
         no_spot: frames without a spot, by reason.
     """
 
+    hits: int
+    predictions: int
     tallies: pd.DataFrame
     causes: pd.DataFrame
     misfit: float
     no_spot: Counter[str]
 
-    @property
-    def hits(self) -> int:
-        """Predictions that held."""
-        return int(self.tallies.hits.sum())
-
-    @property
-    def predictions(self) -> int:
-        """Predictions in all."""
-        return self.hits + int(self.tallies.misses.sum())
-
 
 def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
-    """Compare a recording with the plan.
-
-    Args:
-        seen: the recording, as of `measured_as_planned`.
+    """Compare a recording, as of `measured_as_planned`, with the plan.
 
     Raises:
         InputError: no frame was taken at a time that the plan has.
@@ -407,9 +380,10 @@ def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
     )
     # No poses, no prediction about them; but a spot that is not there is a miss.
     counted = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
-    causes, misfit = _explained(plan, off / noise, moved / noise)
-    no_spot = Counter(seen.no_spot.dropna())
-    return Judgement(tallies[counted].reset_index(), causes, misfit, no_spot)
+    tallies = tallies[counted].reset_index()
+    held, missed = int(tallies.hits.sum()), int(tallies.misses.sum())
+    explained = _explained(plan, off / noise, moved / noise)
+    return Judgement(held, held + missed, tallies, *explained, Counter(seen.no_spot.dropna()))
 
 
 def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.DataFrame, float]:

@@ -89,7 +89,6 @@ def train(
     *,
     out: Annotated[Path, OUT],
     epochs: PositiveInt = 40,
-    stop: PositiveInt | None = None,
     seed: NonNegativeInt = 0,
 ) -> None:
     """Train the learned estimator on the split train, and calibrate it on validation.
@@ -100,9 +99,8 @@ def train(
         folder: Labelled set.
         out: Folder of the weights; a training that it holds is continued.
         epochs: Number of epochs, along which the learning rate falls to 0.
-        stop: Stop after so many epochs (default: all).
         seed: Random seed.
     """
     from benchmarks.rivals.learned.training import make_weights
 
-    make_weights(folder, out, epochs=epochs, stop=stop or epochs, seed=seed)
+    make_weights(folder, out, epochs=epochs, seed=seed)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,15 +30,17 @@ Answer = tuple[Spot | NoSpot, Range | None]
 """The spot, or why there is none; and the distance, of an entry that has its own way to it."""
 
 
-class Entry(ABC):
+class Entry:
     """A way to measure spots. Its frames come in their order, after `begin`.
 
     Attributes:
         own_distance: whether its answers contain distances. Those of other entries follow from
             their ellipses by the true beam, the same way for all.
+        seconds_elsewhere: processor time that it has used in other processes so far, s.
     """
 
     own_distance = False
+    seconds_elsewhere = 0.0
 
     def begin(
         self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
@@ -50,20 +51,13 @@ class Entry(ABC):
             beam: of the light source: the true one, as a good fit would give it.
             click: (x, y) of the spot in the first frame, px, on which an operator would click.
         """
-        return
 
-    @abstractmethod
     def read(self, frame: Frame) -> Answer:
         """Measure a frame."""
-
-    @property
-    def seconds_elsewhere(self) -> float:
-        """Processor time that it has used in other processes so far, s."""
-        return 0.0
+        raise NotImplementedError
 
     def close(self) -> None:
         """End what it has started."""
-        return
 
 
 NO_SPOT: Answer = NoSpot(Reason.NONE_FOUND), None
@@ -214,16 +208,12 @@ class Pupil(Entry):
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         size = grey.shape[1] // n, grey.shape[0] // n
         found = self._detector.ellipse(cv2.resize(grey, size, interpolation=cv2.INTER_AREA))
+        self.seconds_elsewhere = self._detector.seconds
         if found is None:
             return NO_SPOT
         *place, first, second, angle = found
         x, y = ((at + 0.5) * n - 0.5 for at in place)
         return plain_spot(x, y, n * first, n * second, angle), None
-
-    @property
-    def seconds_elsewhere(self) -> float:
-        """Processor time of the detector's process, s."""
-        return self._detector.seconds
 
     def close(self) -> None:
         """End the detector's process."""

@@ -1,4 +1,8 @@
-"""Runs entries over the stacks of a set: their answers as spots files, and their times."""
+"""Runs entries over the stacks of a set: their answers as spots files, and their times.
+
+OUT/ENTRY/SPLIT/STACK.csv has the spots of a stack; of several exposures, STACK.EXPOSURE.csv.
+OUT/ENTRY/entry.json has name, command, versions, constants, and the processor time per frame.
+"""
 
 from __future__ import annotations
 
@@ -52,7 +56,7 @@ def run_entries(
     weights: Path,
     workers: int,
 ) -> None:
-    """Write OUT/ENTRY/SPLIT/STACK.csv and OUT/ENTRY/entry.json for each entry.
+    """Measure a set with each entry, and write what each found.
 
     Args:
         entries: names in `KINDS`; those that cannot run here are left out with a message.

@@ -15,17 +15,7 @@ import tomli_w
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from benchmarks.reporting import (
-    BLUE,
-    GREEN,
-    ORANGE,
-    PURPLE,
-    STYLE,
-    VERMILION,
-    environment,
-    grouped,
-    rows_of,
-)
+from benchmarks import reporting as page
 from benchmarks.sets import croissant
 from benchmarks.sets.read import LabelledSet, Row, rows
 from formats.whole_files import written_whole
@@ -33,11 +23,11 @@ from formats.whole_files import written_whole
 # Figures of the data card: histograms of the labels and sample images.
 
 _COLOURS = {
-    "train": BLUE,
-    "validation": GREEN,
-    "test": ORANGE,
-    "adverse": VERMILION,
-    "unseen": PURPLE,
+    "train": page.BLUE,
+    "validation": page.GREEN,
+    "test": page.ORANGE,
+    "adverse": page.VERMILION,
+    "unseen": page.PURPLE,
 }
 _BINS, _COLUMNS = 24, 4
 _SAMPLES = 6  # images per split and condition
@@ -63,7 +53,7 @@ QUANTITIES = {
 def histograms(labels: pd.DataFrame, path: Path) -> None:
     """Draw histograms of each quantity, with one line per split."""
     lines = math.ceil(len(QUANTITIES) / _COLUMNS)
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(page.STYLE):
         figure = Figure(figsize=(_WIDTH_IN, 2.1 * lines + 0.4), layout="constrained")
         panels = figure.subplots(lines, _COLUMNS, squeeze=False).ravel()
         for axes, (column, (name, unit)) in zip(panels, QUANTITIES.items(), strict=True):
@@ -71,7 +61,7 @@ def histograms(labels: pd.DataFrame, path: Path) -> None:
             # If all values are equal up to rounding, draw one bar.
             alike = high - low < 1e-6 * max(abs(low), abs(high), 1.0)
             edges = low + np.array([-0.5, 0.5]) if alike else np.linspace(low, high, _BINS + 1)
-            for split, values in grouped(labels, "split"):
+            for split, values in page.grouped(labels, "split"):
                 part = np.histogram(values[column], edges)[0] / len(values)
                 axes.stairs(part, edges, color=_COLOURS[split], label=split)
             axes.set_xlabel(f"{name} ({unit})" if unit else name)
@@ -98,7 +88,7 @@ def samples(rows: Sequence[Row], path: Path) -> None:
     across, down = max(widths) + _GAP, max(heights) + _CAPTION
     width, height = across * max(map(len, groups.values())), down * len(groups)
     picture = np.full((height, width, 3), 255, np.uint8)
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context(page.STYLE):
         figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * (1 - _LEFT) * height / width))
         axes = figure.add_axes((_LEFT, 0, 1 - _LEFT, 1), frameon=False)
         for line, (name, group) in enumerate(groups.items()):
@@ -118,7 +108,7 @@ def samples(rows: Sequence[Row], path: Path) -> None:
                         2 * labels.half_max_semi_minor_px / step,
                         angle=math.degrees(labels.half_max_angle_rad),
                         fill=False,
-                        color=ORANGE,
+                        color=page.ORANGE,
                         lw=0.8,
                         ls=(0, (3, 2)),
                     )
@@ -134,7 +124,7 @@ def samples(rows: Sequence[Row], path: Path) -> None:
 
 def _tile(row: Row) -> tuple[np.ndarray, int]:
     """The image in 8 bits and RGB, reduced by averaging, and the factor of the reduction."""
-    image = row.image()
+    image = row.stack.image(row.labels)
     if image.dtype != np.uint8:
         bits = row.stack.described("scene.camera.bit_depth", int)
         image = (image >> (bits - 8)).astype(np.uint8)
@@ -172,14 +162,14 @@ def write_card(labelled: LabelledSet) -> None:
     histograms(labels, labelled.folder / "histograms.png")
     samples(images, labelled.folder / "samples.png")
     text = (
-        environment()
+        page.environment()
         .get_template("dataset_card.md.j2")
         .render(
             set=labelled,
             about=labelled.description,
             # `load_dataset(DIR)` loads all splits, `load_dataset(DIR, NAME)` one.
             configs={"default": labelled.splits} | {split: [split] for split in labelled.splits},
-            counts=rows_of(counts.agg(stacks="nunique", images="size").reset_index()),
+            counts=page.rows_of(counts.agg(stacks="nunique", images="size").reset_index()),
             images=len(images),
             ranges=ranges,
             bounded="bound_semi_minor_px" in labels,

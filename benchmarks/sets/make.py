@@ -196,12 +196,7 @@ _TIMED = 5  # frames rendered of a stack
 
 
 class CostEstimate(NamedTuple):
-    """Expected cost of a set.
-
-    Attributes:
-        size_bytes: size on disk without the data card.
-        tried: number of images rendered for the estimate.
-    """
+    """Expected cost of a set without its data card, from a number of tried images."""
 
     stacks: int
     images: int
@@ -422,10 +417,7 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
     """Write set.json into a new folder, or check that it belongs to the same set."""
     content = {
         "schema": SCHEMA,
-        "name": spec.name,
-        "description": spec.description,
-        "licence": spec.licence,
-        "seed": spec.seed,
+        **{name: getattr(spec, name) for name in ("name", "description", "licence", "seed")},
         "versions": versions(),
         "spec": spec.model_dump(mode="json", by_alias=True, exclude_none=True),
         "stacks": [

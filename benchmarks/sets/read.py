@@ -45,7 +45,7 @@ SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
 """What changed with each version of the format that is read, in set.json and manifest.json."""
 
-_AGAIN = "Make the set again."
+_AGAIN = "Run `eyespot dataset` with its spec and this folder again."
 
 
 class SetError(InputError):
@@ -54,14 +54,7 @@ class SetError(InputError):
 
 @dataclass(frozen=True, kw_only=True)
 class SetStack:
-    """A stack of a set.
-
-    Attributes:
-        split: train, validation, test, adverse or unseen.
-        condition: condition of an adverse stack, else None.
-        pair: name of the pair whose partner the stack is, else None.
-        parameters: values of the scene keys that vary within the set, by dotted name.
-    """
+    """A stack of a set: what set.json says of it, and its folder."""
 
     split: str
     name: str
@@ -77,12 +70,7 @@ class SetStack:
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledSet:
-    """A set on disk.
-
-    Attributes:
-        name, licence: name and licence of its spec.
-        stacks: all stacks of the set in order, also those not rendered yet.
-    """
+    """A set on disk, with all its stacks in order, also those not rendered yet."""
 
     folder: Path
     name: str
@@ -182,7 +170,7 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
     if missing := labelled.missing:
         raise SetError(
             f"{folder} is incomplete: {len(missing)} of {len(labelled.stacks)} stacks are missing. "
-            "Run `eyespot dataset` with its spec and this folder again."
+            f"{_AGAIN}"
         )
     return sorted(labelled.stacks, key=lambda stack: stack.split)
 
@@ -231,22 +219,20 @@ def true_beam(stack: Stack) -> Calibration:
     Raises:
         InputError: the stack was not rendered, so that nothing says what its source is.
     """
+    from scenes import Scene  # loads JAX, which a reader of files need not have
+
     scene = stack.description.get("scene")
     if not isinstance(scene, dict):
         raise InputError(
             f"{stack.folder} has no scene, so its light source is not known. Give --calibration."
         )
-    from scenes import Scene
-
     return _beam(Scene.model_validate(scene).model_dump_json(include={"source"}))
 
 
 @functools.cache
 def _beam(source: str) -> Calibration:
     from scenes import Scene
-    from scenes.world.labels import (
-        true_calibration,  # loads JAX, which a reader of files need not have
-    )
+    from scenes.world.labels import true_calibration
 
     return true_calibration(Scene.model_validate_json(source))
 
@@ -320,24 +306,11 @@ def own_reader(
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """An image of a set.
-
-    Attributes:
-        planned: the stack as an entry of the set.
-    """
+    """An image of a set; `planned` is its stack as an entry of the set."""
 
     planned: SetStack
     stack: Stack
     labels: FrameLabels
-
-    @property
-    def k(self) -> float:
-        """1/tan of the half-angle of the source's cone (for a lens, the effective cone)."""
-        return 1 / math.tan(self.stack.described("cone.half_angle", float))
-
-    def image(self) -> np.ndarray:
-        """The image, RGB."""
-        return self.stack.image(self.labels)
 
     def line(self) -> dict[str, Any]:
         """The line of metadata.jsonl: labels of the image and parameters of its stack."""
@@ -348,7 +321,8 @@ class Row:
             **line,
             "stack": self.planned.name,
             "condition": self.planned.condition or "",
-            "cone_k": self.k,
+            # Of a lens, of the effective cone.
+            "cone_k": 1 / math.tan(self.stack.described("cone.half_angle", float)),
             **self.planned.parameters,
         }
 
@@ -363,11 +337,7 @@ def rows(labelled: LabelledSet) -> Iterator[Row]:
 
 # The manifest: sizes and SHA-256 of all files of a set.
 
-
 _NAMED = 20  # problems listed in a message; an incomplete copy has thousands
-
-
-_AGAIN = "Run `eyespot dataset` with its spec and this folder again."
 
 
 def write_set_manifest(labelled: LabelledSet) -> None:

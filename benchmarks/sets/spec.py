@@ -1,29 +1,4 @@
-"""The spec file (TOML) of a labelled set and its validation.
-
-name = "eccentricity-v1"
-description = "…"
-seed = 2                            # sets with different seeds have different walls and noise
-[splits]                            # number of stacks in each split
-train = 32
-validation = 8
-test = 8
-[scene]                             # common to all stacks; or: scene = "scene.toml"
-source.kind = "cone"
-[vary]                              # drawn anew for every stack
-spot.eccentricity_mm = { uniform = [0.0, 8.0] }
-source.cone_k = { log_uniform = [5.0, 25.0] }
-microscope.pinhole_height_mm = { choice = [11.5, 200.0] }
-[adverse]                           # a split with difficult conditions
-stacks = 4                          # per condition
-[adverse.conditions.saturation]     # changes of this condition: values or distributions
-exposures.kinds = ["paper"]
-[unseen]                            # a split that differs from all others, usually in its walls
-stacks = 8
-[unseen.changes]
-phantom.wall = "photograph"
-[pairs.short]                       # every stack again, with these values and nothing else changed
-exposures.sensitivity_mm2_sr_mj = 2000.0
-"""
+"""The spec file (TOML) of a labelled set (docs/datasets.md), and the stacks that it plans."""
 
 from __future__ import annotations
 
@@ -251,9 +226,7 @@ class SetSpec(_SpecTable):
                     f"{where}.{taken[0]}: every stack gets its own seed from the set's `seed`. "
                     "Remove this key."
                 )
-        if fixed := [
-            key for key, value in self.vary.items() if not isinstance(value, Distribution)
-        ]:
+        if fixed := [key for key, of in self.vary.items() if not isinstance(of, Distribution)]:
             raise InputError(
                 f"vary.{fixed[0]} must be a distribution, one of {', '.join(KINDS)}; got "
                 f"{shortened(self.vary[fixed[0]])}. Move a value that is common to all stacks to "
@@ -316,11 +289,7 @@ def _sentence(problem: Any) -> str:
 
 
 def _siblings(path: list[str]) -> list[str]:
-    tables: dict[str, type[BaseModel]] = {
-        "splits": Splits,
-        "adverse": Adverse,
-        "unseen": Unseen,
-    }
+    tables: dict[str, type[BaseModel]] = {"splits": Splits, "adverse": Adverse, "unseen": Unseen}
     model = tables.get(".".join(path), SetSpec)
     return [field.alias or name for name, field in model.model_fields.items()]
 
@@ -333,12 +302,11 @@ _MOST_STACKS = 2**20
 _MOST_DRAWS = 16  # if one of two draws is possible, one of 65,536 stacks has none
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class PlannedStack:
     """One stack to render.
 
     Attributes:
-        split: train, validation, test, adverse or unseen.
         condition: condition in the adverse split, else None.
         pair: name of the pair whose partner this stack is, else None. The other stack has the name
             without the pair's, the same draws and the same seeds.
@@ -412,17 +380,8 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
                         name = "-".join(filter(None, [condition, f"{index:04d}", pair]))
                         scene = _possible([*own, values], seed, f"{split}/{name}", check)
                         labels = {key: scene_value(scene, key) for key in labelled}
-                        found.append(
-                            PlannedStack(
-                                split=split,
-                                name=name,
-                                condition=condition,
-                                pair=pair,
-                                scene=scene,
-                                parameters=labels,
-                                redrawn=redrawn,
-                            )
-                        )
+                        about = split, name, condition, pair
+                        found.append(PlannedStack(*about, scene, labels, redrawn))
                     planned += found
                     break
                 except SceneError as error:

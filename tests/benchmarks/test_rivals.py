@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,21 +30,13 @@ from formats.spots import NoSpot, Spot
 from scenes import Scene
 from scenes.drawn import Drawing, Truth, frame_of
 from scenes.world.labels import true_calibration
-from tests.drawn_sets import write_set
 
 WRITTEN = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"
 TRUTH = Truth(x=301.3, y=222.8, semi_major=66.2, semi_minor=58.4, angle=0.6)
 # A level that is right for one exposure: that of the drawing.
 HALF = Drawing(truth=TRUTH).ambient + Drawing(truth=TRUTH).amplitude / 2
-AT_HALF: dict[str, dict[str, Any]] = {
-    "literal": {"threshold": round(HALF)},
-}
+AT_HALF: dict[str, dict[str, Any]] = {"literal": {"threshold": round(HALF)}}
 ALONE = ("opencv-relative", "skimage-ransac")
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_set(tmp_path_factory.mktemp("drawn") / "set")
 
 
 @pytest.fixture
@@ -122,20 +115,19 @@ def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first() -> No
         assert np.allclose([same, other], [wanted, wanted], atol=1e-12)
 
 
+def run_on(folder: Path, out: Path, split: str) -> None:
+    constants = out.with_name("constants.json")
+    constants.write_text('{"entries": {"opencv-relative": {"constants": {"level": 0.5}}}}')
+    given = {"constants": constants, "weights": WEIGHTS, "workers": 1}
+    run_entries(folder, out, entries=ALONE, splits=[split], **given)  # type: ignore[arg-type]
+
+
 @pytest.mark.usefixtures("worker_here")
 def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run_entries(
-        drawn,
-        out,
-        entries=["opencv-relative", "skimage-ransac"],
-        splits=["train"],
-        constants=constants_of(tmp_path),
-        weights=WEIGHTS,
-        workers=1,
-    )
+    run_on(drawn, out, "train")
     stacks = stacks_of(drawn)
-    for name in ("opencv-relative", "skimage-ransac"):
+    for name in ALONE:
         records = read_set_spots(out / name, stacks, images_of(stacks).index)
         # Four images of stack a, and of stack b four in each of its two exposures.
         assert len(records) == 12
@@ -146,12 +138,6 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Pat
         assert about["ms_per_frame"] > 0
 
 
-def constants_of(folder: Path) -> Path:
-    path = folder / "constants.json"
-    path.write_text(json.dumps({"entries": {"opencv-relative": {"constants": {"level": 0.5}}}}))
-    return path
-
-
 def test_a_file_that_is_no_table_of_constants_is_named(drawn: Path, tmp_path: Path) -> None:
     (tmp_path / "other.json").write_text("[]")
     with pytest.raises(InputError, match=r"other\.json: not a file of `eyespot rivals tune`"):
@@ -160,15 +146,7 @@ def test_a_file_that_is_no_table_of_constants_is_named(drawn: Path, tmp_path: Pa
 
 def test_a_split_that_the_set_lacks_is_named(drawn: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no split test"):
-        run_entries(
-            drawn,
-            tmp_path / "out",
-            entries=["opencv-relative"],
-            splits=["test"],
-            constants=constants_of(tmp_path),
-            weights=WEIGHTS,
-            workers=1,
-        )
+        run_on(drawn, tmp_path / "out", "test")
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -176,9 +154,10 @@ def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
     drawn: Path, tmp_path: Path
 ) -> None:
     """Frames of the other split are removed, so that reading them would fail."""
-    for image in (drawn / "adverse").rglob("*.png"):
+    folder = shutil.copytree(drawn, tmp_path / "set")
+    for image in (folder / "adverse").rglob("*.png"):
         image.unlink()
-    tune(drawn, tmp_path / "c.json", entries=["opencv-relative"], every=1, workers=1)
+    tune(folder, tmp_path / "c.json", entries=["opencv-relative"], every=1, workers=1)
     found = json.loads((tmp_path / "c.json").read_text())
     assert found["stacks"] == ["train/a", "train/b"]
     # Drawn edges are symmetric: their half maximum is the middle between dark and bright.

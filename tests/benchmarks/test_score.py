@@ -26,15 +26,10 @@ from benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
 from estimator import Source, track_whole_source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call
-from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of, write_set
+from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
 from tests.pixel_stacks import calibration_in, cone_stack
 
 SVG = "{http://www.w3.org/2000/svg}"
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_set(tmp_path_factory.mktemp("drawn") / "set")
 
 
 @pytest.fixture(scope="module")

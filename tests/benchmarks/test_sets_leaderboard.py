@@ -18,7 +18,7 @@ from benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, wi
 from benchmarks.sets.score.spots import entries_in, read_any_spots
 from formats.inputs import InputError
 from tests.command_line import call
-from tests.drawn_sets import image_row, labels_of, write_set
+from tests.drawn_sets import image_row, labels_of
 
 E1 = "semi_minor_px"
 
@@ -142,11 +142,6 @@ def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it() -> Non
     assert found["double"].over_bound == pytest.approx(2.0, abs=0.22)
     errors[rng.random(errors.shape) < 0.6] = math.inf
     assert math.isinf(total({"choosy": images(errors)})["choosy"].over_bound)
-
-
-@pytest.fixture(scope="module")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_set(tmp_path_factory.mktemp("drawn") / "set")
 
 
 def plain(path: Path, drawn: Path, *, off: float, columns: str = "ellipse") -> Path:

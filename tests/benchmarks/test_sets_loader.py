@@ -32,8 +32,8 @@ def test_the_loader_returns_images_ellipses_and_distances_of_a_split() -> None:
     assert len(dataset) == len(truth) == 30
     for index in (0, 7, 29):
         image, ellipse, distance = dataset[index]
-        labels = truth[index].labels
-        np.testing.assert_allclose(image.transpose(1, 2, 0) * 255, truth[index].image(), atol=1e-4)
+        labels, shown = truth[index].labels, truth[index].stack.image(truth[index].labels)
+        np.testing.assert_allclose(image.transpose(1, 2, 0) * 255, shown, atol=1e-4)
         # Single precision of numbers up to 320 px.
         place = (labels.half_max_x_px, labels.half_max_y_px)
         np.testing.assert_allclose(ellipse[:2], place, rtol=1e-6)

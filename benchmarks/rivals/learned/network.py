@@ -96,11 +96,9 @@ def cut(image: np.ndarray, window: PixelSquare) -> Float[np.ndarray, "3 64 64"]:
     """
     colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
     left, top, side = window
-    rows, columns = (
-        np.clip(np.arange(first, first + side), 0, size - 1)
-        for first, size in zip((top, left), colour.shape[:2], strict=True)
-    )
-    inside = colour[np.ix_(rows, columns)]
+    rows, columns = np.arange(top, top + side), np.arange(left, left + side)
+    height, width = colour.shape[:2]
+    inside = colour[np.ix_(rows.clip(0, height - 1), columns.clip(0, width - 1))]
     small = cv2.resize(inside.astype(np.float32), (CELLS, CELLS), interpolation=cv2.INTER_AREA)
     return np.sqrt(small / 255.0).transpose(2, 0, 1)
 
@@ -342,7 +340,13 @@ class LearnedEstimator:
                 known = {"factors": factors, "least_presence": float(trust["least_presence"])}
             except (OSError, ValueError, KeyError, TypeError) as error:
                 raise InputError(f"cannot be read: {error}. Train again.") from error
-        return cls(load_network(weights), known)
+        with jax.enable_x64(False):
+            like = eqx.filter_eval_shape(SpotNetwork, key=jax.random.key(0))
+        with in_file(weights):
+            try:
+                return cls(eqx.tree_deserialise_leaves(weights, like), known)
+            except (OSError, RuntimeError, ValueError, EOFError) as error:
+                raise InputError(f"not weights of this network ({error}). Train again.") from error
 
     def measure(self, image: np.ndarray, microscope: MicroscopeFile) -> Learned | None:
         """Measure an 8-bit frame; None if no spot is seen in it."""
@@ -376,21 +380,4 @@ class LearnedEstimator:
         )
 
 
-def load_network(weights: Path) -> SpotNetwork:
-    """The network of a file of weights.
-
-    Raises:
-        InputError: it is missing or not a file of this network's weights.
-    """
-    with jax.enable_x64(False):
-        like = eqx.filter_eval_shape(SpotNetwork, key=jax.random.key(0))
-    with in_file(weights):
-        try:
-            return eqx.tree_deserialise_leaves(weights, like)
-        except (OSError, RuntimeError, ValueError, EOFError) as error:
-            raise InputError(f"not weights of this network ({error}). Train again.") from error
-
-
-@eqx.filter_jit
-def _forward(network: SpotNetwork, seen: Any, place: Any) -> Any:
-    return tuple(network(seen, place))
+_forward = eqx.filter_jit(lambda network, seen, place: tuple(network(seen, place)))

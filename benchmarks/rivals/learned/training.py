@@ -78,7 +78,6 @@ def train(
     *,
     epochs: int,
     seed: int,
-    stop: int | None = None,
     show: Callable[[dict[Any, float]], None] = lambda epoch: None,
 ) -> SpotNetwork:
     """Train, or continue from the last epoch that `out` holds.
@@ -101,7 +100,7 @@ def train(
             return eqx.apply_updates(network, changes), optimiser, lost
 
         curve = read_curve(out / CURVE)[: int(state.epoch)].to_dict("records")
-        for epoch in range(int(state.epoch), stop or epochs):
+        for epoch in range(int(state.epoch), epochs):
             network, optimiser, losses = state.network, state.optimiser, []
             for batch in _batches(samples, epoch, seed):
                 network, optimiser, lost = step(network, optimiser, batch)
@@ -135,19 +134,14 @@ def _batches(samples: Samples, epoch: int, seed: int) -> Iterator[tuple[np.ndarr
     rng = np.random.default_rng([seed, epoch])
     frames = len(samples.present)
     empty = rng.choice(frames, frames // _EMPTY, replace=False)
-    shown = np.concatenate(
-        [
-            np.stack([np.arange(frames), rng.integers(WINDOWS, size=frames)], axis=1),
-            np.stack([empty, np.full(empty.size, WINDOWS)], axis=1),
-        ]
-    )
-    shown = rng.permutation(shown)
+    windows = np.concatenate([rng.integers(WINDOWS, size=frames), np.full(empty.size, WINDOWS)])
+    shown = rng.permutation(np.stack([[*range(frames), *empty], windows], axis=1))
     # The last batch is filled with the first samples: every batch has the shape that is compiled.
     shown = np.concatenate([shown, shown[: -len(shown) % BATCH]])
     for first in range(0, len(shown), BATCH):
         frame, window = shown[first : first + BATCH].T
-        windows, *others = (each[frame, window] for each in samples)
-        yield evened(windows), *others
+        seen, *others = (each[frame, window] for each in samples)
+        yield evened(seen), *others
 
 
 _outputs = eqx.filter_jit(lambda network, windows, places: jax.vmap(network)(windows, places))
@@ -205,8 +199,7 @@ def samples_of(
     stacks: Sequence[SetStack], seed: int, *, progress: Callable[[], None] = lambda: None
 ) -> Samples:
     """Cut the windows of all frames, in the order of the stacks."""
-    frames = sum(len(entry.open().labels) for entry in stacks)
-    shape = frames, WINDOWS + 1
+    shape = sum(len(entry.open().labels) for entry in stacks), WINDOWS + 1
     made = Samples(
         windows=np.zeros((*shape, 3, CELLS, CELLS), np.float16),
         places=np.zeros((*shape, PLACES), np.float32),
@@ -268,7 +261,7 @@ SCHEMA = 1
 _LIBRARIES = ("equinox", "jax", "optax", "opencv-python-headless")
 
 
-def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) -> None:
+def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
     """Train, or go on with a training that was stopped, and write weights.eqx and weights.json.
 
     Args:
@@ -300,20 +293,18 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
     with jax.enable_x64(False):
         state = _state(out, _rule(1), seed=0)
     network, done = state.network, int(state.epoch)
-    if done < stop:
+    if done < epochs:
         with progress("Reading", total=sum(map(len, splits.values()))) as advance:
             samples, validation = (
                 samples_of(stacks, seed, progress=advance) for stacks in splits.values()
             )
-        with progress("Training", total=stop) as advance:
+        with progress("Training", total=epochs) as advance:
 
             def show(epoch: dict[Any, float]) -> None:
                 losses = f"loss {epoch['train']:.3f}, validation {epoch['validation']:.3f}"
                 advance(note=f"{losses}, size {100 * epoch['size_error']:.2f} %")
 
-            network = train(
-                *(samples, validation, out), epochs=epochs, stop=stop, seed=seed, show=show
-            )
+            network = train(samples, validation, out, epochs=epochs, seed=seed, show=show)
     trust, found = judged(network, splits["validation"])
     with written_whole(out / "weights.eqx", replace=True) as partial:
         eqx.tree_serialise_leaves(partial, network)
@@ -321,7 +312,6 @@ def make_weights(folder: Path, out: Path, *, epochs: int, stop: int, seed: int) 
         "schema": SCHEMA,
         "command": shlex.join(["eyespot", *sys.argv[1:]]),
         **asked,
-        "stopped_after": max(done, stop),
         "frames": {
             split: sum(len(entry.open().labels) for entry in stacks)
             for split, stacks in splits.items()
@@ -344,10 +334,9 @@ def judged(
 ) -> tuple[dict[str, Any], dict[str, int | dict[str, float]]]:
     """Measure all frames, and choose factors with which 68.3 % of the errors lie within a sigma.
 
-    Returns:
-        The factors and the least presence; and the number of frames with a visible spot, root mean
-        square errors of `SCALED` (px and mm), and the part of the errors within two sigmas, after
-        the factors.
+    The first result are the factors and the least presence. The second are the number of frames
+    with a visible spot, root mean square errors of `SCALED` (px and mm), and the part of the errors
+    within two sigmas, after the factors.
     """
     estimator = LearnedEstimator(network)
     errors, sigmas, presences = [], [], []
@@ -359,12 +348,7 @@ def judged(
                 continue
             said = estimator.measure(stack.image(labels), microscope)
             presences.append(-np.inf if said is None else said.presence)
-            truth = (
-                labels.half_max_x_px,
-                labels.half_max_y_px,
-                labels.half_max_semi_major_px,
-                labels.half_max_semi_minor_px,
-            )
+            truth = tuple(getattr(labels, f"half_max_{name}_px") for name in SCALED[:4])
             if said is not None and np.hypot(*(said.ellipse[:2] - truth[:2])) <= truth[2]:
                 errors.append([*(said.ellipse[:4] - truth), said.distance_mm - labels.d_mm])
                 variances = np.diag(said.covariance)[:4]

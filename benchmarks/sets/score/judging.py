@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Literal, NamedTuple
+from itertools import pairwise
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -65,37 +66,22 @@ def _viewing_path(stack: Stack) -> str:
     return f"{viewing['lens']}, {viewing['form']}"
 
 
-class Condition(NamedTuple):
-    """A way to group images: by a column's values, or by its bins [edge, next edge).
+_ORDER = ("train", "validation", "test", "adverse", "unseen", "first")
+"""Of groups by value; others follow by name."""
 
-    Attributes:
-        order: order of the groups; others follow by name.
-        edges: of the bins; the last one has no upper limit.
-    """
-
-    title: str
-    order: tuple[str, ...] = ()
-    edges: tuple[float, ...] = ()
-
-
-CONDITIONS = {
-    "split": Condition("split", ("train", "validation", "test", "adverse", "unseen")),
-    "adverse": Condition("adverse condition"),
-    "pair": Condition("partner of a pair", ("first",)),
-    "viewing": Condition("viewing path"),
-    "source": Condition("light source"),
-    "wall": Condition("wall"),
-    "exposure": Condition("exposure"),
-    "medium": Condition("medium"),
-    "c_mm": Condition("eccentricity $c$ (mm)", edges=(0, 2, 4, 6)),
-    "d_mm": Condition("distance $d$ (mm)", edges=(0, 1, 2, 4, 6)),
-    "incidence_deg": Condition("incidence (°)", edges=(0, 15, 30, 45)),
-    "speed_mm_s": Condition("speed (mm/s)", edges=(0, 0.5, 1.5, 5)),
-    "blur_px": Condition("blur: path in an exposure (px)", edges=(0, 0.5, 2, 8)),
-    "visible_fraction": Condition("visible fraction", edges=(0, 0.5, 0.75, 0.95)),
-    "saturated_fraction": Condition("saturated fraction", edges=(0, 0.001, 0.1, 0.5)),
+CONDITIONS: dict[str, tuple[float, ...]] = {
+    **dict.fromkeys(("split", "adverse", "pair", "viewing", "source", "wall", "exposure"), ()),
+    "medium": (),
+    "c_mm": (0, 2, 4, 6),
+    "d_mm": (0, 1, 2, 4, 6),
+    "incidence_deg": (0, 15, 30, 45),
+    "speed_mm_s": (0, 0.5, 1.5, 5),
+    "blur_px": (0, 0.5, 2, 8),
+    "visible_fraction": (0, 0.5, 0.75, 0.95),
+    "saturated_fraction": (0, 0.001, 0.1, 0.5),
 }
-"""Conditions by the column of the images that they are about, as in score.csv."""
+"""Columns by which images are grouped: by their values, or in bins [edge, next edge), of which the
+last one has no upper limit."""
 
 
 def groups(images: pd.DataFrame, condition: str) -> Iterator[tuple[str, pd.DataFrame]]:
@@ -103,16 +89,14 @@ def groups(images: pd.DataFrame, condition: str) -> Iterator[tuple[str, pd.DataF
     if condition == ALL:
         yield ALL, images
         return
-    about, values = CONDITIONS[condition], images[condition]
-    if about.edges:
-        ends = zip(about.edges, (*about.edges[1:], math.inf), strict=True)
-        names = [f"≥ {low:g}" if math.isinf(high) else f"{low:g}–{high:g}" for low, high in ends]
+    edges, values = CONDITIONS[condition], images[condition]
+    if edges:
+        order = [*(f"{low:g}–{high:g}" for low, high in pairwise(edges)), f"≥ {edges[-1]:g}"]
         # Labels such as c = 0 may have rounding errors of either sign.
-        bins = np.searchsorted(about.edges, values + 1e-9, side="right") - 1
-        values = pd.Series(np.array(names)[np.maximum(bins, 0)], index=values.index)
-        order = names
+        bins = np.searchsorted(edges, values + 1e-9, side="right") - 1
+        values = pd.Series(np.array(order)[np.maximum(bins, 0)], index=values.index)
     else:
-        place = {group: index for index, group in enumerate(about.order)}
+        place = {group: index for index, group in enumerate(_ORDER)}
         order = sorted(set(values) - {""}, key=lambda group: (place.get(group, len(place)), group))
     for group in order:
         if (members := values == group).any():
@@ -375,25 +359,13 @@ _WIDE = 1.96  # sigmas that contain 95 % of normal errors
 def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
     """Rank the entries that measure a quantity, on the images that all of them cover.
 
-    A figure has the ends of its 95 % interval beside it, such as `median_low` and `median_high`;
-    NaN if unknown. By `condition` and `group`, in the order of the ranks:
-
-    - `rank`: 1 has the least median error; of equal medians all have the lower rank.
-    - `visible`: number of images in which half of the contour or more is visible; `missed`:
-      fraction of them without the true spot; `false_spots`: spots at a wrong place, per image.
-    - `median` and `ninth_decile` of the absolute error over the visible images. The error of a
-      missed image counts as infinite, so that leaving difficult images out does not help.
-    - `rmse` of the found images; `within_1_sigma` and `within_196_sigma`: fraction of the errors
-      within the stated σ, 0.683 and 0.950 if σ is right.
-    - `over_bound`: median of the absolute error divided by the image's Cramér-Rao bound, as a
-      multiple of the median of a normal error of that size: 1 cannot be beaten without bias.
+    The columns are those that docs/leaderboard.md explains, each with the ends of its 95 % interval
+    beside it, such as `median_low` and `median_high`; NaN if unknown. The rows are by `condition`
+    and `group`, in the order of the ranks; conditions with one group are left out. There are none
+    if no entry measures the quantity. An entry that finds no spot is the last on the ellipse.
 
     Args:
         judged: images of each entry, see `judge`.
-
-    Returns:
-        Standings on all images, and by condition; conditions with one group are left out. Empty if
-        no entry measures the quantity. An entry that finds no spot is the last on the ellipse.
 
     Raises:
         InputError: the entries have no image in common.

@@ -61,15 +61,8 @@ def sample_folder() -> Path:
     return folder
 
 
-# Plain spots files: the few columns that an estimator of others can write without eyespot.
-#
-#     file_name,x_px,y_px,semi_major_px,semi_minor_px
-#     test/0000/frames/000000.png,322.41,240.18,61.02,58.77
-#     test/0000/frames/000001.png,,,,
-#
-# An image without a spot has empty cells, or no line. Further columns may be `angle_rad`, a
-# standard deviation `sigma_` of each value, `distance_mm` and `sigma_distance_mm`. A file may also
-# have distances alone.
+# Plain spots files: the few columns that an estimator of others can write without eyespot; see
+# docs/leaderboard.md. An image without a spot has empty cells, or no line.
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
 """Columns of an ellipse; all of them are needed, since the four values are scored."""
@@ -175,7 +168,7 @@ _NAMED = 5  # unknown names listed in a message
 def read_set_spots(
     path: str | Path, stacks: Sequence[SetStack], images: Collection[str]
 ) -> dict[str, SpotRecord]:
-    """Read an estimator's spots of a set.
+    """Read an estimator's spots of a set, by image name.
 
     Args:
         path: a spots file with image names relative to the set (SPLIT/STACK/frames/000000.png); or
@@ -184,9 +177,6 @@ def read_set_spots(
             exposures, SPLIT/STACK.EXPOSURE.csv. For a single stack, omit SPLIT/. A spots file is
             that of eyespot (.csv or .parquet), or plain (`read_any_spots`).
         images: names of all images of the set.
-
-    Returns:
-        The records by image name.
 
     Raises:
         InputError: the file is missing, names are not in the set, or an image has two lines.
@@ -214,7 +204,7 @@ def track_set(
     The literal mode starts at the true position of the first spot of each recording, as the paper's
     operator clicks on it. The other modes find the spot themselves. The modes auto and pixels get
     the beam, but not the robot's poses. Like the labels, the spots are in the original image, with
-    its distortion.
+    its distortion. The records have image names relative to the set.
 
     Args:
         mode: mode of the estimator, with its default settings.
@@ -222,48 +212,29 @@ def track_set(
         unrelated: measure every image by itself, without following the spot; None: in stacks most
             of whose spots lie too far from the one before to be followed.
 
-    Returns:
-        Records with image names relative to the set.
-
     Raises:
         InputError: the mode pixels cannot read a stack; the text says why.
     """
-    records = [
-        replace(record, file_name=image_name(entry, record.file_name))
-        for entry in stacks
-        for exposure in exposures_of(entry.open())
-        for record in _track(entry, exposure, mode, calibration, unrelated, progress)
-    ]
+    records: list[SpotRecord] = []
+    for entry in stacks:
+        opened, microscope = entry.open(), read_microscope(entry.folder / "microscope.json")
+        # Nothing says what the source of a stack is that was not rendered.
+        knows_beam = mode == "pixels" or (mode == "auto" and "scene" in opened.description)
+        beam = calibration or (true_beam(opened) if knows_beam else None)
+        for exposure in exposures_of(opened):
+            labels, source = opened.exposed(exposure), open_source(entry.folder, exposure=exposure)
+            click = labels[0].half_max_x_px, labels[0].half_max_y_px
+            reader = own_reader(mode, microscope, click=click, beam=beam)
+            alone = not _is_sequence(labels) if unrelated is None else unrelated
+            found = track_whole_source(
+                replace(source, unrelated=alone), reader, progress=lambda record: progress()
+            )
+            records += [replace(r, file_name=image_name(entry, r.file_name)) for r in found]
     if mode == "auto":
         used = Counter(record.mode for record in records)
         by_mode = " and ".join(f"{count} images in mode {name}" for name, count in used.items())
         say(f"Measured {by_mode}: pixels for a lens if the camera's noise is known, else subpixel.")
     return records
-
-
-def _track(
-    entry: SetStack,
-    exposure: str,
-    mode: Mode,
-    calibration: Calibration | None,
-    unrelated: bool | None,
-    progress: Callable[[], None],
-) -> list[SpotRecord]:
-    opened = entry.open()
-    labels = opened.exposed(exposure)
-    first = labels[0]
-    # Nothing says what the source of a stack is that was not rendered.
-    knows_beam = mode == "pixels" or (mode == "auto" and "scene" in opened.description)
-    reader = own_reader(
-        mode,
-        read_microscope(entry.folder / "microscope.json"),
-        click=(first.half_max_x_px, first.half_max_y_px),
-        beam=calibration or (true_beam(opened) if knows_beam else None),
-    )
-    if unrelated is None:
-        unrelated = not _is_sequence(labels)
-    source = replace(open_source(entry.folder, exposure=exposure), unrelated=unrelated)
-    return track_whole_source(source, reader, progress=lambda record: progress())
 
 
 def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
@@ -374,17 +345,12 @@ def entry_of(spots: Path) -> ScoredEstimator:
         return ScoredEstimator(name=name, spots=spots)
     with in_file(file):
         about = validated(_About, object_in(read_text(file)), remedy="See docs/leaderboard.md.")
-    versions = about.versions
+    stated = about.model_dump(include={"command", "ms_per_frame"})
+    versions, seed = about.versions, "" if about.seed is None else str(about.seed)
     if not isinstance(versions, str):
         versions = ", ".join(f"{package} {version}" for package, version in versions.items())
-    return ScoredEstimator(
-        name=about.name or name,
-        spots=spots,
-        command=about.command,
-        versions=versions,
-        seed="" if about.seed is None else str(about.seed),
-        ms_per_frame=about.ms_per_frame,
-    )
+    named = about.name or name
+    return ScoredEstimator(name=named, spots=spots, versions=versions, seed=seed, **stated)
 
 
 def entries_in(folder: Path) -> list[ScoredEstimator]:

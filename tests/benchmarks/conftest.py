@@ -1,0 +1,14 @@
+"""What the tests of sets share: one drawn set, which no test may change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.drawn_sets import write_set
+
+
+@pytest.fixture(scope="session")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_set(tmp_path_factory.mktemp("drawn") / "set")
