@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -14,18 +14,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 import optics
+from benchmarks import reporting as page
 from benchmarks.paper import ACCEPTABLE_ERROR_MM, first_reached, largest
-from benchmarks.reporting import (
-    BLACK,
-    BLUE,
-    GREEN,
-    ORANGE,
-    SKY,
-    VERMILION,
-    limit_lines,
-    small_multiples,
-)
-from calibration import SphereFit, fit_eccentricity
 from scenes import Scene
 from scenes.world.world import World
 
@@ -106,50 +96,12 @@ def model_errors(
 ) -> pd.DataFrame:
     """Errors of the models on spots of known size, at c and d (mm), which they are given."""
     found = estimates(geometry, c=c, semi_minor_px=semi_minor_px)
-    return _rows(geometry, source, medium, c=c, d=d, found={m: found[m] for m in models})
-
-
-def refitted_errors(
-    geometry: Geometry,
-    *,
-    source: str,
-    medium: str,
-    c: float,
-    d: np.ndarray,
-    semi_minor_px: np.ndarray,
-) -> tuple[SphereFit, pd.DataFrame]:
-    """Errors of `small_plane` with c fitted to the spots themselves, as the paper's Table II does.
-
-    Args:
-        geometry: k, b and r are given to the fit, as they are.
-        source: "analytic" or "rendered".
-        c: the true eccentricity of all spots, mm.
-        d: their distances, mm.
-        semi_minor_px: e1', px.
-
-    Returns:
-        The fit, and a row a spot, whose `c_mm` is the true one.
-    """
-    k = 1.0 / math.tan(geometry.half_angle)
-    fit = fit_eccentricity(
-        semi_minor_px=semi_minor_px,
-        distance=d,
-        delta_k=geometry.scale * k,
-        b=geometry.apex_offset,
-        scale=geometry.scale,
-        eye_radius=geometry.eye_radius,
-    )
-    estimate = optics.small_plane_distance(
-        semi_minor_px=semi_minor_px,
-        scale=geometry.scale,
-        k=k,
-        b=geometry.apex_offset,
-        eccentricity=fit.c,
-        eye_radius=geometry.eye_radius,
-    )
-    found = {"small_plane": np.asarray(estimate)}
-    true_c = np.full(d.shape, c)
-    return fit, _rows(geometry, source, medium, c=true_c, d=d, found=found, refit=True)
+    about = {"source": source, "refit": False, "medium": medium, **place(geometry, c=c, d=d)}
+    tables = [
+        pd.DataFrame({"model": m, **about, "estimate_mm": found[m], "error_mm": found[m] - d})
+        for m in models
+    ]
+    return pd.concat(tables, ignore_index=True)
 
 
 def semi_minor(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> np.ndarray:
@@ -184,33 +136,6 @@ def limit_eccentricity(errors: pd.DataFrame, limit: float) -> float:
     """
     worst = largest_errors(errors)
     return first_reached(worst.index, worst, limit)
-
-
-def _rows(
-    geometry: Geometry,
-    source: str,
-    medium: str,
-    *,
-    c: np.ndarray,
-    d: np.ndarray,
-    found: Mapping[str, np.ndarray],
-    refit: bool = False,
-) -> pd.DataFrame:
-    tables = [
-        pd.DataFrame(
-            {
-                "model": model,
-                "source": source,
-                "refit": refit,
-                "medium": medium,
-                **place(geometry, c=c, d=d),
-                "estimate_mm": estimate,
-                "error_mm": estimate - d,
-            }
-        )
-        for model, estimate in found.items()
-    ]
-    return pd.concat(tables, ignore_index=True)
 
 
 def place(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> dict[str, Any]:
@@ -286,8 +211,10 @@ CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 SHOWN = ("small_plane", "corrected", "exact")
 """Models of figures that have a panel for each; the CSV files have all."""
 
-MODEL_COLOURS = dict(zip(COMPARED, (VERMILION, BLUE, GREEN, BLACK), strict=True))
-TRIAL_COLOURS = (BLUE, ORANGE, GREEN)
+MODEL_COLOURS = dict(
+    zip(COMPARED, (page.VERMILION, page.BLUE, page.GREEN, page.BLACK), strict=True)
+)
+TRIAL_COLOURS = (page.BLUE, page.ORANGE, page.GREEN)
 """Of the paper's three trials."""
 
 READING = "$d_r$, reading since contact (mm)"
@@ -295,7 +222,7 @@ MEASURED = "measured $e_1'$ (px)"
 DISTANCE = "$d$, tip to wall along the beam (mm)"
 ECCENTRICITY = "eccentricity $c$ (mm)"
 
-_SHADES = dict(zip(CHOSEN_DISTANCES_MM, ("#A6CEE3", SKY, BLUE, "#08306B"), strict=True))
+_SHADES = dict(zip(CHOSEN_DISTANCES_MM, ("#A6CEE3", page.SKY, page.BLUE, "#08306B"), strict=True))
 
 
 def pinhole_title(z_f_mm: float) -> str:
@@ -321,7 +248,7 @@ def model_error_figure(
     azimuth = leaning.azimuth_deg.iloc[0] if azimuth_deg is None else azimuth_deg
 
     def draw(axes: Axes, height: float, model: str) -> None:
-        limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
         for d, colour in _SHADES.items():
             for errors, style in (
                 (square, {"ls": ":"}),
@@ -334,7 +261,7 @@ def model_error_figure(
                 shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
                 axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
 
-    return small_multiples(
+    return page.small_multiples(
         draw,
         rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
         columns=SHOWN,

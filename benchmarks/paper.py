@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import product
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -27,22 +28,17 @@ from scenes.camera import CameraSensor
 
 def mean(errors: Iterable[float]) -> float:
     """Their mean."""
-    there = _there(errors)
-    return sum(there) / len(there) if there else math.nan
+    return float(pd.Series(errors, dtype=float).mean())
 
 
 def rms(errors: Iterable[float]) -> float:
     """Their root mean square."""
-    return math.sqrt(mean(e * e for e in errors))
+    return math.sqrt(pd.Series(errors, dtype=float).pow(2).mean())
 
 
 def largest(errors: Iterable[float]) -> float:
     """The largest absolute value."""
-    return max(map(abs, _there(errors)), default=math.nan)
-
-
-def _there(errors: Iterable[float]) -> list[float]:
-    return [float(e) for e in errors if not math.isnan(e)]
+    return float(pd.Series(errors, dtype=float).abs().max())
 
 
 def first_reached(x: ArrayLike, size: ArrayLike, limit: float) -> float:
@@ -197,12 +193,9 @@ TrialKind = Literal["plane", "sphere", "grid"]
 
 @dataclass(frozen=True, kw_only=True)
 class StaticTrial:
-    """A withdrawal of the static experiment.
+    """A withdrawal of the static experiment, on a wall or for the grid of the model errors.
 
-    Attributes:
-        name: of the trial and of its stack's folder.
-        kind: the wall, or the grid of the model errors.
-        group: the row of the paper's tables that it is compared with, or the grid's name.
+    Its group is the row of the paper's tables that it is compared with, or the grid's name.
     """
 
     name: str
@@ -227,30 +220,21 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
         *((f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)),
         *((name, "sphere", row.c) for name, row in TABLE_II.items()),
     ]
-    return [
-        StaticTrial(
-            name=f"{source}-{group.replace(' ', '-')}",
-            kind=kind,
-            group=group,
-            scene=Scene.model_validate(
-                {
-                    "schema": 1,
-                    "seed": seed + number,
-                    "phantom": {
-                        "kind": "eyeball" if kind == "sphere" else "plane",
-                        "texture_seed": seed,
-                    },
-                    "source": {"kind": source},
-                    "spot": {
-                        "eccentricity_mm": c,
-                        "azimuth_deg": _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)],
-                    },
-                    "motion": {"frames": frames},
-                }
-            ),
-        )
-        for number, (group, kind, c) in enumerate(places)
-    ]
+    trials = []
+    for number, (group, kind, c) in enumerate(places):
+        wall = "eyeball" if kind == "sphere" else "plane"
+        azimuth = _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)]
+        scene = {
+            "schema": 1,
+            "seed": seed + number,
+            "phantom": {"kind": wall, "texture_seed": seed},
+            "source": {"kind": source},
+            "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth},
+            "motion": {"frames": frames},
+        }
+        name, own = f"{source}-{group.replace(' ', '-')}", Scene.model_validate(scene)
+        trials.append(StaticTrial(name=name, kind=kind, group=group, scene=own))
+    return trials
 
 
 def at_place(place: StaticTrial, *, frames: int) -> dict[str, object]:
@@ -264,31 +248,35 @@ def at_place(place: StaticTrial, *, frames: int) -> dict[str, object]:
     }
 
 
+def withdrawal(*, start_mm: float, travel_mm: float, frames: int) -> dict[str, object]:
+    """Changes of a scene that make it metered frames of a withdrawal."""
+    return {
+        "motion.kind": "withdrawal",
+        "motion.start_mm": start_mm,
+        "motion.travel_mm": travel_mm,
+        "motion.frames": frames,
+        "exposures.kinds": ["metered"],
+    }
+
+
 def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
     """Ideal cones at each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways."""
-    eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else tuple(float(c) for c in range(8))
-    return [
-        StaticTrial(
-            name=f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}",
-            kind="grid",
-            group=f"pinhole {height:g} mm",
-            scene=Scene.model_validate(
-                {
-                    "schema": 1,
-                    "seed": seed,
-                    "phantom": {"texture_seed": seed},
-                    "source": {"kind": "cone"},
-                    "spot": {"eccentricity_mm": c, "incidence_azimuth_deg": azimuth},
-                    "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
-                    "microscope": {"pinhole_height_mm": height},
-                    "exposures": {"kinds": ["metered"]},
-                }
-            ),
-        )
-        for height in PINHOLE_HEIGHTS_MM
-        for azimuth in TILT_AZIMUTHS_DEG
-        for c in eccentricities
-    ]
+    eccentricities, trials = (0.0, 3.0, 5.0, 7.0) if quick else map(float, range(8)), []
+    for height, azimuth, c in product(PINHOLE_HEIGHTS_MM, TILT_AZIMUTHS_DEG, eccentricities):
+        scene = {
+            "schema": 1,
+            "seed": seed,
+            "phantom": {"texture_seed": seed},
+            "source": {"kind": "cone"},
+            "spot": {"eccentricity_mm": c, "incidence_azimuth_deg": azimuth},
+            "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
+            "microscope": {"pinhole_height_mm": height},
+            "exposures": {"kinds": ["metered"]},
+        }
+        name = f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}"
+        about: dict[str, Any] = {"kind": "grid", "group": f"pinhole {height:g} mm"}
+        trials.append(StaticTrial(name=name, scene=Scene.model_validate(scene), **about))
+    return trials
 
 
 def require_roomy_eyeball(scene: Scene, reach: str) -> None:
@@ -396,19 +384,11 @@ def write_results(
     file: Path, labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot], *, mode: str
 ) -> None:
     """Write what was measured in a stack's frames as a spots file."""
-    write_spots(
-        file,
-        [
-            SpotRecord(
-                frame=row.frame,
-                file_name=row.file_name,
-                time_s=row.time_s,
-                mode=mode,
-                result=result,
-            )
-            for row, result in zip(labels, results, strict=True)
-        ],
-    )
+    records = []
+    for row, result in zip(labels, results, strict=True):
+        about: dict[str, Any] = row.model_dump(include={"frame", "file_name", "time_s"})
+        records.append(SpotRecord(mode=mode, result=result, **about))
+    write_spots(file, records)
 
 
 # Photographs of kept linear frames, taken and measured again without rendering or files.

@@ -303,11 +303,6 @@ class Picture(NamedTuple):
             return {self.name: self.figure}
         return {f"{self.name}_{n}": figure for n, figure in enumerate(self.figure, 1)}
 
-    @property
-    def names(self) -> list[str]:
-        """Names of the files of figures."""
-        return list(self.figures)
-
 
 class Section:
     """A heading with paragraphs, tables and pictures below it, in order."""
@@ -337,7 +332,6 @@ class Report:
     claims: Sequence[Claim]
     sections: Sequence[Section]
     data: Mapping[str, pd.DataFrame | None] = field(default_factory=dict)
-    summary: Mapping[str, Any] = field(default_factory=dict)
 
 
 def rows_of(frame: pd.DataFrame) -> list[Any]:
@@ -401,17 +395,10 @@ def write_page(
         if isinstance(picture, Picture)
         for name, figure in picture.figures.items()
     }
+    about = {"study": study, "scene_toml": scene_toml, "command": command, "versions": versions}
     html = (
         environment()
         .get_template("page.html.j2")
-        .render(
-            report=report,
-            images=images,
-            command=command,
-            versions=versions,
-            summary_file=summary_file,
-            study=study,
-            scene_toml=scene_toml,
-        )
+        .render(report=report, images=images, summary_file=summary_file, **about)
     )
     (folder / "report.html").write_text(html, encoding="utf-8", errors="backslashreplace")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib.metadata
 import json
 import math
@@ -16,14 +15,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar
 
 import matplotlib
+import pandas as pd
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt
 
 import scenes
+from benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from benchmarks.reporting import STYLE, Report, write_page
 from estimator import Reader
 from estimator.run.options import Options
@@ -39,7 +41,7 @@ from formats.whole_files import (
     sweep,
     written_whole,
 )
-from scenes import Scene
+from scenes import Scene, SceneError
 from scenes.commands import Changes as Changes
 from scenes.world.labels import true_calibration
 
@@ -134,6 +136,22 @@ class Study:
             " If it is stopped, the same command continues it."
         )
 
+    @staticmethod
+    def demand(scene: Scene, needed: Mapping[str, object], why: str) -> None:
+        """Refuse a scene whose keys do not have the values that a study needs.
+
+        Args:
+            needed: values by key; a later key need not exist if an earlier one is wrong.
+            why: what the study does, for the message.
+
+        Raises:
+            SceneError: saying what to change.
+        """
+        for key, value in needed.items():
+            if (found := attrgetter(key)(scene)) != value:
+                remedy = " and ".join(f"{name}={wanted}" for name, wanted in needed.items())
+                raise SceneError(f"{why}; got {key} = {found!r}. Set {remedy}.")
+
     def stack(self, name: str, scene: Scene) -> Stack:
         """A scene's stack in stacks/NAME, rendered unless an earlier run finished it."""
         return self.stacks({name: scene})[name]
@@ -172,6 +190,18 @@ class Study:
                 beside.shutdown(cancel_futures=True)
                 raise
 
+    def tracked(self, trials: Mapping[str, Scene]) -> dict[str, pd.DataFrame]:
+        """The spots of every trial in sub-pixel mode, by name (`paper.spots_of`)."""
+        return self.measured(
+            trials,
+            lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=self.spots_file(name)),
+        )
+
+    def photographers(self, trials: Mapping[str, Scene]) -> dict[str, Photographer]:
+        """Those who photograph the trials' linear frames again, by name."""
+        stacks = self.stacks(trials)
+        return {n: Photographer(scene=scene, stack=stacks[n]) for n, scene in trials.items()}
+
     def spots_file(self, name: str) -> Path:
         """The file of a stack's spots, in spots/."""
         folder = self.folder / "spots"
@@ -186,7 +216,7 @@ class Study:
         files = {"calibration": calibration, "microscope": stack.folder / "microscope.json"}
         return Options.of({"mode": mode, **files, **options}).reader()
 
-    @contextlib.contextmanager
+    @contextmanager
     def timed(self, step: str) -> Iterator[None]:
         """Measure the wall time of a step for the report."""
         start = time.perf_counter()
@@ -212,7 +242,6 @@ class Study:
             "study": self.name,
             "command": self.command,
             "found": [claim.row for claim in report.claims],
-            **report.summary,
             "versions": used,
             "seconds": self.seconds,
         }

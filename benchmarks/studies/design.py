@@ -29,7 +29,7 @@ from threadpoolctl import threadpool_limits
 
 import optics
 import scenes
-from benchmarks.paper import rms
+from benchmarks.paper import rms, withdrawal
 from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, small_multiples
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from estimator import Reader
@@ -145,11 +145,7 @@ def measured(study: Study, lenses: Mapping[str, Path], peak: float) -> pd.DataFr
                 "phantom.wall_image_mm": 12.0,
                 "phantom.reflectance": 0.9,
                 "instrument.visible": False,
-                "motion.kind": "withdrawal",
-                "motion.start_mm": RANGE_MM[0],
-                "motion.travel_mm": RANGE_MM[1] - RANGE_MM[0],
-                "motion.frames": 6,
-                "exposures.kinds": ["metered"],
+                **withdrawal(start_mm=RANGE_MM[0], travel_mm=float(np.ptp(RANGE_MM)), frames=6),
                 "exposures.metered_peak": peak,
             }
             trials[f"{lens}-{wall}"] = scenes.changed(study.scene, changes)

@@ -9,6 +9,7 @@ DIR/model_error.csv  every error of every model, analytic and rendered
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from functools import partial
 from itertools import product
@@ -26,30 +27,8 @@ from scipy.stats import qmc
 
 import optics
 import scenes
+from benchmarks import model_error, paper
 from benchmarks import reporting as page
-from benchmarks.model_error import (
-    ECCENTRICITY,
-    MODEL_COLOURS,
-    MODEL_ERROR,
-    SHOWN,
-    Geometry,
-    degrees,
-    geometry_of,
-    largest_errors,
-    limit_eccentricity,
-    measured_errors,
-    model_errors,
-    pinhole_title,
-    refitted_errors,
-    semi_minor,
-)
-from benchmarks.paper import (
-    MICROSCOPE_MM,
-    SUBPIXEL,
-    largest,
-    require_roomy_eyeball,
-    track_stack,
-)
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import error_causes
 from benchmarks.studies.error_causes import (
@@ -61,6 +40,7 @@ from benchmarks.studies.error_causes import (
     spread_length,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from calibration import fit_eccentricity
 from formats.inputs import InputError
 from formats.whole_files import written_whole
 from scenes import Scene
@@ -85,7 +65,7 @@ BLOCK = 1 << 14
 
 _BATCH = 512
 
-_NUMBERS = MODEL_ERROR[MODEL_ERROR.index("c_mm") :]
+_NUMBERS = model_error.MODEL_ERROR[model_error.MODEL_ERROR.index("c_mm") :]
 _DIGITS = {name: "{:.6g}" for name in _NUMBERS} | {"estimate_mm": "{:.6f}", "error_mm": "{:.6f}"}
 """Of the numbers in model_error.csv."""
 
@@ -158,7 +138,7 @@ DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
 
 
 def withdrawals(
-    geometry: Geometry, *, eccentricities: np.ndarray, medium: str
+    geometry: model_error.Geometry, *, eccentricities: np.ndarray, medium: str
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Errors on exact contours at each c (mm) and all `DISTANCES_MM`.
 
@@ -167,12 +147,11 @@ def withdrawals(
         each c, see `refitted`.
     """
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, DISTANCES_MM, indexing="ij"))
-    seen = semi_minor(geometry, c=c, d=d)
-    about = {"source": "analytic", "medium": medium}
-    models = optics.MODELS
-    errors = model_errors(geometry, **about, c=c, d=d, semi_minor_px=seen, models=models)
+    seen = model_error.semi_minor(geometry, c=c, d=d)
+    spots: dict[str, Any] = {"source": "analytic", "medium": medium, "c": c, "d": d}
+    errors = model_error.model_errors(geometry, **spots, semi_minor_px=seen, models=optics.MODELS)
     found = [
-        refitted(geometry, errors[errors.c_mm == value], d[c == value], seen[c == value])
+        refitted(geometry, errors[errors.c_mm == value], seen[c == value])
         for value in eccentricities.tolist()
     ]
     tables, refits = zip(*found, strict=True)
@@ -180,28 +159,27 @@ def withdrawals(
 
 
 def refitted(
-    geometry: Geometry, before: pd.DataFrame, d: np.ndarray, semi_minor_px: np.ndarray
+    geometry: model_error.Geometry, errors: pd.DataFrame, semi_minor_px: np.ndarray
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """Errors of one withdrawal with c fitted, and what that hides of those `before`.
+    """Errors of one withdrawal with c fitted to itself, as the paper's Table II, and what it hides.
 
     The second is a row of refit.csv: the fitted c, the largest error before and after, and the
     part of it that the fitted c takes away, `hidden_mm`.
 
     Args:
-        before: its errors with the true c, of every model.
-        d: mm.
+        errors: its errors with the true c; k, b and r are given to the fit, as they are.
         semi_minor_px: e1', px.
     """
-    source, medium, c = before[["source", "medium", "c_mm"]].iloc[0]
-    about = {"source": source, "medium": medium, "c": float(c)}
-    fit, rows = refitted_errors(geometry, **about, d=d, semi_minor_px=semi_minor_px)
-    before_mm = largest(before.error_mm[before.model == "small_plane"])
-    after_mm = largest(rows.error_mm)
-    return rows, {
-        "source": source,
-        "z_f_mm": geometry.pinhole_height,
-        "incidence_deg": degrees(geometry.incidence),
-        "c_mm": float(c),
+    before = errors[errors.model == "small_plane"]
+    d, k = before.d_mm.to_numpy(), 1.0 / math.tan(geometry.half_angle)
+    spots: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": geometry.scale}
+    spots |= {"b": geometry.apex_offset, "eye_radius": geometry.eye_radius}
+    fit = fit_eccentricity(**spots, distance=d, delta_k=geometry.scale * k)
+    estimate = np.asarray(optics.small_plane_distance(**spots, k=k, eccentricity=fit.c))
+    after = before.assign(refit=True, estimate_mm=estimate, error_mm=estimate - d)
+    before_mm, after_mm = paper.largest(before.error_mm), paper.largest(after.error_mm)
+    return after, {
+        **{name: before[name].iloc[0] for name in ("source", "z_f_mm", "incidence_deg", "c_mm")},
         "fitted_c_mm": fit.c,
         "at_bound": fit.at_bound,
         "largest_error_mm": before_mm,
@@ -218,7 +196,7 @@ def limits(errors: pd.DataFrame) -> pd.DataFrame:
     """
     keys = ["model", "refit", "z_f_mm", "incidence_deg"]
     rows = [
-        (*key, limit, limit_eccentricity(group, limit))
+        (*key, limit, model_error.limit_eccentricity(group, limit))
         for key, group in grouped(errors, *keys)
         for limit in LIMITS_MM
     ]
@@ -252,20 +230,16 @@ def trials(scene: Scene, *, quick: bool) -> tuple[dict[str, Scene], dict[str, Sc
     """
     every = np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist()
     few = [4.0, LARGEST_C_MM] if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist()
+    moves = paper.withdrawal(start_mm=0.5, travel_mm=5.5, frames=3 if quick else 12)
     found, noise_free = {}, {}
     for height, kind in product(pinhole_heights(scene), ("tilted", "square")):
         bare = {"spot.incidence_deg": 0.0, "instrument.visible": False} if kind == "square" else {}
         for c in few if bare else every:
-            changes = {
-                "spot.eccentricity_mm": c,
-                "microscope.pinhole_height_mm": height,
-                "motion.kind": "withdrawal",
-                "motion.start_mm": 0.5,
-                "motion.travel_mm": 5.5,
-                "motion.frames": 3 if quick else 12,
-                "exposures.kinds": ["metered"],
-            }
-            name, own = f"{kind}-pinhole-{height:g}-c-{c:g}", scenes.changed(scene, changes | bare)
+            place = {"spot.eccentricity_mm": c, "microscope.pinhole_height_mm": height}
+            name, own = (
+                f"{kind}-pinhole-{height:g}-c-{c:g}",
+                scenes.changed(scene, place | moves | bare),
+            )
             found[name] = own
             if c in few and not bare:
                 finer = {
@@ -286,20 +260,18 @@ def measure(
         Errors of all models on every measured spot, and of small_plane with c fitted; the fits, see
         `refitted`; errors by cause; and whether each frame has a spot that counts.
     """
-    tracked = study.measured(
-        {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}},
-        lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name)),
+    tracked = study.tracked(
+        {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}}
     )
     # Empty tables first, so that a run without spots has tables, too.
-    errors, refits, shares = [pd.DataFrame(columns=MODEL_ERROR)], [], [pd.DataFrame()]
+    errors, refits, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [], [pd.DataFrame()]
     for name, scene in every.items():
-        seen, geometry = tracked[name], geometry_of(scene)
+        seen, geometry = tracked[name], model_error.geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
-            errors.append(measured_errors(geometry, spots, models=optics.MODELS))
+            errors.append(model_error.measured_errors(geometry, spots, models=optics.MODELS))
         if len(spots) >= _FEWEST_SPOTS:
-            given = spots[["d_mm", "semi_minor_px"]].to_numpy().T
-            rows, refit = refitted(geometry, errors[-1], *given)
+            rows, refit = refitted(geometry, errors[-1], spots.semi_minor_px.to_numpy())
             errors.append(rows)
             refits.append(refit)
         if name in noise_free and (both := seen.used & tracked[f"{name}-noise-free"].used).any():
@@ -337,30 +309,15 @@ def limit_of(tables: Tables, model: str, height: float, incidence: float) -> flo
 
 def pinhole_heights(scene: Scene) -> tuple[float, float]:
     """z_F of the paper's geometry, on the sphere, and of a microscope, mm."""
-    return scene.phantom.radius_mm, MICROSCOPE_MM
+    return scene.phantom.radius_mm, paper.MICROSCOPE_MM
 
 
 # Figures.
 
-_COLOURS = {"planar": page.ORANGE} | MODEL_COLOURS
-_BROWN, _GREYS = "#8C6D31", ("#B8B8B8", "#6E6E6E")
-_CAUSE_COLOURS = dict(
-    zip(
-        CAUSES,
-        (
-            page.BLUE,
-            page.VERMILION,
-            page.ORANGE,
-            page.BLACK,
-            page.GREEN,
-            page.SKY,
-            page.PURPLE,
-            _BROWN,
-            *_GREYS,
-        ),
-        strict=True,
-    )
-)
+_COLOURS = {"planar": page.ORANGE} | model_error.MODEL_COLOURS
+_GEOMETRIC = page.BLUE, page.VERMILION, page.ORANGE, page.BLACK, page.GREEN
+_OTHERS = page.SKY, page.PURPLE, "#8C6D31", "#B8B8B8", "#6E6E6E"
+_CAUSE_COLOURS = dict(zip(CAUSES, (*_GEOMETRIC, *_OTHERS), strict=True))
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
 
@@ -376,13 +333,13 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
             for errors in (tables["withdrawals"], with_true_c(tables["rendered"]))
         )
         for model, colour in _COLOURS.items():
-            line = largest_errors(where(exact, model=model, refit=False))
+            line = model_error.largest_errors(where(exact, model=model, refit=False))
             if model != "exact":  # right to rounding on its own contours
                 axes.plot(line, color=colour, label=model)
             label = model if model == "exact" else None
-            marks = largest_errors(seen[seen.model == model])
+            marks = model_error.largest_errors(seen[seen.model == model])
             axes.plot(marks, ls="", marker="o", ms=3.5, color=colour, label=label)
-        refit = largest_errors(exact[exact.refit])
+        refit = model_error.largest_errors(exact[exact.refit])
         axes.plot(refit, color=page.VERMILION, ls="--", label="small_plane, c fitted")
         axes.set(yscale="log", ylim=(_LEAST_MM, 12.0))
         axes.yaxis.set_major_formatter("{x:g}")
@@ -391,8 +348,8 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
         draw,
         rows=pinhole_heights(scene),
         columns=tables["withdrawals"].incidence_deg.unique().tolist(),
-        title=lambda height, incidence: f"{pinhole_title(height)}, incidence {incidence:g}°",
-        x=ECCENTRICITY,
+        title=lambda height, tilt: f"{model_error.pinhole_title(height)}, incidence {tilt:g}°",
+        x=model_error.ECCENTRICITY,
         y="largest |error| (mm)",
         height=2.4,
         legend_columns=6,
@@ -426,9 +383,9 @@ def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
     return page.small_multiples(
         draw,
         rows=chosen.z_f_mm.unique().tolist(),
-        columns=SHOWN,
-        title=lambda height, model: f"{model}, {pinhole_title(height)}",
-        x=ECCENTRICITY,
+        columns=model_error.SHOWN,
+        title=lambda height, model: f"{model}, {model_error.pinhole_title(height)}",
+        x=model_error.ECCENTRICITY,
         y="part of the error (mm)",
         legend_columns=5,
         sharex=True,
@@ -438,19 +395,17 @@ def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
 def fill_space(
     scene: Scene, *, count: int, seed: int, csv_file: Path, before: pd.DataFrame
 ) -> pd.DataFrame:
-    """Errors of all models over the space of geometries; writes model_error.csv as it goes.
+    """Errors (mm) of all models over the space of geometries; writes model_error.csv as it goes.
 
     Args:
         scene: gives the scale, the spot's size at contact and the medium.
         count: of geometries, rounded up to a power of two or to whole blocks of such.
         csv_file: file to write; it gets its name when it is complete.
         before: rows to write before those of the space.
-
-    Returns:
-        The error of every model (mm) at each geometry, in single precision.
     """
-    cone = geometry_of(scene)
-    filled = []
+    cone, filled = model_error.geometry_of(scene), []
+    about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": scene.source.medium}
+    radius = -cone.apex_offset * float(np.tan(cone.half_angle))
     with (
         written_whole(csv_file, replace=True) as partial,
         partial.open("w", encoding="utf-8") as file,
@@ -458,21 +413,11 @@ def fill_space(
 
         def write(errors: pd.DataFrame, *, header: bool = False) -> None:
             text = {name: errors[name].map(digits.format) for name, digits in _DIGITS.items()}
-            rows = errors.assign(**text)[MODEL_ERROR]
+            rows = errors.assign(**text)[model_error.MODEL_ERROR]
             rows.to_csv(file, header=header, index=False, lineterminator="\n")
 
         write(before, header=True)
-        for block in blocks(
-            count=count,
-            seed=seed,
-            scale=cone.scale,
-            contact_radius=-cone.apex_offset * float(np.tan(cone.half_angle)),
-        ):
-            about: dict[str, Any] = {
-                "source": "analytic",
-                "refit": False,
-                "medium": scene.source.medium,
-            }
+        for block in blocks(count=count, seed=seed, scale=cone.scale, contact_radius=radius):
             errors = block[list(optics.MODELS)].sub(block.d_mm, axis=0)
             for model in optics.MODELS:
                 made = {"estimate_mm": block[model], "error_mm": errors[model]}
@@ -491,9 +436,10 @@ def _report(
     heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
     on_sphere, microscope = (limit_of(tables, "small_plane", h, incidence) for h in heights)
     limits = [
-        (height, tilt, *(limit_of(tables, model, height, tilt) for model in SHOWN))
+        (height, tilt, *(limit_of(tables, model, height, tilt) for model in model_error.SHOWN))
         for height, tilt in product(heights, dict.fromkeys((0.0, incidence)))
     ]
+    headings = "z_F, mm", "incidence, °", *model_error.SHOWN
     refits, largest_mm = tables["refits"], LIMITS_MM[-1]
     chosen = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
     chosen &= refits.z_f_mm.isin(heights) & (refits.incidence_deg == incidence)
@@ -521,7 +467,7 @@ def _report(
                 data="model_error.csv",
             ),
             page.Table(
-                [page.Column(heading, 1) for heading in ("z_F, mm", "incidence, °", *SHOWN)],
+                [page.Column(heading, 1) for heading in headings],
                 limits,
                 f"Smallest c in mm at which the largest error over d reaches {largest_mm:g} mm; a "
                 f"dash: not up to c = {LARGEST_C_MM:g} mm.",
@@ -559,7 +505,7 @@ def _report(
 def _rendered_spots(errors: pd.DataFrame, used: np.ndarray) -> list[page.Claim]:
     if errors.empty:
         return []
-    worst = tuple(largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
+    worst = tuple(paper.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
     return [
         page.Claim(
             name="rendered spots",
@@ -652,7 +598,7 @@ def eccentricity(
     study = Study(
         "eccentricity",
         *(out, scene, changes, quick, seed, ("source.kind=cone",)),
-        partial(require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm"),
+        partial(paper.require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm"),
         options={"geometries": count},
     )
     base = study.scene
@@ -664,7 +610,7 @@ def eccentricity(
         for height in (0.0, *pinhole_heights(base), np.inf):
             for tilt in dict.fromkeys((0.0, base.spot.incidence_deg)):
                 view = {"microscope.pinhole_height_mm": height, "spot.incidence_deg": tilt}
-                geometry = geometry_of(scenes.changed(base, view))
+                geometry = model_error.geometry_of(scenes.changed(base, view))
                 c = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
                 found.append(withdrawals(geometry, eccentricities=c, medium=base.source.medium))
         on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))

@@ -70,7 +70,7 @@ class Links(NamedTuple):
     incidence: Float[Array, ""] | bool
 
 
-REAL = Links(True, True, True, True, True)
+REAL = Links(*(True for _ in LINKS))
 """Everything as it is."""
 
 

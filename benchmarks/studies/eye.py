@@ -30,6 +30,7 @@ from benchmarks.studies import eye_paths
 from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
 from benchmarks.study import OutputFolder, Quick, Seed, Study
 from optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
+from optics.viewing.camera import local_magnification
 
 # Errors of every recipe in many eyes behind one viewing path.
 
@@ -38,12 +39,10 @@ _EYES_AT_ONCE = 8  # few enough that their spots stay in the cache
 
 
 class PathErrors(NamedTuple):
-    """Errors behind one path; NaN where the optics show no whole contour.
+    """Errors behind one path, mm, eyes x c x d x tilts, as if the iris hid nothing.
 
-    Attributes:
-        errors: of each recipe, eyes x c x d x tilts, mm; as if the iris hid nothing.
-        kappas: fitted in each eye, 1/mm; the first is the schematic eye's.
-        paraxial_kappa: of the schematic eye's path, 1/mm.
+    NaN where the optics show no whole contour. Kappas are fitted in each eye, 1/mm; the first is
+    the schematic eye's, whose path has the paraxial one.
     """
 
     errors: dict[Recipe, np.ndarray]
@@ -93,10 +92,13 @@ def path_errors(
         return eye_paths.distance_by_area(in_a_row, each)
 
     def by_magnification() -> np.ndarray:
-        factor = eye_paths.local_factor(known, np.asarray(spots.eccentricity).ravel())
-        return eye_paths.distance_by_local_magnification(
-            minor, factor.reshape(spots.distance.shape)
-        )
+        # 1/min(h/c, dh/ds): mm on the wall per mm of a small spot's semi-minor image, by c.
+        wall, c = optics.Sphere(eye_paths.NOMINAL_RADIUS_MM), np.asarray(spots.eccentricity)
+        slopes = np.asarray(local_magnification(known, wall, eccentricity=c.ravel()))[..., 1]
+        radius = eye_paths.SCALE_MM_PX * minor / slopes.reshape(c.shape)
+        k, b = 1.0 / np.tan(eye_paths.CONE["half_angle"]), eye_paths.CONE["apex_offset"]
+        own = optics.sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=wall.radius)
+        return np.asarray(own)
 
     ways: dict[Recipe, Callable[[], np.ndarray]] = {
         Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
@@ -117,11 +119,7 @@ def path_errors(
         read = ways[recipe]().reshape(shape)
         return np.where(seen.visible, read - truth, np.nan)
 
-    return PathErrors(
-        errors={recipe: error(recipe) for recipe in recipes},
-        kappas=fitted.kappa,
-        paraxial_kappa=paraxial,
-    )
+    return PathErrors({recipe: error(recipe) for recipe in recipes}, fitted.kappa, paraxial)
 
 
 def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
@@ -216,7 +214,7 @@ def _causes(
 
     Args:
         schematic: the eye that stands for all where no calibration is made, with a leading axis.
-        spots: c x d x tilts; as for the errors in all eyes, so that nothing is compiled again.
+        spots: c x d x tilts.
     """
     players = (*eye_paths.PARTS, _NOISE)
     recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
@@ -231,15 +229,11 @@ def _causes(
             largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
             worth[k, :, row] = np.quantile(largest[:, shown], QUANTILE, axis=0)
     shares = shapley_values(worth)
-    rows = [
-        (recipe, float(c), cause, float(value))
-        for k, recipe in enumerate(recipes)
-        for j, c in enumerate(_SHOWN_MM)
-        for cause, value in (
-            (_SCHEMATIC if recipe is Recipe.AREA_SCHEMATIC else _PINHOLE, worth[k, j, 0]),
-            *zip(players, shares[k, j], strict=True),
-        )
-    ]
+    rows = []
+    for (k, recipe), (j, c) in product(enumerate(recipes), enumerate(_SHOWN_MM)):
+        rest = _SCHEMATIC if recipe is Recipe.AREA_SCHEMATIC else _PINHOLE
+        causes = (rest, worth[k, j, 0]), *zip(players, shares[k, j], strict=True)
+        rows += [(recipe, c, cause, float(value)) for cause, value in causes]
     return pd.DataFrame(rows, columns=["recipe", "c_mm", "cause", "share_mm"])
 
 

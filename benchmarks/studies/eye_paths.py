@@ -26,7 +26,7 @@ from calibration.spots.cone_trials import (
     whitening_of,
 )
 from formats.inputs import read_toml
-from optics.viewing.camera import PathCamera, local_magnification, path_camera
+from optics.viewing.camera import PathCamera, path_camera
 from optics.viewing.eye import Eye, load_viewing_lens
 from optics.viewing.path import viewing_path
 from optics.viewing.trace import Conic, Element, Medium, Refracting
@@ -49,14 +49,7 @@ PATHS: dict[str, tuple[str, str]] = {
 
 
 class Spots(NamedTuple):
-    """Spots on a retina; mm and rad, arrays of one shape.
-
-    Attributes:
-        eccentricity: c, mm.
-        distance: d, mm.
-        incidence: angle against the local normal, rad.
-        incidence_azimuth: of the tilt, rad; as in `optics.beam_at_spot`.
-    """
+    """Spots on a retina: c and d, mm, and the beam's tilt, rad, as in `optics.beam_at_spot`."""
 
     eccentricity: Float[Array, "*batch"]
     distance: Float[Array, "*batch"]
@@ -164,19 +157,8 @@ def image(
     *,
     sees: Callable[[Float[Array, "n 3"]], Bool[Array, "n"]] = lambda _: jnp.ones((), bool),
 ) -> Seen:
-    """One spot on a wall.
-
-    Args:
-        sees: which points of the wall are not hidden.
-    """
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=spot.eccentricity,
-        distance=spot.distance,
-        incidence=spot.incidence,
-        incidence_azimuth=spot.incidence_azimuth,
-        **CONE,
-    )
+    """One spot on a wall; `sees` says which points of the wall are not hidden."""
+    beam = optics.beam_at_spot(wall, **spot._asdict(), **CONE)
     contour = optics.cone_contour(beam, wall, points=_POINTS).point
     ellipse = optics.ellipse_of_contour(camera.project(contour))
     axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
@@ -259,35 +241,23 @@ class Drawn(NamedTuple):
 
 
 def _eye(of: dict[str, Float[Array, ""]], constant: dict[str, float]) -> Eye:
-    cornea = Conic(
-        depth=0.0,
-        curvature=1.0 / of["cornea_front_radius"],
-        asphericity=of["cornea_front_asphericity"],
-    )
-    back = Conic(
-        depth=of["cornea_thickness"],
-        curvature=1.0 / of["cornea_back_radius"],
-        asphericity=of["cornea_back_asphericity"],
-    )
-    lens_front = Conic(
-        depth=of["lens_depth"],
-        curvature=1.0 / of["lens_front_radius"],
-        asphericity=constant["lens_front_asphericity"],
-    )
-    lens_back = Conic(
-        depth=of["lens_depth"] + of["lens_thickness"],
-        curvature=1.0 / of["lens_back_radius"],
-        asphericity=constant["lens_back_asphericity"],
-    )
+    every = of | constant
+
+    def surface(name: str, depth: Any, index_behind: str) -> Refracting:
+        curvature, asphericity = 1.0 / every[f"{name}_radius"], every[f"{name}_asphericity"]
+        conic = Conic(depth=depth, curvature=curvature, asphericity=asphericity)
+        return Refracting(conic, Medium(every[index_behind]))
+
+    behind = of["lens_depth"] + of["lens_thickness"]
     return Eye(
         cornea=(
-            Refracting(cornea, Medium(constant["cornea_index"])),
-            Refracting(back, Medium(constant["aqueous_index"])),
+            surface("cornea_front", 0.0, "cornea_index"),
+            surface("cornea_back", of["cornea_thickness"], "aqueous_index"),
         ),
         iris_depth=of["lens_depth"],
         lens=(
-            Refracting(lens_front, Medium(of["lens_index"])),
-            Refracting(lens_back, Medium(constant["vitreous_index"])),
+            surface("lens_front", of["lens_depth"], "lens_index"),
+            surface("lens_back", behind, "vitreous_index"),
         ),
         axial_length=of["axial_length"],
         retina_semi_axes=jnp.stack([of["retina_x"], of["retina_y"], of["retina_z"]]),
@@ -310,34 +280,17 @@ towards the axis or away from it as no pinhole does."""
 
 
 class Recipe(StrEnum):
-    """Ways to a distance, from what has to be known least to most."""
+    """Ways to a distance, from what has to be known least to most; the page says how they work."""
 
     PLANAR = "planar"
-    """The closed form for a plane; nothing is known of the eye."""
-
     SMALL_PLANE = "small_plane"
-    """The paper's closed form; nothing is known of the eye."""
-
     STEREOGRAPHIC = "stereographic"
-    """The closed form for a pinhole on the sphere; nothing is known of the eye."""
-
     PARAXIAL = "corrected, paraxial pinhole"
-    """`corrected` with the paraxial pinhole of the schematic eye's path."""
-
     LOCAL = "corrected, schematic eye"
-    """`corrected` with the schematic eye's own local magnification."""
-
     FITTED = "corrected, fitted pinhole"
-    """`corrected` with a pinhole and a sphere fitted in this eye."""
-
     EXACT_SCHEMATIC = "exact, schematic eye"
-    """Exact geometry through the schematic eye onto its retina, and the ellipse's area."""
-
     AREA_SCHEMATIC = "area, schematic pinhole"
-    """Exact geometry and the ellipse's area; pinhole and sphere fitted in the schematic eye."""
-
     AREA = "area, fitted pinhole"
-    """Exact geometry and the ellipse's area; pinhole and sphere fitted in this eye."""
 
 
 def withdrawals() -> Spots:
@@ -363,21 +316,15 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
     """
     distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
     # A hidden contour may have no values, and its weight is 0.
-    centre, minor, major, angle = (
-        jnp.where(seen.visible, value, instead)
-        for value, instead in (
-            (jnp.moveaxis(seen.centre, -1, 0), 0.0),
-            (seen.semi_axes[..., 0], 1.0),
-            (seen.semi_axes[..., 1], 1.0),
-            (seen.angle, 0.0),
-        )
-    )
+    centre = jnp.where(seen.visible[..., None], seen.centre, 0.0)
+    minor, major = (jnp.where(seen.visible, seen.semi_axes[..., k], 1.0) for k in (0, 1))
+    angle = jnp.where(seen.visible, seen.angle, 0.0)
     sigma = jnp.broadcast_to(_SIGMA_PX, (*minor.shape, 5))
     # Noise turns an outline that is nearly round by much.
     sigma = sigma.at[..., 4].divide(jnp.maximum(major - minor, _SIGMA_PX))
     off = sigma * noise
     ellipses = optics.Ellipse(
-        jnp.moveaxis(centre, 0, -1) + off[..., :2],
+        centre + off[..., :2],
         major + off[..., 2],
         minor + off[..., 3],
         angle + off[..., 4],
@@ -488,21 +435,3 @@ def distance_by_closed_form(
             inverse_working_distance=pinhole.kappa,
         )
     )
-
-
-def distance_by_local_magnification(semi_minor: np.ndarray, factor: np.ndarray) -> np.ndarray:
-    """Distance with e1 = delta e1' times a factor that depends on c, mm (`local_factor`)."""
-    return np.asarray(
-        optics.sphere_distance(
-            spot_radius=SCALE_MM_PX * semi_minor * factor,
-            k=1.0 / np.tan(CONE["half_angle"]),
-            b=CONE["apex_offset"],
-            eye_radius=NOMINAL_RADIUS_MM,
-        )
-    )
-
-
-def local_factor(camera: PathCamera, eccentricity: np.ndarray) -> np.ndarray:
-    """1/min(h/c, dh/ds): mm on the wall per mm of a small spot's semi-minor image, by c."""
-    wall = optics.Sphere(NOMINAL_RADIUS_MM)
-    return 1.0 / np.asarray(local_magnification(camera, wall, eccentricity=eccentricity))[..., 1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,15 +23,15 @@ import optics
 import scenes
 from benchmarks import reporting as page
 from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, mean, rms, track_stack
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, mean, rms, withdrawal
 from benchmarks.reporting import number, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
 from estimator import Ranger
 from formats.calibration import Calibration
 from formats.microscope import read_microscope
-from formats.stack import Stack
-from scenes import Scene, SceneError
+from formats.stack import Stack, read_stack
+from scenes import Scene
 from scenes.world.labels import study_calibration, true_calibration
 from scenes.world.world import Cone, World, lens_light
 
@@ -45,16 +46,11 @@ CONE = "cone"
 
 
 class Method(StrEnum):
-    """Methods to compute a distance from a radius."""
+    """Methods to compute a distance from a radius; the page says how they work."""
 
     AIR_CONE = "cone of air"
-    """The cone calibrated in air."""
-
     LENS_CONE = "cone of the lens model"
-    """The cone that the same lens makes in the medium, computed."""
-
     LENS = "lens model"
-    """The lens's own curve in the medium."""
 
 
 class Regression(NamedTuple):
@@ -96,12 +92,7 @@ _LOOKED_UP_MM = np.linspace(0.05, 8.0, 1600)  # distances whose radii are compar
 
 
 def lens_curve(lens: str, medium: str) -> Curve:
-    """The curve of a glue lens; its light takes half a minute the first time and is then kept.
-
-    Args:
-        lens: preset name or path of a lens file.
-        medium: of `optics.MEDIA`.
-    """
+    """The curve of a glue lens; its light takes half a minute the first time and is then kept."""
     table = lens_light(lens, optics.MEDIA[medium]).table
     cone = optics.effective_cone(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
     unclear = optics.ambiguous_distances(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
@@ -134,7 +125,6 @@ def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.D
     Args:
         air: the light in air, where it was calibrated.
         medium: the same light where it is used; may be air.
-        distances: mm.
     """
     rows = []
     for d in distances.tolist():
@@ -158,11 +148,8 @@ _HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
 
 
 def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
-    """Withdrawals with each light: on a plane in air, in an eyeball in both media.
-
-    Args:
-        lights: lenses, and "cone".
-    """
+    """Withdrawals with each light: on a plane in air, in an eyeball in both media."""
+    moves = withdrawal(start_mm=NEAREST_MM, travel_mm=FARTHEST_MM - NEAREST_MM, frames=frames)
     return {
         f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
             scene,
@@ -170,11 +157,7 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
                 **({"source.kind": CONE} if light == CONE else {"source.lens": light}),
                 "source.medium": medium,
                 "phantom.kind": phantom,
-                "motion.kind": "withdrawal",
-                "motion.start_mm": NEAREST_MM,
-                "motion.travel_mm": FARTHEST_MM - NEAREST_MM,
-                "motion.frames": frames,
-                "exposures.kinds": ["metered"],
+                **moves,
                 "microscope.height_px": _HEIGHT_PX,
             },
         )
@@ -186,19 +169,15 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
 def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]) -> pd.DataFrame:
     """Render, track, calibrate in air and use: errors in the eyeball.
 
-    Args:
-        curves: by light and medium: what the lens model says without another fit.
+    `curves` are what the lens model says without another fit, by light and medium.
     """
     lights = list(dict.fromkeys(light for light, _ in curves))
     every = trials(study.scene, lights=lights, frames=frames)
 
-    def track(name: str, stack: Stack) -> tuple[Stack, pd.DataFrame]:
-        return stack, track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
-
-    tracked = study.measured(every, track)
+    tracked = study.tracked(every)
     errors = []
     for light in lights:
-        _, seen = tracked[f"{_slug(light)}-{AIR}-plane"]
+        seen = tracked[f"{_slug(light)}-{AIR}-plane"]
         used = seen[seen.used]
         # The robot's reading since the first frame, whose distance is known here.
         reading = NEAREST_MM + used.d_r_mm.to_numpy()
@@ -216,7 +195,8 @@ def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve
                 values = {"k": regression.k, "b": regression.b_mm}
                 calibrations[Method.LENS_CONE] = study_calibration("planar", values, medium=medium)
                 calibrations[Method.LENS] = true_calibration(every[name])
-            errors.append(_errors(every[name], *tracked[name], calibrations))
+            stack = read_stack(study.folder / "stacks" / name)
+            errors.append(_errors(every[name], stack, tracked[name], calibrations))
     return pd.concat(errors, ignore_index=True)
 
 
@@ -245,19 +225,6 @@ def _errors(
 
 _LENSES = ("paper-candidate", "dome")
 """A flat end and a round cap: the two kinds of drop."""
-
-
-def check(scene: Scene) -> None:
-    """Refuse a scene without a lens; the ideal cone, the control, does not change with the medium.
-
-    Raises:
-        SceneError: saying what to change.
-    """
-    if scene.source.kind != "lens":
-        raise SceneError(
-            "the study compares one lens in two media, and the ideal cone beside it; got "
-            f"source.kind '{scene.source.kind}'. Set source.kind=lens."
-        )
 
 
 # Figures.
@@ -467,6 +434,8 @@ def medium(
     seed: Seed = None,
 ) -> pd.DataFrame:
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
+    why = "the study compares one lens in two media, and the ideal cone beside it"
+    check = partial(Study.demand, needed={"source.kind": "lens"}, why=why)
     study = Study("medium", out, scene, changes, quick, seed, check=check)
     base = study.scene
     own = base.source.lens

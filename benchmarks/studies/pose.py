@@ -42,11 +42,11 @@ from calibration.spots.tool_pose import (
 )
 from estimator import Ranger, SubpixelSettings, TrackState
 from estimator import measure as measured
-from formats.microscope import MicroscopeFile, read_microscope
+from formats.microscope import read_microscope
 from formats.spots import NoSpot, Spot
 from formats.stack import Stack
 from formats.whole_files import written_whole
-from scenes import Scene, SceneError
+from scenes import Scene
 from scenes.world.labels import true_calibration
 from scenes.world.world import World
 
@@ -103,12 +103,7 @@ def three_spots(half_angle: float, apex_offset: float) -> Tool:
 
 
 class Place(NamedTuple):
-    """A pose of the working volume.
-
-    Attributes:
-        c_mm, d_mm, incidence_deg, azimuth_deg: the same by where the axis meets the wall.
-        outward: wall's normal at O.
-    """
+    """A pose of the working volume, and where its axis meets the wall, with the normal there."""
 
     pose: ToolPose
     c_mm: float
@@ -144,13 +139,8 @@ def place_at(
     return Place(ToolPose(tip, axis, roll), c, d, incidence_deg, azimuth_deg, outward)
 
 
-class Estimate(NamedTuple):
-    """An estimated pose: tip (3,) and distance in mm, axis (3,), the distance's own sigma in mm."""
-
-    tip: np.ndarray
-    axis: np.ndarray
-    distance: float
-    sigma_distance: float
+Estimate = tuple[np.ndarray, np.ndarray, float, float]
+"""An estimated pose: tip (3,), mm, axis (3,), distance and the distance's own sigma, mm."""
 
 
 def pose_error(
@@ -167,7 +157,7 @@ def pose_error(
         noise_px: of the contour's points.
         about: the first columns: source, spots, prior, z_f_mm.
     """
-    true = np.asarray(place.pose.axis)
+    true, (tip, axis, distance, sigma_distance) = np.asarray(place.pose.axis), found
     return {
         **about,
         "c_mm": place.c_mm,
@@ -175,13 +165,13 @@ def pose_error(
         "incidence_deg": place.incidence_deg,
         "azimuth_deg": place.azimuth_deg,
         "noise_px": noise_px,
-        "mirrored": is_mirrored(found.axis, true, place.outward),
-        "tip_error_mm": float(np.linalg.norm(found.tip - np.asarray(place.pose.tip))),
-        "axis_error_deg": angle_deg(found.axis, true),
-        "distance_error_mm": float(found.distance - place.d_mm),
+        "mirrored": is_mirrored(axis, true, place.outward),
+        "tip_error_mm": float(np.linalg.norm(tip - np.asarray(place.pose.tip))),
+        "axis_error_deg": angle_deg(axis, true),
+        "distance_error_mm": float(distance - place.d_mm),
         "tip_bound_mm": tip_bound(covariance),
         "axis_bound_deg": axis_bound_deg(covariance),
-        "sigma_distance_mm": float(found.sigma_distance),
+        "sigma_distance_mm": float(sigma_distance),
     }
 
 
@@ -220,14 +210,10 @@ def is_mirrored(found: np.ndarray, true: np.ndarray, outward: np.ndarray) -> boo
 
 
 def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
-    """Poses that fill the working volume evenly (scrambled Sobol points).
-
-    Args:
-        count: of poses; a power of two is balanced.
-    """
-    engine = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed))
-    low = [-HALF_WIDTH_MM, -HALF_WIDTH_MM, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]
-    high = [HALF_WIDTH_MM, HALF_WIDTH_MM, FARTHEST_MM, INCIDENCE_DEG[1], 360.0, 360.0]
+    """Poses that fill the working volume evenly: scrambled Sobol points."""
+    engine, half = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed)), HALF_WIDTH_MM
+    low = [-half, -half, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]
+    high = [half, half, FARTHEST_MM, INCIDENCE_DEG[1], 360.0, 360.0]
     return [
         place_at(
             wall,
@@ -259,11 +245,8 @@ def errors(
     truth = np.stack([np.asarray(place.pose.axis) for place in every])
     height = float(view.pinhole_height)
     rows = []
-    for prior, axes, covariances in (
-        (AxisPrior.ROUGH, drawn, bounds),
-        (AxisPrior.NONE, drawn, bounds),
-        (AxisPrior.KNOWN, truth, known),
-    ):
+    for prior in AxisPrior:
+        axes, covariances = (truth, known) if prior == AxisPrior.KNOWN else (drawn, bounds)
         found = _solved(tool, noisy, axes, prior, wall, view)
         about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
         for place, one, covariance in zip(every, found, covariances, strict=True):
@@ -287,23 +270,17 @@ def _solved(
             noisy[:, 0], axes, np.asarray(sigma), wall, view, tool.half_angle, tool.apex_offset
         )
         columns = (best.tip, best.axis, best.distance, best.distance_error)
-        return [Estimate(*row) for row in zip(*map(np.asarray, columns), strict=True)]
+        return list(zip(*map(np.asarray, columns), strict=True))
     ellipses, covariances = _ellipses(noisy)
-    fits = [
-        fit_tool(
-            tool,
+    found = []
+    for i, axis in enumerate(axes):
+        own, led = (
             jax.tree.map(itemgetter(i), ellipses),
-            covariances[i],
-            wall,
-            view,
-            optics.DirectionPrior(jnp.asarray(axes[i]), sigma),
+            optics.DirectionPrior(jnp.asarray(axis), sigma),
         )
-        for i in range(len(noisy))
-    ]
-    return [
-        Estimate(np.asarray(f.best.tip), np.asarray(f.best.axis), f.distance, math.nan)
-        for f in fits
-    ]
+        fit = fit_tool(tool, own, covariances[i], wall, view, led)
+        found.append((np.asarray(fit.best.tip), np.asarray(fit.best.axis), fit.distance, math.nan))
+    return found
 
 
 @partial(jax.jit, static_argnums=0)
@@ -384,12 +361,7 @@ def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
 
 
 def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[dict[str, Any]]:
-    """Render, track and solve with one spot and with three.
-
-    Args:
-        eccentricities: c of the wall points, mm.
-        poses: at each of them.
-    """
+    """Render, track and solve with one spot and with three, at each eccentricity (mm)."""
     given = World(study.scene).cone
     tools = (one_spot(*given), three_spots(*given))
     trials, every = {}, {}
@@ -403,20 +375,20 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
             STILL | {"spot.eccentricity_mm": c, "motion": {"kind": "recorded", "file": str(file)}},
         )
 
-    def track(name: str, stack: Stack) -> tuple[MicroscopeFile, list[Spot | NoSpot]]:
+    def track(name: str, stack: Stack) -> tuple[Ranger, list[Spot | NoSpot]]:
         # Single frames, since a tracker rejects the jumps from one frame to the next.
         images, settings = map(stack.image, stack.labels), SubpixelSettings()
         found = [measured(image, TrackState(), settings)[0] for image in images]
         write_results(study.spots_file(name), stack.labels, found, mode="subpixel")
-        return read_microscope(stack.folder / "microscope.json"), found
+        microscope = read_microscope(stack.folder / "microscope.json")
+        return Ranger(true_calibration(trials[name]), microscope), found
 
     rng = np.random.default_rng([study.seed, 2])
     rows = []
-    for name, (microscope, measured_spots) in study.measured(trials, track).items():
-        results = iter(measured_spots)
-        ranger = Ranger(true_calibration(trials[name]), microscope)
+    for name, (ranger, results) in study.measured(trials, track).items():
+        lit = iter(results)
         for place in every[name]:
-            of_tool = {tool: [next(results) for _ in range(tool.cones)] for tool in tools}
+            of_tool = {tool: [next(lit) for _ in range(tool.cones)] for tool in tools}
             prior = drawn_prior(np.asarray(place.pose.axis), rng)
             for tool, seen in of_tool.items():
                 found = [result for result in seen if isinstance(result, Spot)]
@@ -467,7 +439,7 @@ def _errors(
         if tool.cones == 1 and not known:
             alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=SIGMA_RAD[kind])
             pose = alone.poses[0]
-            found = Estimate(pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm)
+            found = pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm
         else:
             x, y, *columns = jnp.array([spot.ellipse for spot in seen]).T
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
@@ -479,19 +451,10 @@ def _errors(
             per_mm = place.outward / float(place.outward @ true)
             sigma_distance = math.sqrt(per_mm @ covariance @ per_mm) if known else math.nan
             tip, towards = np.asarray(fit.best.tip), np.asarray(fit.best.axis)
-            found = Estimate(tip, towards, fit.distance, sigma_distance)
-        rows.append(
-            pose_error(
-                place,
-                found,
-                source="rendered",
-                spots=tool.cones,
-                prior=kind,
-                z_f_mm=microscope.pinhole_height_mm,
-                noise_px=sigma,
-                covariance=covariance,
-            )
-        )
+            found = tip, towards, fit.distance, sigma_distance
+        about = {"source": "rendered", "spots": tool.cones, "prior": kind}
+        about["z_f_mm"] = microscope.pinhole_height_mm
+        rows.append(pose_error(place, found, noise_px=sigma, covariance=covariance, **about))
     return rows
 
 
@@ -510,18 +473,12 @@ REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
 
 
 def check(scene: Scene) -> None:
-    """Refuse a scene whose spots have no pose in the working volume.
-
-    Raises:
-        SceneError: saying what to change.
-    """
+    """Refuse a scene whose spots have no pose in the working volume."""
     reach = np.sqrt(2) * HALF_WIDTH_MM
     require_roomy_eyeball(scene, f"spots reach {reach:.1f} mm from the axis")
-    if scene.source.kind != "cone":
-        raise SceneError(
-            "the study computes poses from a spot's sharp edge; got source.kind "
-            f"'{scene.source.kind}'. Set source.kind=cone."
-        )
+    Study.demand(
+        scene, {"source.kind": "cone"}, "the study computes poses from a spot's sharp edge"
+    )
 
 
 def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
@@ -556,9 +513,7 @@ def scatter(rows: pd.DataFrame) -> pd.Series:
     first = rows.iloc[0]
     return pd.Series(
         {
-            "source": first.source,
-            "spots": first.spots,
-            "prior": first.prior,
+            **first[["source", "spots", "prior"]],
             "z_f_mm": first.z_f_mm if rows.z_f_mm.nunique() == 1 else np.nan,
             "poses": len(rows),
             "mirrored": 1.0 - len(right) / len(rows),
@@ -762,11 +717,8 @@ def pose(
     with study.timed("noise on exact contours"):
         rows = _analytic(study, one=64 if quick else 1024, three=32 if quick else 128)
     with study.timed("render and measure"):
-        rows += measure(
-            study,
-            eccentricities=np.linspace(0.0, LARGEST_C_MM, 2 if quick else 6).tolist(),
-            poses=3 if quick else 6,
-        )
+        c = np.linspace(0.0, LARGEST_C_MM, 2 if quick else 6).tolist()
+        rows += measure(study, eccentricities=c, poses=3 if quick else 6)
     errors = pd.DataFrame(rows)
     study.publish(_report, errors)
     return errors

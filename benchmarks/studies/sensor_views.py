@@ -71,14 +71,8 @@ Numbers = Any
 class InstrumentPlace(NamedTuple):
     """An instrument at the wall, and the light guide that makes its shadow; mm, eye frame.
 
-    Attributes:
-        eccentricity: c, mm.
-        distance: d = |SO|, mm.
-        tip: S, 3.
-        axis: unit vector of the instrument, from its trocar to O, 3.
-        spot: O, 3.
-        lamp: end of the light guide, 3.
-        lamp_axis: unit vector of the light guide, 3.
+    c, d = |SO|, the tip S, the instrument's unit vector from its trocar to O, the spot O, the light
+    guide's end, and its unit vector.
     """
 
     eccentricity: Numbers
@@ -93,10 +87,7 @@ class InstrumentPlace(NamedTuple):
 class Views(NamedTuple):
     """The microscopes of one path, each with the pole in the middle of its image.
 
-    Attributes:
-        centre: on the eye's axis; it sees the spot and the shadow.
-        left: half of the stereo pair.
-        right: the other half.
+    The one in the centre, on the eye's axis, sees the spot and the shadow; the others are the pair.
     """
 
     centre: optics.Camera
@@ -105,12 +96,7 @@ class Views(NamedTuple):
 
 
 def place(*, eccentricity: float, distance: float) -> InstrumentPlace:
-    """The instrument through its trocar, the light guide through the other one.
-
-    Args:
-        eccentricity: c of the point O that the instrument points to, mm.
-        distance: d from its tip to O, mm.
-    """
+    """The instrument through its trocar, d from O at c (mm); the light guide through the other."""
     azimuth = math.radians(SPOT_AZIMUTH_DEG)
     wall = optics.Sphere(RADIUS_MM)
     spot = np.asarray(wall.frame_at(eccentricity=eccentricity, azimuth=azimuth).origin)
@@ -154,25 +140,23 @@ def _views(seen: ViewingPath, *, bare: bool, inverted: bool) -> Views:
         # A stereo inverter turns both images, and exchanges them; else near would look far.
         for x in ((half, -half) if inverted else (-half, half))
     )
-    return Views(*(_centred_on_pole(camera) for camera in (centre, left, right)))
+    every = centre, left, right
+    poles = [jnp.stack([jnp.zeros(()), jnp.zeros(()), camera.pole_height]) for camera in every]
+    return Views(*(centred(of, pole, (0.0, 0.0)) for of, pole in zip(every, poles, strict=True)))
 
 
 project = eqx.filter_jit(lambda camera, points: camera.project(points))
 """Image of points by a camera, compiled."""
 
 
-def centred(camera: optics.Camera, point: np.ndarray) -> optics.Camera:
-    """The camera with its window centred on a point."""
-    middle = np.array([(WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2])
-    shift = middle - np.asarray(project(camera, point[None]))[0]
+def centred(
+    camera: optics.Camera,
+    point: Numbers,
+    at: tuple[float, float] = ((WIDTH_PX - 1) / 2, (HEIGHT_PX - 1) / 2),
+) -> optics.Camera:
+    """The camera that shows a point at a pixel, by default in the middle of its window."""
+    shift = jnp.array(at) - project(camera, point[None])[0]
     return eqx.tree_at(lambda c: c.principal_point, camera, camera.principal_point + shift)
-
-
-def _centred_on_pole(camera: optics.Camera) -> optics.Camera:
-    """The camera with the retinal pole at pixel (0, 0)."""
-    pole = jnp.stack([jnp.zeros(()), jnp.zeros(()), camera.pole_height])
-    shift = camera.project(pole)
-    return eqx.tree_at(lambda c: c.principal_point, camera, camera.principal_point - shift)
 
 
 def _through(lens: str | None) -> ViewingPath:
@@ -208,7 +192,7 @@ _COARSE_STEP_PX, _STEP_PX = 2.0, 1.0
 image is interpolated linearly."""
 _SMOOTH_PX = 1.5  # the standard deviation at which noise and the steps of a penumbra vanish
 _BACK_MM = 1.0  # length of the instrument whose outline is used
-_KEPT = 0.3  # of that length, from its back, is left out: the instrument does not end there
+_BACK_LEFT_OUT = 0.3  # share of that length: the instrument does not end at its back
 _SHAFT_MM = 8.0  # length of the instrument that may hide the wall near O
 
 _PATCH_MM, _PATCH_POINTS = 3.0, 41  # side of the wall's part around O that is matched
@@ -226,22 +210,29 @@ class OutlinePart(NamedTuple):
     normals: np.ndarray
 
 
-def tool_outline(one: InstrumentPlace, camera: optics.Camera) -> OutlinePart:
-    """Outline of the instrument's end in the image."""
-    return _outline(camera, *(_rim(one, behind) for behind in (0.0, _BACK_MM)))
-
-
-def shadow_outline(one: InstrumentPlace, camera: optics.Camera) -> OutlinePart:
-    """Outline of the shadow of the instrument's end in the image."""
-    rims = (_rim(one, behind) for behind in (0.0, _BACK_MM))
-    return _outline(camera, *(np.asarray(shadow_of(r, one.lamp)) for r in rims))
+def outline(one: InstrumentPlace, camera: optics.Camera, *, shadow: bool = False) -> OutlinePart:
+    """Outline of the instrument's end in the image, or of its shadow."""
+    front, back = (_rim(one, behind) for behind in (0.0, _BACK_MM))
+    if shadow:
+        front, back = (np.asarray(shadow_of(rim, one.lamp)) for rim in (front, back))
+    ends = [np.asarray(project(camera, rim)) for rim in (front, back)]
+    corners = _hull(np.concatenate(ends))
+    edges = np.roll(corners, -1, axis=0) - corners
+    counts = np.maximum(1, np.linalg.norm(edges, axis=1).round()).astype(int)
+    steps = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    points = np.repeat(corners, counts, axis=0) + steps[:, None] * np.repeat(edges, counts, axis=0)
+    # Corners run such that the outside is on this side.
+    outward = np.stack([edges[:, 1], -edges[:, 0]], axis=1)
+    normals = np.repeat(outward / np.linalg.norm(edges, axis=1, keepdims=True), counts, axis=0)
+    along = ends[0].mean(axis=0) - ends[1].mean(axis=0)
+    kept = (points - ends[1].mean(axis=0)) @ along > _BACK_LEFT_OUT * (along @ along)
+    return OutlinePart(points[kept], normals[kept])
 
 
 def found_shift(image: np.ndarray, outline: OutlinePart, *, dark: bool) -> np.ndarray:
-    """Shift of an outline at which the image is steepest across it, px.
+    """Shift of an outline at which the grey image, H x W, is steepest across it, px.
 
     Args:
-        image: grey, H x W.
         outline: where the labels say that it is.
         dark: whether the inside is known to be darker than the outside.
     """
@@ -265,12 +256,8 @@ def wall_height(
 ) -> float | None:
     """Height of the wall near O above the place where it is thought to be, mm; None if no texture.
 
-    Every height is tried: the wall's points are looked up in both images, and the height at which
-    the two agree best is the answer.
-
-    Args:
-        left: grey image.
-        one: place of the instrument, which hides a part of the wall.
+    Every height is tried: the wall's points are looked up in both grey images, and the height at
+    which the two agree best is the answer. The instrument hides a part of the wall.
     """
     textures = [
         gaussian_filter(image, _SMOOTH_PX) - gaussian_filter(image, _COARSE_PX)
@@ -309,24 +296,6 @@ def _rim(one: InstrumentPlace, behind: float, *, margin: float = 0.0) -> np.ndar
     first, second = map(np.asarray, optics.perpendicular_frame(one.axis))
     circle = np.cos(angle) * first + np.sin(angle) * second
     return one.tip - behind * one.axis + (TOOL_RADIUS_MM + margin) * circle
-
-
-def _outline(camera: optics.Camera, front: np.ndarray, back: np.ndarray) -> OutlinePart:
-    ends = [np.asarray(project(camera, rim)) for rim in (front, back)]
-    corners = _hull(np.concatenate(ends))
-    edges = np.roll(corners, -1, axis=0) - corners
-    lengths = np.linalg.norm(edges, axis=1)
-    points, normals = [], []
-    for corner, edge, length in zip(corners, edges, lengths, strict=True):
-        count = max(1, round(length))
-        steps = (np.arange(count) + 0.5) / count
-        points.append(corner + steps[:, None] * edge)
-        # Corners run such that the outside is on this side.
-        normals.append(np.tile(np.array([edge[1], -edge[0]]) / length, (count, 1)))
-    along = ends[0].mean(axis=0) - ends[1].mean(axis=0)
-    every = np.concatenate(points)
-    kept = (every - ends[1].mean(axis=0)) @ along > _KEPT * (along @ along)
-    return OutlinePart(every[kept], np.concatenate(normals)[kept])
 
 
 def _shaft(one: InstrumentPlace, camera: optics.Camera) -> np.ndarray:
@@ -392,11 +361,7 @@ class Pictures(NamedTuple):
 
 
 def base_scene(scene: Scene, path: str, wall: str, *, eccentricity: float) -> Scene:
-    """The study's scene through a path, with its window centred on O.
-
-    Args:
-        eccentricity: c of O, mm.
-    """
+    """The study's scene through a path, with its window centred on O at c (mm)."""
     lens = PATHS[path]
     eye = {
         "viewing.eye": EYE,
@@ -548,10 +513,8 @@ class ReadingOutcome(StrEnum):
 class Known(NamedTuple):
     """What the sensors take as known; a wrong assumption is a wrong value here.
 
-    Attributes:
-        radius: of the wall's sphere, mm; its pole is at the cameras' pole height.
-        lamp: end of the light guide, mm.
-        axis: unit vector of the instrument.
+    The cameras; the radius of the wall's sphere, whose pole is at the cameras' pole height, mm; the
+    light guide's end, mm; and the instrument's unit vector.
     """
 
     views: Views
@@ -563,12 +526,8 @@ class Known(NamedTuple):
 class Marks(NamedTuple):
     """What is measured in the images, px.
 
-    Attributes:
-        contour: edge of the spot in the central image, n x 2.
-        tip: the instrument's tip in the central image.
-        shadow: the shadow of the tip there.
-        tip_pair: the tip in the left and the right image, 2 x 2.
-        wall_pair: a point of the wall near O in the left and the right image, 2 x 2.
+    In the central image the spot's edge, n x 2, the tip and its shadow; in the left and the right
+    image the tip, and a point of the wall near O, 2 x 2.
     """
 
     contour: Numbers
@@ -586,13 +545,7 @@ def marks_of(place: InstrumentPlace, views: Views, *, points: int) -> Marks:
     central = views.centre.project(jnp.concatenate([contour, jnp.stack([place.tip, shadow])]))
     both = jnp.stack([place.tip, place.spot])
     pair = jnp.stack([camera.project(both) for camera in (views.left, views.right)])
-    return Marks(
-        contour=central[:-2],
-        tip=central[-2],
-        shadow=central[-1],
-        tip_pair=pair[:, 0],
-        wall_pair=pair[:, 1],
-    )
+    return Marks(central[:-2], central[-2], central[-1], pair[:, 0], pair[:, 1])
 
 
 def shadow_of(point: Numbers, lamp: Numbers) -> Numbers:
@@ -612,14 +565,10 @@ def by_spot(ellipse: optics.Ellipse, known: Known) -> Numbers:
 
 @eqx.filter_jit
 def by_shadow(tip: Numbers, shadow: Numbers, known: Known) -> Numbers:
-    """d by the tip and its shadow in one image, mm.
+    """d by the tip and its shadow in one image (px), mm.
 
     The shadow's line of sight meets the wall at a point; the line from there to the lamp and the
     tip's line of sight meet at the tip.
-
-    Args:
-        tip: its image, px.
-        shadow: image of its shadow, px.
     """
     wall = optics.Sphere(known.radius)
     points, directions = known.views.centre.ray(jnp.stack([tip, shadow]))
@@ -629,13 +578,9 @@ def by_shadow(tip: Numbers, shadow: Numbers, known: Known) -> Numbers:
 
 
 def by_stereo(tip_pair: Numbers, wall_pair: Numbers, known: Known) -> Numbers:
-    """d by the tip and a point of the wall in a stereo pair, mm.
+    """d by the tip and a point of the wall in a stereo pair (px), mm.
 
     The wall's point says how high the wall lies; the wall's curvature is known.
-
-    Args:
-        tip_pair: the tip in the left and the right image, px.
-        wall_pair: the point of the wall, px.
     """
     tip, wall = in_space(jnp.stack([tip_pair, wall_pair], axis=1), known.views)
     return distance_along(optics.Sphere(jnp.linalg.norm(wall)), tip, known)
@@ -653,14 +598,10 @@ def distance_along(wall: optics.Surface, tip: Numbers, known: Known) -> Numbers:
     return wall.intersect(tip, known.axis).distance
 
 
-def nearest_point(
-    first: tuple[Numbers, Numbers],
-    second: tuple[Numbers, Numbers],
-) -> Numbers:
+def nearest_point(first: tuple[Numbers, Numbers], second: tuple[Numbers, Numbers]) -> Numbers:
     """The point halfway between two lines where they are nearest, mm.
 
-    Args:
-        first: a point of a line, and its direction of any length, each ... x 3.
+    A line is a point and a direction of any length, each ... x 3.
     """
     (p, u), (q, v) = first, second
     u, v = (w / jnp.linalg.norm(w, axis=-1, keepdims=True) for w in (u, v))
@@ -676,23 +617,17 @@ def nearest_point(
 
 def outcomes_at(places: InstrumentPlace, seen: Views) -> dict[Sensor, list[ReadingOutcome]]:
     """Whether each sensor can see its marks, for places with a leading axis."""
-    inside, hidden = _visible(places, seen)
-    found = {
-        sensor: [
-            ReadingOutcome.READ if one else ReadingOutcome.OUT_OF_VIEW for one in np.asarray(there)
-        ]
-        for sensor, there in inside.items()
+    kinds = ReadingOutcome.READ, ReadingOutcome.HIDDEN, ReadingOutcome.OUT_OF_VIEW
+    hidden, in_view = jax.tree.map(np.asarray, _hidden_and_in_view(places, seen))
+    return {
+        sensor: [kinds[k] for k in np.where(inside, hidden & (sensor == Sensor.SHADOW), 2)]
+        for sensor, inside in in_view.items()
     }
-    found[Sensor.SHADOW] = [
-        ReadingOutcome.HIDDEN if outcome == ReadingOutcome.READ and behind else outcome
-        for outcome, behind in zip(found[Sensor.SHADOW], np.asarray(hidden), strict=True)
-    ]
-    return found
 
 
 @eqx.filter_jit
-def _visible(places: InstrumentPlace, seen: Views) -> tuple[dict[Sensor, Any], Any]:
-    def at(one: InstrumentPlace) -> tuple[dict[Sensor, Any], Any]:
+def _hidden_and_in_view(places: InstrumentPlace, seen: Views) -> tuple[Any, dict[Sensor, Any]]:
+    def at(one: InstrumentPlace) -> tuple[Any, dict[Sensor, Any]]:
         shadow = shadow_of(one.tip, one.lamp)
         edge = optics.cone_contour(beam_of(one), WALL, points=_EDGE).point
         marks = jnp.stack([one.spot, one.tip, shadow])
@@ -703,7 +638,7 @@ def _visible(places: InstrumentPlace, seen: Views) -> tuple[dict[Sensor, Any], A
             Sensor.STEREO: jnp.all(_in_view(seen.left, marks[:2]))
             & jnp.all(_in_view(seen.right, marks[:2])),
         }
-        return inside, _hides(one, seen.centre, shadow)
+        return _hides(one, seen.centre, shadow), inside
 
     return jax.vmap(at)(places)
 

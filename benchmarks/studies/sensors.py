@@ -26,7 +26,7 @@ import optics
 import scenes
 from benchmarks import reporting as page
 from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, SUBPIXEL, largest, track_stack
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, withdrawal
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import sensor_views
 from benchmarks.studies.sensor_views import (
@@ -52,15 +52,16 @@ from benchmarks.studies.sensor_views import (
     by_spot,
     by_stereo,
     centred,
+    found_shift,
     marks_of,
     outcomes_at,
+    outline,
     place,
     project,
     views,
 )
 from benchmarks.study import OutputFolder, Quick, Seed, Study
 from estimator.run.progress_bar import progress
-from formats.stack import Stack
 from scenes import Scene
 
 # What each sensor can reach: exact marks with stated noise, and with one wrong assumption.
@@ -80,14 +81,7 @@ class Assumed(NamedTuple):
 
 
 def expected(
-    path: str,
-    seen: Views,
-    pinholes: Views,
-    *,
-    eccentricities: np.ndarray,
-    distances: np.ndarray,
-    draws: int,
-    seed: int,
+    path: str, seen: Views, pinholes: Views, *, draws: int, seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Rows of expected.csv and of wrong.csv for one path.
 
@@ -96,30 +90,27 @@ def expected(
 
     Args:
         pinholes: cameras at the same places without a path.
-        eccentricities: c, mm.
-        distances: d, mm.
         draws: of the noise at each place.
     """
-    every = [
-        place(eccentricity=c, distance=d)
-        for c in eccentricities.tolist()
-        for d in distances.tolist()
-    ]
-    places = InstrumentPlace(*map(np.stack, zip(*every, strict=True)))
+    pairs = product((0.0, 1.5, 3.0), (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0))
+    places = stacked([place(eccentricity=c, distance=d) for c, d in pairs])
     true, outcomes = _marks(places, seen), outcomes_at(places, seen)
     rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
     noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
-    right = Assumed(places.lamp, places.axis, np.zeros(len(every)))
+    right = Assumed(places.lamp, places.axis, np.zeros(places.distance.size))
     noisy = [
         _read(jax.tree.map(add, true, jax.tree.map(itemgetter(k), noise)), right, seen)
         for k in range(draws)
     ]
     off = math.tan(math.radians(_AXIS_OFF_DEG))
-    turned = [_units(places.axis + aside) for aside in _aside(places.axis, off)]
+    turned = [places.axis + aside for aside in _aside(places.axis, off)]
     lamps = [places.lamp + aside for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)]
     assumed = {
         Wrong.LAMP: [right._replace(lamp=lamp) for lamp in lamps],
-        Wrong.AXIS: [right._replace(axis=axis) for axis in turned],
+        Wrong.AXIS: [
+            right._replace(axis=axis / np.linalg.norm(axis, axis=-1, keepdims=True))
+            for axis in turned
+        ],
         Wrong.RADIUS: [right._replace(lower=right.lower + _RADIUS_OFF_MM)],
     }
     read = {} if path == "pinhole" else {Wrong.PATH: [_read(true, right, pinholes)]}
@@ -143,6 +134,11 @@ def expected(
     columns = ["sensor", "path", "wrong", "c_mm", "d_mm", "error_mm"]
     wrongs = pd.concat(biases, ignore_index=True)[columns]
     return pd.concat(sigmas, ignore_index=True), wrongs
+
+
+def stacked(every: Sequence[InstrumentPlace]) -> InstrumentPlace:
+    """Places with a leading axis."""
+    return InstrumentPlace(*map(np.stack, zip(*every, strict=True)))
 
 
 @eqx.filter_jit
@@ -185,10 +181,6 @@ def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:
     return [size * (math.cos(a) * first + math.sin(a) * second) for a in angles]
 
 
-def _units(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
-
-
 # The rendered part: all three sensors read distances from pictures of the same places.
 
 READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
@@ -227,41 +219,14 @@ class Trial(NamedTuple):
         return sensor, self.path, self.wall, self.c, true, outcome, d - true, off
 
 
-def trials(
-    scene: Scene,
-    *,
-    paths: Sequence[str],
-    walls: Sequence[str],
-    eccentricities: Sequence[float],
-    distances: Sequence[float],
-) -> list[Trial]:
-    """All combinations of paths, walls and eccentricities, each with all distances."""
-    cameras = {path: views(path) for path in paths}
-    return [
-        Trial(
-            path,
-            wall,
-            c,
-            sensor_views.base_scene(scene, path, wall, eccentricity=c),
-            [place(eccentricity=c, distance=d) for d in distances],
-            cameras[path],
-        )
-        for path, wall, c in product(paths, walls, eccentricities)
-    ]
-
-
 def by_spots(study: Study, every: Sequence[Trial]) -> list[tuple[Any, ...]]:
     """Readings of the spot: a withdrawal with each trial's distances, tracked and read exactly."""
-    named = {trial.name: trial for trial in every}
-
-    def read(name: str, stack: Stack) -> list[tuple[Any, ...]]:
-        trial = named[name]
-        spots = track_stack(stack, SUBPIXEL, spots_file=study.spots_file(name))
-        pairs = zip(trial.places, rows_of(spots), strict=True)
-        return [trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row)) for one, row in pairs]
-
-    found = study.measured({name: _withdrawal(t) for name, t in named.items()}, read)
-    return [reading for readings in found.values() for reading in readings]
+    spots = study.tracked({trial.name: _withdrawal(trial) for trial in every})
+    return [
+        trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row))
+        for trial in every
+        for one, row in zip(trial.places, rows_of(spots[trial.name]), strict=True)
+    ]
 
 
 def by_pictures(
@@ -271,8 +236,7 @@ def by_pictures(
     readings, kept = [], {}
     with progress("Photographing", total=sum(len(trial.places) for trial in every)) as advance:
         for trial in every:
-            places = InstrumentPlace(*map(np.stack, zip(*trial.places, strict=True)))
-            in_view = outcomes_at(places, trial.seen)
+            in_view = outcomes_at(stacked(trial.places), trial.seen)
             for k, one in enumerate(trial.places):
                 taken = sensor_views.pictures(trial.scene, one, trial.seen)
                 for sensor, measure in ((Sensor.SHADOW, _shadow), (Sensor.STEREO, _stereo)):
@@ -288,6 +252,7 @@ def by_pictures(
 def _withdrawal(trial: Trial) -> Scene:
     """Frames at the trial's distances, which are evenly spaced."""
     first, last = trial.places[0], trial.places[-1]
+    start, travel = float(first.distance), float(last.distance - first.distance)
     frame = optics.Sphere(RADIUS_MM).frame_at(
         eccentricity=trial.c, azimuth=math.radians(trial.scene.spot.azimuth_deg)
     )
@@ -302,11 +267,7 @@ def _withdrawal(trial: Trial) -> Scene:
             "source.cone_apex_offset_mm": CONE["apex_offset"],
             "spot.incidence_deg": math.degrees(math.acos(out)),
             "spot.incidence_azimuth_deg": math.degrees(math.atan2(across, along)),
-            "motion.kind": "withdrawal",
-            "motion.start_mm": float(first.distance),
-            "motion.travel_mm": float(last.distance - first.distance),
-            "motion.frames": len(trial.places),
-            "exposures.kinds": ["metered"],
+            **withdrawal(start_mm=start, travel_mm=travel, frames=len(trial.places)),
         },
     )
 
@@ -336,8 +297,9 @@ def _spot(one: InstrumentPlace, seen: Views, row: Any) -> Read:
 
 def _shadow(one: InstrumentPlace, taken: Pictures) -> Read:
     camera, image = taken.seen.centre, sensor_views.grey(taken.centre)
-    tip = sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
-    shadow = sensor_views.found_shift(image, sensor_views.shadow_outline(one, camera), dark=True)
+    tip, shadow = (
+        found_shift(image, outline(one, camera, shadow=dark), dark=dark) for dark in (False, True)
+    )
     distance = by_shadow(
         _image(camera, one.tip) + tip,
         _image(camera, np.asarray(sensor_views.shadow_of(one.tip, one.lamp))) + shadow,
@@ -354,7 +316,7 @@ def _stereo(one: InstrumentPlace, taken: Pictures) -> Read:
         return (ReadingOutcome.NO_TEXTURE,)
     pair = [taken.seen.left, taken.seen.right]
     shifts = [
-        sensor_views.found_shift(image, sensor_views.tool_outline(one, camera), dark=False)
+        found_shift(image, outline(one, camera), dark=False)
         for image, camera in zip(images, pair, strict=True)
     ]
     places = [_image(camera, one.tip) + shift for camera, shift in zip(pair, shifts, strict=True)]
@@ -366,14 +328,6 @@ def _stereo(one: InstrumentPlace, taken: Pictures) -> Read:
 
 def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
     return np.asarray(project(camera, point[None]))[0]
-
-
-_ECCENTRICITIES_MM = np.array([0.0, 1.5, 3.0])
-_DISTANCES_MM = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0])
-_DRAWS, _QUICK_DRAWS = 200, 50
-_WALLS = ("printed paper", "retina", "uniform")
-_RENDERED_C_MM, _QUICK_C_MM = (0.0, 3.0), (0.0,)
-_RENDERED_D_MM, _QUICK_D_MM = [1.0, 3.0, 5.0], [1.0, 4.0]
 
 
 # What the page shows.
@@ -611,35 +565,25 @@ def sensors(
     """Read one distance from the spot, from the instrument's shadow and from a stereo pair."""
     study = Study("sensors", out, quick=quick, seed=seed)
     paths = [*PATHS][:2] if quick else [*PATHS]
-    noise, wrong = [], []
     with study.timed("expected"):
-        pinholes = views("pinhole")
-        for path in paths:
-            some, biases = expected(
-                path,
-                views(path),
-                pinholes,
-                eccentricities=_ECCENTRICITIES_MM,
-                distances=_DISTANCES_MM,
-                draws=_QUICK_DRAWS if quick else _DRAWS,
-                seed=study.seed,
-            )
-            noise.append(some)
-            wrong.append(biases)
-    every = trials(
-        study.scene,
-        paths=paths,
-        walls=(_WALLS[0], _WALLS[-1]) if quick else _WALLS,
-        eccentricities=_QUICK_C_MM if quick else _RENDERED_C_MM,
-        distances=_QUICK_D_MM if quick else _RENDERED_D_MM,
-    )
+        how: dict[str, Any] = {"draws": 50 if quick else 200, "seed": study.seed}
+        cameras = {path: views(path) for path in paths}
+        found = [expected(path, seen, cameras["pinhole"], **how) for path, seen in cameras.items()]
+        noise, wrong = (pd.concat(of, ignore_index=True) for of in zip(*found, strict=True))
+    walls = ["printed paper", "uniform"] if quick else ["printed paper", "retina", "uniform"]
+    every = []
+    for path, wall, c in product(paths, walls, [0.0] if quick else [0.0, 3.0]):
+        scene = sensor_views.base_scene(study.scene, path, wall, eccentricity=c)
+        distances = [1.0, 4.0] if quick else [1.0, 3.0, 5.0]
+        own = [place(eccentricity=c, distance=d) for d in distances]
+        every.append(Trial(path, wall, c, scene, own, cameras[path]))
     with study.timed("render and measure spots"):
         readings = by_spots(study, every)
     with study.timed("render and measure shadows and stereo pairs"):
         others, kept = by_pictures(every)
     tables = {
-        "expected": pd.concat(noise, ignore_index=True),
-        "wrong": pd.concat(wrong, ignore_index=True),
+        "expected": noise,
+        "wrong": wrong,
         "readings": pd.DataFrame(readings + others, columns=READING),
     }
     study.publish(_report, tables, kept, study.scene.camera.full_scale_dn)

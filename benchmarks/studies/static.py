@@ -9,10 +9,11 @@ DIR/static_tables.csv  every run's Table I and II, in both modes
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from itertools import product
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -51,29 +52,14 @@ NONE, TOGETHER, ALL = "none", "together", "all"
 EVEN = -1
 """Number of the even wall among the textures."""
 
-Key = tuple[int, int, int]
-"""Trial, texture, tilt (-1, 0 or 1)."""
-
-
-class Measured(NamedTuple):
-    """e1' (px, NaN where no spot counts) and d_r (mm) of runs x trials x frames."""
-
-    semi_minor: np.ndarray
-    readings: np.ndarray
+Measured = tuple[np.ndarray, np.ndarray]
+"""e1' (px, NaN where no spot counts) and d_r (mm) of runs x trials x frames."""
 
 
 def check(scene: Scene) -> None:
-    """Refuse a scene that is not the paper's static experiment.
-
-    Raises:
-        SceneError: saying what to change.
-    """
-    motion = scene.motion
-    if motion.kind != "withdrawal" or motion.start_mm != "contact":
-        raise SceneError(
-            "the static experiment withdraws the tip from contact; got motion.kind "
-            f"'{motion.kind}'. Set motion.kind=withdrawal and motion.start_mm=contact."
-        )
+    """Refuse a scene that is not the paper's static experiment."""
+    needed = {"motion.kind": "withdrawal", "motion.start_mm": "contact"}
+    Study.demand(scene, needed, "the static experiment withdraws the tip from contact")
     if scene.spot.incidence_deg <= TILT_DEG:
         raise SceneError(
             f"the study tilts the plane by {TILT_DEG:g} deg either way; got spot.incidence_deg = "
@@ -81,36 +67,23 @@ def check(scene: Scene) -> None:
         )
 
 
-def rendered(
-    study: Study, *, textures: int, frames: int
-) -> tuple[dict[Key, paper.Photographer], list[paper.Photographer]]:
+def rendered(study: Study, *, textures: int, frames: int) -> dict[str, paper.Photographer]:
     """Every trial on the plane, on every wall and with every tilt; and those in the eyeball."""
-    trials = paper.paper_trials(source="lens", quick=True, seed=0)
-    planes, spheres = ([t for t in trials if t.kind == kind] for kind in ("plane", "sphere"))
-    wanted = {
-        f"plane-{trial + 1}-wall-{texture + 1}-tilt-{tilt + 1}": (
-            (trial, texture, tilt),
-            plane(study.scene, place, texture=texture, tilt=tilt, frames=frames),
-        )
-        for trial, place in enumerate(planes)
-        for texture in (EVEN, *range(textures))
-        for tilt in (-1, 0, 1)
-    }
-    stacks = study.stacks({name: scene for name, (_, scene) in wanted.items()})
-    in_eyeball = {
-        place.group.replace(" ", "-"): scenes.changed(
-            study.scene, {**paper.at_place(place, frames=frames), "phantom.kind": "eyeball"}
-        )
-        for place in spheres
-    }
-    others = study.stacks(in_eyeball)
-    return (
-        {
-            key: paper.Photographer(scene=scene, stack=stacks[n])
-            for n, (key, scene) in wanted.items()
-        },
-        [paper.Photographer(scene=scene, stack=others[n]) for n, scene in in_eyeball.items()],
-    )
+    wanted = {}
+    for trial, place in enumerate(paper.paper_trials(source="lens", quick=True, seed=0)):
+        if place.kind == "plane":
+            for texture, tilt in product((EVEN, *range(textures)), (-1, 0, 1)):
+                scene = plane(study.scene, place, texture=texture, tilt=tilt, frames=frames)
+                wanted[on_plane(trial, texture, tilt)] = scene
+        else:
+            changes = {**paper.at_place(place, frames=frames), "phantom.kind": "eyeball"}
+            wanted[place.group.replace(" ", "-")] = scenes.changed(study.scene, changes)
+    return study.photographers(wanted)
+
+
+def on_plane(trial: int, texture: int, tilt: int) -> str:
+    """Name of a withdrawal from the plane."""
+    return f"plane-{trial + 1}-wall-{texture + 1}-tilt-{tilt + 1}"
 
 
 def plane(scene: Scene, place: paper.StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
@@ -121,7 +94,7 @@ def plane(scene: Scene, place: paper.StaticTrial, *, texture: int, tilt: int, fr
         texture: number of the wall, EVEN for the even one.
         tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
     """
-    base = scene.spot
+    base, seed = scene.spot, scene.phantom.texture_seed + texture
     travels = place.scene.spot.azimuth_deg + base.incidence_azimuth_deg
     return scenes.changed(
         scene,
@@ -132,11 +105,7 @@ def plane(scene: Scene, place: paper.StaticTrial, *, texture: int, tilt: int, fr
             "phantom.tilt_deg": TILT_DEG * abs(tilt),
             "phantom.tilt_azimuth_deg": travels if tilt > 0 else travels + 180.0,
             "spot.incidence_deg": base.incidence_deg + TILT_DEG * tilt,
-            **(
-                {"phantom.wall": "uniform"}
-                if texture == EVEN
-                else {"phantom.texture_seed": scene.phantom.texture_seed + texture}
-            ),
+            **({"phantom.wall": "uniform"} if texture == EVEN else {"phantom.texture_seed": seed}),
         },
     )
 
@@ -174,8 +143,7 @@ def drawn(shape: tuple[int, int], *, textures: int, seed: int) -> dict[str, np.n
 class Bench:
     """Photographs and measures rendered withdrawals; the pool's workers measure."""
 
-    planes: Mapping[Key, paper.Photographer]
-    spheres: Sequence[paper.Photographer]
+    photographers: Mapping[str, paper.Photographer]
     draws: Mapping[str, np.ndarray]
     pool: Executor
 
@@ -197,12 +165,10 @@ class Bench:
         tasks = []
         for run, trial in np.ndindex(shape):
             own = {cause: values[run, trial].item() for cause, values in of.items()}
-            on_plane = self.planes[trial, own["texture"], own["tilt"]]
-            photographer = on_plane if wall == "plane" else self.spheres[trial]
-            shot = paper.Shot(
-                own["noise"] or None, light=own["exposure"], threshold=own["threshold"]
-            )
-            tasks.append((photographer, shot))
+            name = on_plane(trial, own["texture"], own["tilt"])
+            photographer = self.photographers[name if wall == "plane" else f"sphere-{trial + 1}"]
+            light = {"light": own["exposure"], "threshold": own["threshold"]}
+            tasks.append((photographer, paper.Shot(own["noise"] or None, **light)))
         shots: dict[paper.Photographer, dict[paper.Shot, None]] = {}
         for photographer, shot in tasks:
             shots.setdefault(photographer, {})[shot] = None
@@ -215,7 +181,7 @@ class Bench:
         semi_minor = np.reshape([found[task] for task in tasks], (*shape, -1))
         readings = np.reshape([photographer.readings for photographer, _ in tasks], (*shape, -1))
         seen = np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan)
-        return Measured(seen, readings - of["touch"][..., None])
+        return seen, readings - of["touch"][..., None]
 
 
 # Table I's R² and RMSE imply trials of 3.0, 3.5 and 3.7 mm (`eyespot study table-one`).
@@ -254,9 +220,9 @@ def _tables(way: str, spots: Mapping[tuple[str, str], Measured], scene: Scene) -
         columns = np.column_stack([getattr(own, quantity), getattr(pooled, quantity)])
         for run, values in enumerate(columns.tolist()):
             rows += [(way, run, t, quantity, v) for t, v in zip(paper.TABLE_I, values, strict=True)]
-    spheres = spots["sphere", way]
-    for run, trial in np.ndindex(spheres.semi_minor.shape[:2]):
-        axis, reading = spheres.semi_minor[run, trial], spheres.readings[run, trial]
+    semi_minor, readings = spots["sphere", way]
+    for run, trial in np.ndindex(semi_minor.shape[:2]):
+        axis, reading = semi_minor[run, trial], readings[run, trial]
         seen = np.isfinite(axis)
         if np.count_nonzero(seen) < _FEWEST_SPOTS:
             continue
@@ -287,19 +253,16 @@ def _spreads(tables: pd.DataFrame) -> pd.DataFrame:
     return found
 
 
-def parts(
-    semi_minor: Mapping[str, np.ndarray], readings: Mapping[str, np.ndarray], *, texture: np.ndarray
-) -> pd.DataFrame:
+def parts(variants: Mapping[str, Measured], *, texture: np.ndarray) -> pd.DataFrame:
     """Split the mean square error by cause, over paired runs.
 
     The error without causes plus all parts and "together" is the error with all causes.
 
     Args:
-        semi_minor: e1' by variant, runs x trials x frames, px: of NONE, of each cause, of ALL.
-        readings: d_r likewise, mm.
+        variants: what was measured with NONE, with each cause and with ALL.
         texture: which wall each run has; runs that share a wall count once in its standard error.
     """
-    both = {name: _lines(semi_minor[name], readings[name]) for name in semi_minor}
+    both = {name: _lines(*measured) for name, measured in variants.items()}
     squares = {
         OWN: {name: (own.rmse**2).mean(axis=1) for name, (own, _) in both.items()},
         POOLED: {name: pooled.rmse**2 for name, (_, pooled) in both.items()},
@@ -327,13 +290,12 @@ def parts(
 
 def _trials_figure(spots: Mapping[tuple[str, str], Measured]) -> Figure:
     """d_r against e1' of all runs: planes and spheres (rows), by way of measuring (columns)."""
-    highest = max(np.nanmax(measured.readings) for measured in spots.values())
+    highest = max(np.nanmax(readings) for _, readings in spots.values())
 
     def draw(axes: Axes, wall: str, way: str) -> None:
-        measured = spots[wall, way]
         names = paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II
         for n, (name, colour) in enumerate(zip(names, TRIAL_COLOURS, strict=True)):
-            points = measured.semi_minor[:, n].ravel(), measured.readings[:, n].ravel()
+            points = (of[:, n].ravel() for of in spots[wall, way])
             axes.plot(*points, ".", ms=2.5, alpha=0.5, color=colour, label=name)
         if wall == "plane":
             d = np.array([0.0, highest])
@@ -389,9 +351,9 @@ def _report(
     spreads = _spreads(tables)
     first_run = [
         (trial, way, d, e)
-        for (wall, way), measured in spots.items()
+        for (wall, way), (semi_minor, readings) in spots.items()
         for n, trial in enumerate(paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II)
-        for e, d in zip(measured.semi_minor[0, n], measured.readings[0, n], strict=True)
+        for e, d in zip(semi_minor[0, n], readings[0, n], strict=True)
     ]
     return page.Report(
         title="How much do the paper's Tables I and II scatter, and what causes their error?",
@@ -513,11 +475,7 @@ def _beside_the_paper(
         ("paper", trial, *(text(q, getattr(row, q)) for q in quantities))
         for trial, row in printed.items()
     ]
-    columns = [
-        page.Column("way"),
-        page.Column("trial"),
-        *(_QUANTITIES[name] for name in quantities),
-    ]
+    columns = [page.Column("way"), page.Column("trial"), *(_QUANTITIES[q] for q in quantities)]
     return page.Table(columns, rows, caption, "static_spread.csv")
 
 
@@ -537,26 +495,20 @@ def static(
     study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check)
     runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
     with study.timed("render"):
-        planes, spheres = rendered(study, textures=textures, frames=frames)
-    draws = drawn((runs, len(spheres)), textures=textures, seed=study.seed)
+        photographers = rendered(study, textures=textures, frames=frames)
+    draws = drawn((runs, len(paper.TABLE_II)), textures=textures, seed=study.seed)
     with study.timed("photograph and measure"), ThreadPoolExecutor(max_workers=2) as pool:
-        bench = Bench(planes=planes, spheres=spheres, draws=draws, pool=pool)
+        bench = Bench(photographers=photographers, draws=draws, pool=pool)
         variants = {cause: bench.measured([cause]) for cause in CAUSES}
         variants |= {NONE: bench.measured([]), ALL: bench.measured(CAUSES)}
         spots = {
             ("plane", paper.LITERAL.name): variants[ALL],
             ("plane", paper.SUBPIXEL.name): bench.measured(CAUSES, way=paper.SUBPIXEL),
-            **{
-                ("sphere", way.name): bench.measured(CAUSES, way=way, wall="sphere")
-                for way in (paper.LITERAL, paper.SUBPIXEL)
-            },
         }
+        for way in (paper.LITERAL, paper.SUBPIXEL):
+            spots["sphere", way.name] = bench.measured(CAUSES, way=way, wall="sphere")
     with study.timed("fit"):
         tables = pd.concat([_tables(way, spots, study.scene) for way in _WAYS], ignore_index=True)
-        causes = parts(
-            {name: m.semi_minor for name, m in variants.items()},
-            {name: m.readings for name, m in variants.items()},
-            texture=draws["texture"][:, 0],
-        )
+        causes = parts(variants, texture=draws["texture"][:, 0])
     study.publish(_report, runs, spots, tables, causes)
     return causes

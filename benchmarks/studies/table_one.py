@@ -32,7 +32,7 @@ from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, 
 from calibration import Lines, fit_lines
 from estimator import LiteralSettings
 from formats.whole_files import written_whole
-from scenes import Scene, SceneError
+from scenes import Scene
 from scenes.world.world import World
 
 
@@ -80,10 +80,8 @@ class Family(NamedTuple):
 class Isophotes:
     """Size of the spot over a fixed threshold, for one lens seen in one scene.
 
-    Attributes:
-        contact: d at reading 0, mm.
-        incidence: rad.
-        peak: irradiance at the level 1, per unit power, 1/mm².
+    `contact` is d at reading 0, mm; the incidence is in rad; `peak` is the irradiance at the level
+    1, per unit power, 1/mm².
     """
 
     family: Family
@@ -166,11 +164,14 @@ def misses(lines: Lines, *, scale: float | np.ndarray) -> np.ndarray:
     A line without noise may be straighter than the paper's.
     """
     asked = paper.reproduction(paper.TABLE_I)
-    delta_k, b = asked[paper.Criterion.DELTA_K], asked[paper.Criterion.B]
+
+    def off(value: np.ndarray, criterion: paper.Criterion) -> np.ndarray:
+        low, high = asked[criterion].low, asked[criterion].high
+        return np.abs(value - 0.5 * (low + high)) / (0.5 * (high - low))
+
     parts = [
-        np.abs(lines.delta_k * scale - 0.5 * (delta_k.low + delta_k.high))
-        / (0.5 * (delta_k.high - delta_k.low)),
-        np.abs(lines.b - 0.5 * (b.low + b.high)) / (0.5 * (b.high - b.low)),
+        off(lines.delta_k * scale, paper.Criterion.DELTA_K),
+        off(lines.b, paper.Criterion.B),
         (1.0 - lines.r_squared) / (1.0 - asked[paper.Criterion.R_SQUARED].low),
         lines.rmse / asked[paper.Criterion.RMSE].high,
     ]
@@ -181,10 +182,8 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> list[dict[str, Any]]:
     """The threshold and range at which a lens comes nearest to Table I, by each way of asking.
 
     Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; `miss` is the worst
-    deviation from Table I in units of its tolerance: up to 1, all criteria are met.
-
-    Args:
-        scale: delta of the scene, mm/px.
+    deviation from Table I in units of its tolerance: up to 1, all criteria are met. `scale` is the
+    scene's, mm/px.
     """
     every = readings(0.0, FARTHEST_MM)
     radius = isophotes.radius(every[None, :], level=LEVELS[:, None])
@@ -235,17 +234,16 @@ def family_of(choice: Any) -> Family:
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
 """Factors on the fixed exposure: a place of the picture reflects more or less than the mean."""
 _CHOICE = ["numerical_aperture", "sag_mm", "level", "from_mm", "to_mm", "scale_mm_px"]
+_LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmedLens:
     """A choice of the scan on rendered stacks.
 
-    Attributes:
-        choice: row of the scan, with the threshold and the first reading at which the rendered
-            spots come nearest to Table I.
-        spots: e1' (px, NaN where none counts) and d_r (mm) by (way, trial).
-        lines: rows of table_one_rendered.csv, "all planes" among the trials.
+    The row of the scan has the threshold and the first reading at which the rendered spots come
+    nearest to Table I. Spots are e1' (px, NaN where none counts) and d_r (mm) by (way, trial);
+    lines are rows of table_one_rendered.csv, "all planes" among the trials.
     """
 
     choice: Any
@@ -277,13 +275,17 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
     folder.mkdir(exist_ok=True)
     places = paper.paper_trials(source="lens", quick=True, seed=0)
     wanted = {}
+
+    def name(choice: Any, trial: str) -> str:
+        return f"{family_of(choice).name}-{trial.replace(' ', '-')}"
+
     for choice in choices:
         family = family_of(choice)
         lens = folder / f"{family.name}.toml"
         with written_whole(lens, replace=True) as partial:
             partial.write_text(tomli_w.dumps({"schema": 1, "lens": family.lens}))
         for number, place in enumerate(place for place in places if place.kind == "plane"):
-            wanted[choice, place.group] = scenes.changed(
+            wanted[name(choice, place.group)] = scenes.changed(
                 study.scene,
                 {
                     **paper.at_place(place, frames=frames),
@@ -295,16 +297,9 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
                 },
             )
 
-    def name(choice: Any, trial: str) -> str:
-        return f"{family_of(choice).name}-{trial.replace(' ', '-')}"
-
-    stacks = study.stacks({name(*key): scene for key, scene in wanted.items()})
-    photographers = {
-        key: paper.Photographer(scene=scene, stack=stacks[name(*key)])
-        for key, scene in wanted.items()
-    }
+    taken = study.photographers(wanted)
     return [
-        _confirmed(choice, {trial: photographers[choice, trial] for trial in paper.PAPERS_PLANES})
+        _confirmed(choice, {trial: taken[name(choice, trial)] for trial in paper.PAPERS_PLANES})
         for choice in choices
     ]
 
@@ -323,9 +318,11 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
         reading = np.concatenate([readings[trial] for trial in spots])
         return fit_lines(np.where(reading > start - 1e-6, axis, np.nan), reading)
 
+    def with_light(n: int) -> dict[str, np.ndarray]:
+        return {trial: each[n] for trial, each in measured.items()}
+
     def miss(candidate: tuple[int, float]) -> float:
-        n, start = candidate
-        spots = {trial: each[n] for trial, each in measured.items()}
+        spots, start = with_light(candidate[0]), candidate[1]
         together = line(spots, start)
         own = [line({trial: each}, start) for trial, each in spots.items()]
         # The slope of Table I is that of all trials together, its scatter that of each.
@@ -336,58 +333,35 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
     n, start = min(product(range(len(LIGHTS)), starts), key=miss)
     choice = choice._replace(level=choice.level / LIGHTS[n], from_mm=start)
     seen = {
-        paper.LITERAL.name: {trial: each[n] for trial, each in measured.items()},
+        paper.LITERAL.name: with_light(n),
         paper.SUBPIXEL.name: {
             t: p.measure(paper.SUBPIXEL, [paper.Shot(seed=p.scene.seed)])[0]
             for t, p in trials.items()
         },
     }
-    rows = []
+    about, rows = [getattr(choice, column) for column in _CHOICE], []
     for way, spots in seen.items():
         for trial, of in [*((t, {t: spots[t]}) for t in spots), (paper.ALL_PLANES, spots)]:
             found = paper.PlaneRow(*map(float, line(of, start)))
-            count = sum(
-                np.sum(np.isfinite(e) & (readings[t] > start - 1e-6)) for t, e in of.items()
-            )
-            rows.append((way, trial, *found, -found.b / found.delta_k, count))
-    columns = "way trial delta_k_mm_px b_mm r_squared rmse_mm contact_radius_px spots".split()
+            used = [np.isfinite(e) & (readings[t] > start - 1e-6) for t, e in of.items()]
+            rows.append((*about, way, trial, *found, -found.b / found.delta_k, np.sum(used)))
+    columns = [*_CHOICE, "way", "trial", *_LINE, "contact_radius_px", "spots"]
     lines = pd.DataFrame(rows, columns=columns)
-    for place, column in enumerate(_CHOICE):
-        lines.insert(place, column, getattr(choice, column))
     points = {(way, t): (e, readings[t]) for way, spots in seen.items() for t, e in spots.items()}
     return ConfirmedLens(choice=choice, spots=points, lines=lines)
 
 
-_APERTURES = (0.05, 0.08, 0.10, 0.12, 0.15, 0.20)
-_SAGS_MM = (0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.12)
 WIDE_APERTURE = 0.15
 """From here on the first scan, by ray binning, found no flat end that fits."""
 _CURVED_MM = 0.02
 
 
 def check(scene: Scene) -> None:
-    """Refuse a scene that cannot be compared with Table I.
-
-    Raises:
-        SceneError: saying what to change.
-    """
-    if scene.phantom.kind != "plane" or scene.phantom.tilt_deg:
-        raise SceneError(
-            "Table I is of a plane square to the microscope; got phantom.kind "
-            f"'{scene.phantom.kind}' with tilt_deg = {scene.phantom.tilt_deg:g}. Set "
-            "phantom.kind=plane and phantom.tilt_deg=0."
-        )
-    if scene.source.kind != "lens" or scene.motion.kind != "withdrawal":
-        raise SceneError(
-            "the study compares lenses on withdrawals from contact; got source.kind "
-            f"'{scene.source.kind}' and motion.kind '{scene.motion.kind}'. Set source.kind=lens "
-            "and motion.kind=withdrawal."
-        )
-    if scene.motion.start_mm != "contact":
-        raise SceneError(
-            "the paper counts its readings from contact; got motion.start_mm = "
-            f"{scene.motion.start_mm:g}. Set motion.start_mm=contact."
-        )
+    """Refuse a scene that cannot be compared with Table I."""
+    plane = {"phantom.kind": "plane", "phantom.tilt_deg": 0}
+    Study.demand(scene, plane, "Table I is of a plane square to the microscope")
+    lens = {"source.kind": "lens", "motion.kind": "withdrawal", "motion.start_mm": "contact"}
+    Study.demand(scene, lens, "the study compares lenses on withdrawals from contact")
 
 
 def to_render(scan: pd.DataFrame, *, quick: bool) -> list[Any]:
@@ -449,10 +423,8 @@ def causes(isophotes: Isophotes, choice: Any, scene: Scene) -> pd.DataFrame:
 def light_and_touch(row: paper.PlaneRow, other: paper.PlaneRow) -> tuple[float, float]:
     """The light and the missed touch that explain the difference of two lines of one lens.
 
-    Light moves delta k and b in proportion, so that -b/delta k stays; touch moves b alone.
-
-    Returns:
-        Ratio of the slopes, due to light; what touch adds to b, mm.
+    Light moves delta k and b in proportion, so that -b/delta k stays; touch moves b alone. The
+    result is the ratio of the slopes, due to light, and what touch adds to b, mm.
     """
     ratio = row.delta_k / other.delta_k
     return ratio, row.b - ratio * other.b
@@ -460,8 +432,7 @@ def light_and_touch(row: paper.PlaneRow, other: paper.PlaneRow) -> tuple[float, 
 
 def _against(own: paper.PlaneRow, lines: Mapping[str, paper.PlaneRow]) -> pd.DataFrame:
     """Content of table_one_causes.csv: lines, and their changes from the own one."""
-    columns = ["cause", "delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
-    found = pd.DataFrame([(name, *line) for name, line in lines.items()], columns=columns)
+    found = pd.DataFrame([(name, *line) for name, line in lines.items()], columns=["cause", *_LINE])
     found.insert(3, "contact_radius_px", -found.b_mm / found.delta_k_mm_px)
     return found.assign(
         delta_k_change_percent=100 * (found.delta_k_mm_px / own.delta_k - 1),
@@ -532,7 +503,6 @@ def _figure(
 _TRIALS = list(paper.PAPERS_PLANES.values())
 
 _LENS = ["numerical_aperture", "sag_mm"]
-_LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
 _CHANGES = ["delta_k_change_percent", "b_change_mm", "contact_radius_change_px"]
 
 
@@ -679,11 +649,11 @@ def table_one(
     """Find the lenses that give the paper's Table I, and why its trials differ."""
     study = Study("table-one", out, scene, changes, quick, seed, ("phantom.kind=plane",), check)
     base = study.scene
-    wanted = [
-        Family(aperture, sag)
-        for aperture in ((0.05, 0.10, 0.15, 0.20) if quick else _APERTURES)
-        for sag in ((0.0, 0.04) if quick else _SAGS_MM)
-    ]
+    apertures, sags = [0.05, 0.10, 0.15, 0.20], [0.0, 0.04]
+    if not quick:
+        apertures = [0.05, 0.08, 0.10, 0.12, 0.15, 0.20]
+        sags = [0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.12]
+    wanted = [Family(*lens) for lens in product(apertures, sags)]
     with study.timed("scan of lenses"), ThreadPoolExecutor(max_workers=2) as pool:
         found = pool.map(lambda family: Isophotes.of(family, base), wanted)
         isophotes = dict(zip(wanted, found, strict=True))

@@ -51,9 +51,8 @@ class ValidateFindings:
     Attributes:
         spots: of every trial in every way (columns trial, source, kind, group, way, and those of
             `paper.spots_of`).
-        planes: content of table_1.csv: the fits of each source and way.
-        spheres: content of table_2.csv.
-        rendered: the same on measured spots of the ideal cone.
+        planes, spheres: content of table_1.csv and table_2.csv.
+        analytic, rendered: the models' errors on exact contours, and on spots of the ideal cone.
     """
 
     stacks: Path
@@ -79,6 +78,17 @@ class ValidateFindings:
         return paper.plane_rows(where(self.planes, source=source, way=way.name))
 
 
+_PLANES = (
+    "source way trial delta_k_mm_px delta_k_error_mm_px paper_delta_k_mm_px b_mm b_error_mm "
+    "paper_b_mm r_squared paper_r_squared rmse_mm paper_rmse_mm contact_radius_px spots converged"
+).split()
+_SPHERES = (
+    "source way trial c_true_mm c_fitted_mm c_error_mm c_expected_mm standard_deviation_mm "
+    "paper_standard_deviation_mm mean_absolute_error_mm paper_mean_absolute_error_mm max_error_mm "
+    "paper_max_error_mm spots converged at_bound"
+).split()
+
+
 def fit_tables(
     trials: Sequence[paper.StaticTrial], spots: pd.DataFrame
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -86,8 +96,7 @@ def fit_tables(
 
     `c_expected_mm` is the c whose factor cos(phi) equals the correct factor of the true c.
     """
-    scenes = {(t.source, t.group): t.scene for t in trials}
-    planes, spheres = [], []
+    scenes, planes, spheres = {(t.source, t.group): t.scene for t in trials}, [], []
     for source, way in product(("lens", "cone"), paper.WAYS):
         seen = where(spots, used=True, source=source, way=way.name)
         enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
@@ -95,61 +104,29 @@ def fit_tables(
         if on_plane.empty:
             continue
         for trial, rows in [*grouped(on_plane, "group"), (paper.ALL_PLANES, on_plane)]:
-            line = fit_plane(
-                semi_minor_px=rows.semi_minor_px.to_numpy(), distance=rows.d_r_mm.to_numpy()
-            )
-            papers = paper.TABLE_I[trial]
-            planes.append(
-                {
-                    "source": source,
-                    "way": way.name,
-                    "trial": trial,
-                    "delta_k_mm_px": line.delta_k,
-                    "delta_k_error_mm_px": line.delta_k_error,
-                    "paper_delta_k_mm_px": papers.delta_k,
-                    "b_mm": line.b,
-                    "b_error_mm": line.b_error,
-                    "paper_b_mm": papers.b,
-                    "r_squared": line.r_squared,
-                    "paper_r_squared": papers.r_squared,
-                    "rmse_mm": line.rmse,
-                    "paper_rmse_mm": papers.rmse,
-                    "contact_radius_px": -line.b / line.delta_k,
-                    "spots": line.spots,
-                    "converged": line.converged,
-                }
-            )
+            e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
+            line, papers = fit_plane(semi_minor_px=e, distance=d_r), paper.TABLE_I[trial]
+            slope = line.delta_k, line.delta_k_error, papers.delta_k
+            scatter = line.r_squared, papers.r_squared, line.rmse, papers.rmse
+            fitted = *slope, line.b, line.b_error, papers.b, *scatter, -line.b / line.delta_k
+            planes.append((source, way.name, trial, *fitted, line.spots, line.converged))
         for trial, rows in grouped(where(enough, kind="sphere"), "group"):
             scene, printed = scenes[source, trial], paper.TABLE_II[trial]
+            e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
             fit = fit_eccentricity(
-                semi_minor_px=rows.semi_minor_px.to_numpy(),
-                distance=rows.d_r_mm.to_numpy(),
+                semi_minor_px=e,
+                distance=d_r,
                 delta_k=line.delta_k,
                 b=line.b,
                 scale=scene.microscope.scale_mm_px,
                 eye_radius=scene.phantom.radius_mm,
             )
-            spheres.append(
-                {
-                    "source": source,
-                    "way": way.name,
-                    "trial": trial,
-                    "c_true_mm": scene.spot.eccentricity_mm,
-                    "c_fitted_mm": fit.c,
-                    "c_error_mm": fit.c_error,
-                    "c_expected_mm": _expected_eccentricity(scene),
-                    "standard_deviation_mm": fit.standard_deviation,
-                    "paper_standard_deviation_mm": printed.standard_deviation,
-                    "mean_absolute_error_mm": fit.mean_absolute_error,
-                    "paper_mean_absolute_error_mm": printed.mean_absolute_error,
-                    "max_error_mm": fit.max_error,
-                    "paper_max_error_mm": printed.max_error,
-                    "spots": fit.spots,
-                    "converged": fit.converged,
-                    "at_bound": fit.at_bound,
-                }
-            )
-    return pd.DataFrame(planes), pd.DataFrame(spheres)
+            c = scene.spot.eccentricity_mm, fit.c, fit.c_error, _expected_eccentricity(scene)
+            sizes = "standard_deviation", "mean_absolute_error", "max_error"
+            beside = [getattr(of, size) for size in sizes for of in (fit, printed)]
+            about = fit.spots, fit.converged, fit.at_bound
+            spheres.append((source, way.name, trial, *c, *beside, *about))
+    return pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
 
 
 def _expected_eccentricity(scene: Scene) -> float:
@@ -200,10 +177,8 @@ def nearest_reproduction(
     """The widest of those parts of the range that meet most criteria of Table I.
 
     The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
-    begin and end at multiples of 0.5 mm.
-
-    Returns:
-        First and last reading, mm, and the criteria; None if no part has three spots of each trial.
+    begin and end at multiples of 0.5 mm. The result is the first and the last reading (mm) and the
+    criteria, None if no part has three spots of each trial.
     """
     planes = where(findings.spots, used=True, source=source, way=way.name, kind="plane")
     ends = np.arange(0.0, max(planes.d_r_mm, default=0.0) + 1e-6, _STEP_MM)
@@ -213,12 +188,8 @@ def nearest_reproduction(
         trials = [*grouped(inside, "group"), (paper.ALL_PLANES, inside)]
         whole = len(trials) == len(paper.TABLE_I) and all(len(rows) >= 3 for _, rows in trials)
         if high >= low + _SHORTEST_MM and whole:
-            fits = {
-                trial: paper.PlaneRow(
-                    *map(float, fit_lines(*rows[["semi_minor_px", "d_r_mm"]].to_numpy().T))
-                )
-                for trial, rows in trials
-            }
+            points = {t: rows[["semi_minor_px", "d_r_mm"]].to_numpy().T for t, rows in trials}
+            fits = {t: paper.PlaneRow(*map(float, fit_lines(*of))) for t, of in points.items()}
             parts.append((low, high, paper.reproduction(fits)))
     return max(parts, key=lambda part: (_met(part[2]), part[1] - part[0]), default=None)
 
@@ -235,6 +206,17 @@ def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, fl
     if not shared.any():
         return None
     return float(distance[shared].min()), float(distance[shared].max())
+
+
+_SHORT = {
+    "semi_minor_px": "measured_px",
+    "half_max_semi_minor_px": "half_max_px",
+    "cone_semi_minor_px": "cone_px",
+}
+_SPOT_COLUMNS = (
+    "trial source group way frame file_name c_mm d_mm d_r_mm visible_fraction saturated_fraction "
+    "outcome measured_px half_max_px cone_px estimate_mm residual_mm"
+).split()
 
 
 def spot_table(findings: ValidateFindings) -> pd.DataFrame:
@@ -266,39 +248,18 @@ def spot_table(findings: ValidateFindings) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True).rename(columns=_SHORT)[_SPOT_COLUMNS]
 
 
-_SHORT = {
-    "semi_minor_px": "measured_px",
-    "half_max_semi_minor_px": "half_max_px",
-    "cone_semi_minor_px": "cone_px",
-}
-_SPOT_COLUMNS = (
-    "trial source group way frame file_name c_mm d_mm d_r_mm visible_fraction saturated_fraction "
-    "outcome measured_px half_max_px cone_px estimate_mm residual_mm"
-).split()
-
-
-def square_errors(errors: pd.DataFrame, *, c: float) -> pd.DataFrame:
-    """The errors of a beam square to the wall, at one eccentricity and the chosen distances."""
-    chosen = np.isclose(errors.d_mm.to_numpy()[:, None], model_error.CHOSEN_DISTANCES_MM).any(
-        axis=1
-    )
-    return errors[(errors.incidence_deg == 0) & np.isclose(errors.c_mm, c) & chosen]
-
-
 def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFrame:
     """Spots of every trial in every way whose exposure it has; of the grid in the best way."""
     by_name = {trial.name: trial for trial in trials}
 
     def measure(name: str, stack: Stack) -> pd.DataFrame:
-        trial = by_name[name]
-        ways = [way for way in paper.WAYS if way.exposure in trial.scene.exposures.kinds]
+        trial, tables = by_name[name], []
         about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
-        tables = [
-            paper.track_stack(stack, way, spots_file=study.spots_file(f"{name}-{way.slug}")).assign(
-                **about, way=way.name
-            )
-            for way in (ways if trial.kind != "grid" else [paper.SUBPIXEL])
-        ]
+        for way in paper.WAYS if trial.kind != "grid" else [paper.SUBPIXEL]:
+            if way.exposure in trial.scene.exposures.kinds:
+                file = study.spots_file(f"{name}-{way.slug}")
+                spots = paper.track_stack(stack, way, spots_file=file)
+                tables.append(spots.assign(**about, way=way.name))
         return pd.concat(tables)
 
     found = study.measured({trial.name: trial.scene for trial in trials}, measure)
@@ -375,15 +336,12 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
             e, d = rows.measured_px, rows.d_r_mm
             axes.plot(e, d, ls="", marker=marker, ms=3, mfc="none", color=colour, label=trial)
             drawn(lines[trial], e, color=colour)
-        drawn(
-            lines[paper.ALL_PLANES],
-            own.measured_px,
-            color=page.BLACK,
-            ls="--",
-            label=paper.ALL_PLANES,
-        )
-        papers = paper.TABLE_I[paper.ALL_PLANES], own.measured_px
-        drawn(*papers, color=page.GREY, ls=":", label="all planes of the paper")
+        for source_of, colour, style, label in (
+            (lines, page.BLACK, "--", paper.ALL_PLANES),
+            (paper.TABLE_I, page.GREY, ":", "all planes of the paper"),
+        ):
+            line = source_of[paper.ALL_PLANES]
+            drawn(line, own.measured_px, color=colour, ls=style, label=label)
 
     return page.small_multiples(
         draw,
@@ -402,9 +360,12 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
 
 def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
     """All claims of a run."""
-    analytic = findings.analytic
-    for height, here in grouped(where(analytic, model="small_plane"), "z_f_mm"):
-        three, five = (square_errors(here, c=c).error_mm for c in CHOSEN_ECCENTRICITIES_MM)
+    for height, here in grouped(where(findings.analytic, model="small_plane"), "z_f_mm"):
+        square = where(here, incidence_deg=0)
+        square = square[square.d_mm.round(9).isin(model_error.CHOSEN_DISTANCES_MM)]
+        three, five = (
+            square.error_mm[np.isclose(square.c_mm, c)] for c in CHOSEN_ECCENTRICITIES_MM
+        )
         reached = model_error.limit_eccentricity(here, ACCEPTABLE_ERROR_MM)
         worst = paper.largest(here.error_mm)
         yield page.Claim(
@@ -464,9 +425,7 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
 def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
     """What the fits return: a smaller c, and the ideal cone."""
     every = findings.spheres
-    best = (
-        where(every, source=findings.sources[-1], way=paper.SUBPIXEL.name) if len(every) else every
-    )
+    best = where(every, source=findings.sources[-1], way=paper.SUBPIXEL.name)
     if len(best):
         smaller = int((every.c_fitted_mm < every.c_true_mm).sum())
         yield page.Claim(
@@ -481,10 +440,8 @@ def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
             value=smaller,
             low=len(every),
         )
-    fit, trial = (
-        findings.lines("cone", paper.SUBPIXEL).get(paper.ALL_PLANES),
-        findings.on_plane("cone"),
-    )
+    fit = findings.lines("cone", paper.SUBPIXEL).get(paper.ALL_PLANES)
+    trial = findings.on_plane("cone")
     if fit is not None and trial is not None:
         source, contact = trial.scene.source, where(findings.spots, trial=trial.name).d_mm.iloc[0]
         off = 100 * (fit.delta_k / (trial.scene.microscope.scale_mm_px * source.cone_k) - 1)

@@ -10,7 +10,6 @@ import scenes
 from benchmarks.studies import design
 from benchmarks.studies.design import LIMITS, DropSearch, limits_in
 from formats.inputs import InputError
-from optics.wall_light.lens import lens_parameters, lens_toml
 from optics.wall_light.unknown_wall import lit_radii, texture
 from scenes.walls.picture import wall_picture, write_random_wall
 from scenes.world.unknown_wall import UnknownWallScene
@@ -59,12 +58,6 @@ def test_a_random_wall_has_the_texture_that_the_bound_assumes(tmp_path):
     # independent parts: four walls give the covariance to 10 %, of which three are allowed.
     assert np.mean(variances) == pytest.approx(float(texture(jnp.zeros(()))), rel=0.3)
     assert np.mean(covariances) == pytest.approx(float(texture(jnp.asarray(0.504))), rel=0.3)
-
-
-def test_a_found_drop_is_a_lens_file(tmp_path):
-    dome = lens_parameters(optics.load_lens("dome"))
-    (tmp_path / "best.toml").write_text(lens_toml(dome, provenance="a test"))
-    assert lens_parameters(optics.load_lens(tmp_path / "best.toml")) == dome
 
 
 def test_limits_narrow_or_fix_a_number_and_a_wrong_one_is_named():

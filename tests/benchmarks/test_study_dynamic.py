@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -75,14 +75,6 @@ def test_a_tip_at_rest_has_no_error_of_time():
     assert readings == pytest.approx([2.0] * len(LATENCIES_S), abs=1e-12)
 
 
-def test_the_parts_sum_to_the_error():
-    for estimate, frozen, d, stamped, late in np.random.default_rng(1).uniform(1, 6, (50, 5)):
-        found = dynamic.parts(estimate=estimate, frozen=frozen, d=d, stamped=stamped, late=late)
-        total = sum(found[part] for part in PARTS)
-        assert found["error"] == pytest.approx(total, abs=1e-12)
-        assert found["error"] == estimate - late
-
-
 def test_the_robot_reads_the_distance_along_its_beam():
     # A tip at the centre is r from the wall whichever way it points; before its first pose it
     # says nothing.
@@ -148,9 +140,9 @@ def test_a_frozen_twin_differs_in_nothing_but_the_length_of_its_exposures():
         assert same == trial.moving
 
 
-def test_a_plane_is_refused():
+def test_a_plane_is_refused(tmp_path):
     with pytest.raises(SceneError, match=r"phantom\.kind=eyeball"):
-        dynamic.check(scenes.changed(SCENE, {"phantom.kind": "plane"}))
+        dynamic.dynamic(out=tmp_path / "run", changes=("phantom.kind=plane",))
 
 
 # At rest.
@@ -184,27 +176,11 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
 def drawn(*, blur: float, late: float) -> pd.DataFrame:
     """Rows of tips with a blur and an offset in time in proportion to their speed."""
     found = []
-    for motion_kind in MOTIONS:
-        for way in COMPARED:
-            for speed in SPEEDS:
-                for latency in LATENCIES_S:
-                    of = {
-                        "rest": 0.01,
-                        "blur": blur * speed,
-                        "stamps": 0.0,
-                        "latency": -late * latency * speed,
-                    }
-                    found.append(
-                        row(
-                            motion=motion_kind,
-                            way=way.name,
-                            speed_mm_s=speed,
-                            latency_s=latency,
-                            exposure_s=0.02,
-                            error_mm=sum(of.values()),
-                            **{f"{name}_mm": value for name, value in of.items()},
-                        )
-                    )
+    for motion, way, v, latency in product(MOTIONS, COMPARED, SPEEDS, LATENCIES_S):
+        of = {"rest": 0.01, "blur": blur * v, "stamps": 0.0, "latency": -late * latency * v}
+        sizes = {f"{name}_mm": value for name, value in of.items()}
+        about = {"motion": motion, "way": way.name, "speed_mm_s": v, "latency_s": latency}
+        found.append(row(**about, exposure_s=0.02, error_mm=sum(of.values()), **sizes))
     return pd.DataFrame(found)
 
 
@@ -246,34 +222,20 @@ def test_lost_frames_are_counted_by_reason():
 # The whole.
 
 
-def key(line: dict[str, str]) -> tuple[str, float]:
-    return line["motion"], float(line["set_speed_mm_s"])
-
-
 @pytest.mark.slow  # renders 78 frames, and compiles
 def test_a_run_splits_every_error_into_its_parts(tmp_path):
-    changes = ("microscope.scale_mm_px=0.0134", "microscope.width_px=320")
-    dynamic.dynamic(
-        out=tmp_path / "run",
-        changes=(*changes, "microscope.height_px=240"),
-        quick=True,
-        source="cone",
-    )
-    with (tmp_path / "run" / "dynamic_error.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    used = [r for r in rows if not r["doubt"] and not r["rest_doubt"]]
+    small = [f"microscope.{key}" for key in ("scale_mm_px=0.0134", "width_px=320", "height_px=240")]
+    dynamic.dynamic(out=tmp_path / "run", changes=(*small,), quick=True, source="cone")
+    rows = pd.read_csv(tmp_path / "run" / "dynamic_error.csv")
+    used = rows[rows.doubt.isna() & rows.rest_doubt.isna()]
     assert len(used) > 0.9 * len(rows)
-    for r in used:
-        total = sum(float(r[f"{part}_mm"]) for part in PARTS)
-        assert float(r["error_mm"]) == pytest.approx(total, abs=1e-9)
+    total = used[[f"{part}_mm" for part in PARTS]].sum(axis=1)
+    assert used.error_mm.to_numpy() == pytest.approx(total.to_numpy(), abs=1e-9)
     # The fixed exposure is as long as asked for, and literal mode takes a blurred spot for a larger
     # one, in proportion to the path: 1.5 and 5 mm/s in 20 ms, within a half for so few frames.
-    literal = [r for r in used if r["way"] == LITERAL.name]
-    assert [float(r["exposure_s"]) for r in literal] == pytest.approx([0.02] * len(literal))
-    slow, fast = (
-        np.mean([float(r["blur_mm"]) for r in literal if key(r) == ("scan", speed)])
-        for speed in (1.5, 5.0)
-    )
-    assert fast / slow == pytest.approx(5.0 / 1.5, rel=0.5)
+    literal = used[used.way == LITERAL.name]
+    assert literal.exposure_s.to_numpy() == pytest.approx(0.02)
+    blur = literal.groupby(["motion", "set_speed_mm_s"]).blur_mm.mean()
+    assert blur["scan", 5.0] / blur["scan", 1.5] == pytest.approx(5.0 / 1.5, rel=0.5)
     summary = json.loads((tmp_path / "run" / "summary.json").read_text())
     assert summary["study"] == "dynamic"

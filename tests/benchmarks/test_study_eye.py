@@ -13,7 +13,6 @@ from benchmarks.studies.eye_paths import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
     Pinhole,
-    Spots,
     cameras,
     grid,
     image,
@@ -162,10 +161,3 @@ def test_batches_give_every_item_its_own_value_in_order(count):
     items = (np.arange(float(count)), np.ones((count, 2)))
     found = in_batches(lambda batch: batch[0][:, None] + batch[1], items, size=4)
     np.testing.assert_array_equal(found, np.arange(count)[:, None] + np.ones((count, 2)))
-
-
-def test_spots_keep_their_order():
-    spots = grid(np.array([1.0, 2.0]), np.array([3.0]), ((0.0, 0.0), (30.0, 90.0)))
-    assert isinstance(spots, Spots) and spots.distance.shape == (2, 1, 2)
-    np.testing.assert_allclose(spots.incidence[0, 0], [0.0, np.pi / 6])
-    np.testing.assert_allclose(spots.eccentricity[:, 0, 0], [1.0, 2.0])

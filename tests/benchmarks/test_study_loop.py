@@ -57,14 +57,6 @@ def test_noise_alone_gives_the_variance_of_the_lyapunov_equation():
     assert np.mean(np.square(arrivals)) == pytest.approx(variance, rel=0.075)
 
 
-def test_without_the_poses_a_delay_costs_gain_and_with_them_it_does_not():
-    slow = LoopRun(latency_s=0.2)
-    assert slow.gain == LoopRun(latency_s=0.02).gain
-    assert (
-        LoopRun(latency_s=0.2, poses=False).gain < 0.5 * LoopRun(latency_s=0.02, poses=False).gain
-    )
-
-
 @pytest.mark.parametrize(("dark_s", "withdraws"), [(0.1, False), (0.6, True)])
 def test_an_arm_holds_for_a_while_without_readings_and_then_withdraws(dark_s, withdraws):
     run = LoopRun(tremor_mm=0.0, foreknown=0.0, dark_s=(0.5, 0.5 + dark_s))

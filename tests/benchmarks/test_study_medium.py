@@ -55,22 +55,6 @@ def test_a_radius_on_both_sides_of_a_waist_is_ambiguous_and_gives_the_farther_an
     assert by_lens.ambiguous[[1.0, 3.0, 5.0]].tolist() == [True, True, False]
 
 
-def test_trials_differ_in_light_medium_and_wall_alone():
-    trials = medium.trials(scenes.load_scene(None, ()), lights=["dome", "cone"], frames=5)
-    assert len(trials) == 6
-    for scene in trials.values():
-        same = scenes.changed(
-            scene,
-            {
-                "source.kind": "cone",
-                "source.lens": trials["cone-air-plane"].source.lens,
-                "source.medium": AIR,
-                "phantom.kind": "plane",
-            },
-        )
-        assert same == trials["cone-air-plane"]
-
-
 def test_a_scene_without_a_lens_is_refused_before_a_folder_is_made(tmp_path):
     with pytest.raises(scenes.SceneError, match=r"Set source\.kind=lens"):
         medium.medium(out=tmp_path / "run", changes=("source.kind=cone",))

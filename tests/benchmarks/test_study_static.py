@@ -35,7 +35,7 @@ def best(isophotes: Isophotes) -> SimpleNamespace:
 # Parts of the error.
 
 
-def variants(touch: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+def variants(touch: np.ndarray) -> dict[str, static.Measured]:
     """Spots that only a missed touch and noise tell from an ideal cone."""
     rng = np.random.default_rng(11)
     runs, trials = touch.shape
@@ -43,15 +43,12 @@ def variants(touch: np.ndarray) -> tuple[dict[str, np.ndarray], dict[str, np.nda
     ideal = (d - B) / (K * 0.0067)
     noisy = ideal + rng.normal(0.0, 1.0, ideal.shape)
     late = d - touch[..., None]
-    return (
-        {NONE: ideal, "noise": noisy, "touch": ideal, ALL: noisy},
-        {NONE: d, "noise": d, "touch": late, ALL: late},
-    )
+    return {NONE: (ideal, d), "noise": (noisy, d), "touch": (ideal, late), ALL: (noisy, late)}
 
 
 def test_a_missed_touch_adds_its_variance_to_the_line_of_all_trials_and_nothing_to_their_own():
     touch = np.array([[0.2, -0.1, -0.1], [0.0, 0.3, -0.3]])
-    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    parts = static.parts(variants(touch), texture=np.zeros(len(touch)))
     of = parts.set_index(["scope", "cause"]).part_mm2
     # Offsets cannot be correlated with spots that are the same in all trials; rounding.
     assert of[POOLED, "touch"] == pytest.approx(np.var(touch, axis=1).mean(), rel=1e-9)
@@ -60,7 +57,7 @@ def test_a_missed_touch_adds_its_variance_to_the_line_of_all_trials_and_nothing_
 
 def test_the_parts_and_what_they_do_together_lead_from_none_to_all():
     touch = 0.1 * np.random.default_rng(2).standard_normal((6, 3))
-    parts = static.parts(*variants(touch), texture=np.zeros(len(touch)))
+    parts = static.parts(variants(touch), texture=np.zeros(len(touch)))
     for scope in (OWN, POOLED):
         own = parts[parts.scope == scope].set_index("cause").part_mm2
         lead = own[NONE] + own["together"] + sum(own[cause] for cause in CAUSES if cause in own)
