@@ -132,8 +132,6 @@ GREY_WEIGHTS = (0.299, 0.587, 0.114)
 
 _SRGB_EXPONENT = 2.4
 _BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
-_REFERENCE_BLUR_PX = 3.0  # removes noise from the reference frame, and keeps the wall's texture
-_DARKEST_REFERENCE = 0.2  # of its median; darker pixels are a shaft, not the wall
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -215,78 +213,27 @@ class Response:
         above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(_SRGB_EXPONENT)
         return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
 
+    def channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
+        """Light of one channel (0, 1, 2), or of the grey mean (GREY), as `light`."""
+        if values.ndim == 2:
+            return self.light(values, full_scale)
+        if channel != GREY:
+            return self.light(cv2.extractChannel(values, channel), full_scale)
+        # A straight curve need not be inverted before the mean.
+        straight = self.curve == "linear"
+        colours = values if straight else self.light(values, full_scale)
+        if colours.dtype == np.float64:
+            colours = colours.astype(np.float32)
+        return cv2.cvtColor(colours, cv2.COLOR_RGB2GRAY).astype(np.float32, copy=False)
 
-class LightMeter:
-    """Converts parts of frames into light; with a reference frame, as if the wall were even."""
-
-    def __init__(self, response: Response, reference: np.ndarray | None) -> None:
-        self.response = response
-        self._reference = None if reference is None else checked_frame(reference)
-        self._walls: dict[int, np.ndarray] = {}
-
-    def check(self, frame: np.ndarray) -> None:
-        """Refuse frames that do not fit the reference.
-
-        Raises:
-            InputError: the reference frame has another shape.
-        """
-        if self._reference is not None and self._reference.shape != frame.shape:
-            raise InputError(
-                "SubpixelSettings(reference=...) must have the frames' shape;"
-                f" got {self._reference.shape}, frame {frame.shape}."
-            )
-
-    def light(
-        self, values: np.ndarray, window: Window, channel: int, full_scale: float, stride: int = 1
-    ) -> np.ndarray:
-        """Light of one channel, or of the grey mean, as float32 in units of the frame's values.
-
-        Args:
-            values: the window's, `window.of(frame, stride)`.
-            channel: 0, 1, 2 or GREY.
-        """
-        light = self._channel(values, channel, full_scale)
-        if self._reference is None:
-            return light
-        return light / window.of(self._wall(self._reference, channel), stride)
-
-    def ceiling(
-        self, window: Window, channel: int, clips: tuple[float, ...], full_scale: float
-    ) -> float:
-        """Light at which pixels are clipped where the wall is brightest."""
-        light = self.response.light(np.array(clips, np.float32), full_scale).tolist()
-        grey = (
+    def ceiling(self, channel: int, clips: tuple[float, ...], full_scale: float) -> float:
+        """Light of a channel that is clipped, from the value at which each one is."""
+        light = self.light(np.array(clips, np.float32), full_scale).tolist()
+        if channel != GREY:
+            return float(light[channel])
+        return (
             sum(w * c for w, c in zip(GREY_WEIGHTS, light, strict=True)) if light[1:] else light[0]
         )
-        brightest = grey if channel == GREY else light[channel]
-        if self._reference is None:
-            return float(brightest)
-        return float(brightest / window.of(self._wall(self._reference, channel)).max())
-
-    def _channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
-        if values.ndim == 2:
-            return self.response.light(values, full_scale)
-        if channel != GREY:
-            return self.response.light(cv2.extractChannel(values, channel), full_scale)
-        if self.response.curve == "linear":
-            return _grey(values).astype(np.float32)
-        return _grey(self.response.light(values, full_scale))
-
-    def _wall(self, reference: np.ndarray, channel: int) -> np.ndarray:
-        if channel not in self._walls:
-            full_scale = self.response.full_scale_of(reference)
-            light = self._channel(reference, channel, full_scale)
-            smooth = cv2.GaussianBlur(light, (0, 0), _REFERENCE_BLUR_PX)
-            typical = max(float(np.median(smooth)), 1e-6 * full_scale)
-            even = np.maximum(smooth / np.float32(typical), np.float32(_DARKEST_REFERENCE))
-            self._walls[channel] = even
-        return self._walls[channel]
-
-
-def _grey(values: np.ndarray) -> np.ndarray:
-    if values.dtype == np.float64:
-        values = values.astype(np.float32)
-    return cv2.cvtColor(values, cv2.COLOR_RGB2GRAY)
 
 
 _CHANNELS = 3

@@ -84,7 +84,6 @@ def regions_in(
     if min(values.shape[:2]) < 5:  # the 3x3 median filter needs neighbours
         return
     full_scale = settings.response.full_scale_of(frame)
-    settings.meter.check(frame)
     grey = coarse_window(values, window, GREY, settings, full_scale)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
     for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
@@ -113,7 +112,6 @@ def region_at(
     ellipse, levels, stride = last.ellipse, last.levels, settings.stride
     if levels.width > Refine.BROAD:
         return None
-    settings.meter.check(frame)
     reach = dark_radius(levels.width) + Search.AROUND
     x, y = ellipse.centre.tolist()
     window = Window.around(x, y, *ellipse.scaled(reach).half_extent(), frame).on_grid(stride)
@@ -146,7 +144,7 @@ def coarse_window(
 ) -> Coarse:
     """The light of a window in one channel, of every `settings.stride`-th pixel, in 8 bits."""
     stride = settings.stride
-    light = settings.meter.light(values, window, channel, full_scale, stride)
+    light = settings.response.channel(values, channel, full_scale)
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
 
 
@@ -263,18 +261,18 @@ def contour_of(region: Region) -> EdgeFit | NoSpot:
 
 def patch_round(region: Region, ellipse: AffineEllipse, width: float = 0.0) -> Patch:
     """Light round an ellipse; for a broad edge (`width` in radii) without the wall's texture."""
-    frame, meter = region.frame, region.settings.meter
+    frame, response = region.frame, region.settings.response
     half_width, half_height = ellipse.half_extent()
     x, y = ellipse.centre.tolist()
     window = Window.around(x, y, Capture.REACH * half_width, Capture.REACH * half_height, frame)
     values, full_scale = window.of(frame), region.full_scale
-    light = meter.light(values, window, region.channel, full_scale)
+    light = response.channel(values, region.channel, full_scale)
     ceiling, clipped = math.inf, region.saturated[region.channel]
     if clipped > 0:
-        ceiling = meter.ceiling(window, region.channel, region.clips, full_scale)
+        ceiling = response.ceiling(region.channel, region.clips, full_scale)
     patch = Patch(light, window.x0, window.y0, ceiling=ceiling, clipped=clipped)
     if width > Refine.BROAD and _colours_show_texture(region):
-        return without_texture(patch, meter.response.light(values, full_scale), ellipse)
+        return without_texture(patch, response.light(values, full_scale), ellipse)
     return patch
 
 
@@ -298,6 +296,5 @@ def _fitted(region: Region, candidate: Candidate) -> EdgeFit | NoSpot:
 
 
 def _colours_show_texture(region: Region) -> bool:
-    """Whether the wall's texture is still in the frame, and no colour of it is saturated."""
-    coloured = region.frame.ndim == 3 and max(region.saturated) == 0
-    return coloured and region.settings.reference is None
+    """Whether no colour of the wall is saturated."""
+    return region.frame.ndim == 3 and max(region.saturated) == 0

@@ -3,8 +3,7 @@
 The edge of a spot is where its light falls to the middle between the spot's peak and the background
 around it. The peak is that of a bell, the plateau of a disc, or the highest point of a dome or of a
 sloping plateau. The edge does not move with exposure nor, if it is symmetric about its middle, with
-blur. The wall's reflectance is removed as far as the frame shows it, and completely with a
-reference frame without the spot.
+blur. The wall's reflectance is removed as far as the frame shows it.
 
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
 noise. If one channel is clearly brighter in the spot, texture is weaker there, and that channel is
@@ -15,11 +14,8 @@ one is used. Texture that differs between colours is removed from broad edges fi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 
-import numpy as np
-
-from formats.camera import LensDistortion, LightMeter, Response
+from formats.camera import LensDistortion, Response
 from formats.inputs import InputError
 
 
@@ -28,8 +24,6 @@ class SubpixelSettings:
     """Settings of the sub-pixel mode.
 
     Attributes:
-        reference: a frame of the same view without the spot, under the remaining light; it removes
-            the wall's texture. None if there is none.
         camera: whose lens distortion is removed from the edge, so that spots are in the image of an
             ideal pinhole. None measures in the image as it is.
         search_half_width_px: half side of the square searched round the last position.
@@ -45,7 +39,6 @@ class SubpixelSettings:
     """
 
     response: Response = field(default_factory=Response)
-    reference: np.ndarray | None = None
     camera: LensDistortion | None = None
     search_half_width_px: int = 200
     min_semi_minor_px: float = 15.0
@@ -73,11 +66,6 @@ class SubpixelSettings:
                 raise InputError(
                     f"SubpixelSettings({name}=...) must {rule}; got {getattr(self, name)}."
                 )
-
-    @cached_property
-    def meter(self) -> LightMeter:
-        """Converts frames into light under these settings."""
-        return LightMeter(self.response, self.reference)
 
     @property
     def stride(self) -> int:

@@ -9,7 +9,7 @@ import numpy as np
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.tuning import RAYS, SpotProfile
 from estimator.image import clip_level
-from formats.camera import GREY, LensDistortion, LightMeter, Response, Window, checked_frame
+from formats.camera import GREY, LensDistortion, Response, Window, checked_frame
 from formats.spots import Spot
 
 LEVELS = SpotProfile.LEVELS
@@ -71,7 +71,7 @@ def spot_shape(
     if not whole.any():
         return None
     channel = GREY if whole.all() else int(np.argmax(np.where(whole, tops, -1.0)))
-    light = LightMeter(response, None).light(values, window, channel, full_scale)
+    light = response.channel(values, channel, full_scale)
     profiles = profiles_of(light, _PROFILE_RADII)
     if len(profiles) < RAYS // 4:
         return None

@@ -71,11 +71,6 @@ class Tracking:
         return self.frames - self.no_spot.total()
 
     @property
-    def bugs(self) -> int:
-        """Number of frames that met a bug."""
-        return self.no_spot[Reason.INTERNAL_ERROR.value]
-
-    @property
     def median_pose_age_s(self) -> float | None:
         """Median age of the robot's poses; None without poses."""
         return median(self.pose_ages_s) if self.pose_ages_s else None

@@ -298,7 +298,7 @@ class Options(Given):
         from formats.camera import Response
 
         given: dict[str, Any] = dict(self.settings)
-        if given.keys() & {"response", "camera", "reference"}:
+        if given.keys() & {"response", "camera"}:
             raise InputError("settings are numbers; response and camera are the microscope file's.")
         camera = microscope.camera() if microscope else None
         response = microscope.response if microscope else Response()

@@ -163,7 +163,7 @@ def _settings_for(
         _LENIENT,
         _WIDE_OPEN,
         replace(_LENIENT, camera=camera),
-        replace(_LENIENT, reference=np.roll(frame, 40, 0), response=_GAMMA),
+        replace(_LENIENT, response=_GAMMA),
         LiteralSettings(),
         _ALL_BRIGHT,
     )

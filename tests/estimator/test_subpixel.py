@@ -131,27 +131,6 @@ def test_texture_hardly_moves_the_contour() -> None:
     assert np.abs(errors[:, 3]).max() < 0.4
 
 
-def test_a_reference_frame_takes_the_texture_out() -> None:
-    rng = np.random.default_rng(5)
-    errors = []
-    for _ in range(5):
-        scene = Drawing(truth=any_truth(rng, 60), profile=bell, wall=any_wall(rng))
-        dark = replace(scene, amplitude=0.0)
-        reference = np.mean([frame_of(dark, rng) for _ in range(8)], axis=0)
-        settings = SubpixelSettings(
-            reference=reference.astype(np.float32), response=Response(full_scale=255)
-        )
-        errors.append(scene.truth.errors(_measured(frame_of(scene, rng), settings))[3])
-    # Without it the standard deviation is 2 px.
-    assert np.abs(errors).mean() < 0.006 * 60
-
-
-def test_a_reference_of_another_shape_is_refused() -> None:
-    settings = SubpixelSettings(reference=np.ones((10, 10), np.uint8))
-    with pytest.raises(ValueError, match=r"reference.*shape"):
-        measure(frame_of(Drawing(truth=_TRUTH), np.random.default_rng(0)), _MIDDLE, settings)
-
-
 def test_angle_is_from_right_towards_down() -> None:
     for angle in (-1.2, 0.3, 1.5):
         truth = replace(_TRUTH, angle=angle, semi_major=80)
