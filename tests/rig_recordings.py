@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import subprocess
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from estimator import LiteralSettings, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
 from estimator.sources.opening import open_source
-from estimator.sources.ros import write_bag
+from estimator.sources.ros import IMAGE_TOPIC, write_bag
 from estimator.sources.source import Frame
 from formats.calibration import write_calibration
 from formats.poses import Pose, PoseTrack
@@ -116,3 +118,16 @@ def measured_offline(
         numbers.append([spot.x_px, spot.y_px, 1.0, *ellipse, metres])
         doubts.append("ok" if distance.flag is None else distance.flag.value)
     return numbers, doubts
+
+
+def read_as_a_source(out: Path, frames: Iterable[Frame]) -> dict[str, Any]:
+    """What `tests.topic_reader` has written: most of the frames, as they were, and their end."""
+    read: dict[str, Any] = json.loads(out.read_text())
+    true = {
+        f"{round(frame.time_s * 1e9)}": hashlib.sha256(frame.image.tobytes()).hexdigest()
+        for frame in frames
+    }
+    assert read["digests"].items() <= true.items()
+    assert len(read["digests"]) > len(true) / 2
+    assert read["faults"][-1].startswith(f"no image on {IMAGE_TOPIC}: ")
+    return read

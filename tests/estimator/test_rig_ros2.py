@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import os
 import re
@@ -31,6 +30,7 @@ from tests.rig_recordings import (
     calibrated,
     frames_of,
     measured_offline,
+    read_as_a_source,
     recording_of,
     rendered_stack,
 )
@@ -237,18 +237,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(
         with node(python, environment, tmp_path / "node.log", *given(use_sim_time="true")):
             played(python, environment, bag, tmp_path, speed=1.0)
         assert reader.wait(30) == 0
-    read = json.loads(out.read_text())
-    true = {
-        f"{round(frame.time_s * 1e9)}": hashlib.sha256(frame.image.tobytes()).hexdigest()
-        for frame in frames_of(stack, ROUNDS)
-    }
-    assert read["digests"].items() <= true.items()
-    assert len(read["digests"]) > len(true) / 2
-    assert read["faults"][-1].startswith(f"no image on {IMAGES}")
-    assert read["poses"] > 0
-    print(
-        f"{Path(python).parts[-3]}: {len(read['digests'])} of {len(true)} frames read as a source"
-    )
+    assert read_as_a_source(out, frames_of(stack, ROUNDS))["poses"] > 0
 
 
 @pytest.mark.parametrize(
