@@ -145,15 +145,12 @@ class Candidate:
         return replace(self, peak=peak * coarse.unit, background=background * coarse.unit)
 
 
-@dataclass(frozen=True)
-class TooSmall:
-    """A bright region that is too small for a spot."""
-
-
 def bright_regions(
     coarse: Coarse, *, min_contrast: float, min_area: float, solid: bool = True
-) -> Iterator[list[Candidate] | TooSmall]:
+) -> Iterator[list[Candidate] | None]:
     """Bright regions, brightest first, each with the ellipses of which it may be a part.
+
+    None stands for a region that is too small for a spot.
 
     A region exceeds the half level between the bright and the dark part of the window (after a
     median filter). Its ellipse is fitted to the vertices of its convex hull: if something convex
@@ -189,7 +186,7 @@ def bright_regions(
         areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
         largest = max(range(len(areas)), key=areas.__getitem__)
         if areas[largest] * coarse.stride**2 < min_area:
-            yield TooSmall()
+            yield None
         else:
             region = np.zeros_like(mask)
             cv2.drawContours(region, contours, largest, 1, cv2.FILLED)

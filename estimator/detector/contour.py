@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Candidate, Coarse, TooSmall, bright_regions, channel_for
+from estimator.detector.coarse import Candidate, Coarse, bright_regions, channel_for
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import dark_radius
@@ -87,7 +87,7 @@ def regions_in(
     grey = coarse_window(values, window, GREY, settings, full_scale)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
     for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
-        if isinstance(candidates, TooSmall):
+        if candidates is None:
             yield NoSpot(Reason.TOO_SMALL)
         elif candidates:
             mask = candidates[0].mask.view(np.uint8)

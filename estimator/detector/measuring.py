@@ -23,7 +23,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Coarse, TooSmall, bright_regions
+from estimator.detector.coarse import Coarse, bright_regions
 from estimator.detector.contour import Region, contour_of, patch_round
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import (
@@ -287,9 +287,7 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
     for candidates in bright_regions(
         coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
     ):
-        if isinstance(candidates, TooSmall):
-            continue
-        for candidate in candidates:
+        for candidate in candidates or ():
             fit = fit_edge(standing_out, coarse, candidate)
             if (
                 isinstance(fit, EdgeFit)

@@ -145,22 +145,6 @@ _CIRCLE = 1e-9  # difference of the axes, relative, below which an ellipse has n
 _SAME_COST = 9.0  # difference of cost of two poses that three standard deviations do not separate
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class PosePair:
-    """Two poses whose spot on the wall has the ellipse, at least nearly.
-
-    Attributes:
-        best: the likelier one, given the ellipse and the axis.
-        alike: whether ellipse and axis do not decide between the two.
-        sigma_mm: of the distance, from the spot's covariance; NaN if that is unknown.
-    """
-
-    best: TipPose
-    mirror: TipPose
-    alike: bool
-    sigma_mm: float
-
-
 class ConePoses:
     """Finds the poses of a cone in a microscope's undistorted image. Loads JAX; compiles once.
 
@@ -179,8 +163,14 @@ class ConePoses:
         x, y = microscope.principal_point_px
         self._estimate(np.array([x, y, 60.0, 50.0, 0.0]), np.eye(5), None, 0.0)
 
-    def of(self, spot: Spot, *, axis: np.ndarray | None, axis_sigma_rad: float) -> PosePair:
-        """The poses of a spot, see `Ranger.distance`."""
+    def of(
+        self, spot: Spot, *, axis: np.ndarray | None, axis_sigma_rad: float
+    ) -> tuple[tuple[TipPose, TipPose], bool, float]:
+        """The likelier pose, given ellipse and axis, and the one with the incidence reversed.
+
+        Also whether ellipse and axis do not decide between the two; and the distance's standard
+        deviation from the spot's covariance, mm, NaN if that is unknown.
+        """
         known = bool(np.isfinite(spot.covariance).all())
         covariance = spot.covariance
         if not known:  # the angle may move the contour as far as the centre and the axes do
@@ -188,12 +178,16 @@ class ConePoses:
             covariance = UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
         axis_sigma_rad = max(axis_sigma_rad, _EXACT_RAD)
         found = self._estimate(np.array(spot.ellipse), covariance, axis, axis_sigma_rad)
-        return PosePair(
-            best=_tip_pose(found.best),
-            mirror=_tip_pose(found.mirror),
-            alike=float(found.mirror.cost - found.best.cost) < _SAME_COST,
-            sigma_mm=float(found.best.distance_error) if known else np.nan,
+        best, mirror = (
+            TipPose(
+                tip_mm=np.asarray(pose.tip),
+                axis=np.asarray(pose.axis),
+                distance_mm=float(pose.distance),
+            )
+            for pose in (found.best, found.mirror)
         )
+        alike = float(found.mirror.cost - found.best.cost) < _SAME_COST
+        return (best, mirror), alike, float(found.best.distance_error) if known else np.nan
 
     def _estimate(
         self,
@@ -217,9 +211,3 @@ class ConePoses:
             prior=optics.DirectionPrior(array(axis), array(axis_sigma_rad)),
             **self._cone,
         )
-
-
-def _tip_pose(pose: optics.BeamPose) -> TipPose:
-    return TipPose(
-        tip_mm=np.asarray(pose.tip), axis=np.asarray(pose.axis), distance_mm=float(pose.distance)
-    )

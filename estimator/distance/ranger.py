@@ -224,16 +224,16 @@ class Ranger:
         square = self._closed_form(near, spot, np.zeros((5, 5)))
         if math.isnan(square.distance_mm):
             return square
-        found = self._poses.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
-        distance, other = (pose.distance_mm for pose in (found.best, found.mirror))
-        sigma = math.hypot(found.sigma_mm, square.sigma_mm)
+        poses, alike, of_image = self._poses.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
+        distance, other = (pose.distance_mm for pose in poses)
+        sigma = math.hypot(of_image, square.sigma_mm)
         apart = abs(other - distance) > _APART * sigma
         return Range(
             distance_mm=distance,
             sigma_mm=sigma,
-            others_mm=(other,) if found.alike and apart else (),
-            poses=(found.best, found.mirror),
-            sigma_image_mm=found.sigma_mm,
+            others_mm=(other,) if alike and apart else (),
+            poses=poses,
+            sigma_image_mm=of_image,
         )
 
     def _lens(self, spot: Spot, frame: np.ndarray | None, exposure_s: float | None) -> Range:
