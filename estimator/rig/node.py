@@ -11,11 +11,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-import threading
 import time
-from collections import deque
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any
 
 from estimator.rig.messages import (
@@ -47,34 +43,16 @@ class Connection:
 
         self._ros, self._rig, self._last = ros, rig, None
         self._complained_s: dict[str, float] = {}
-        self._arrived, self._ended = threading.Event(), False
         self._topic = ros.resolved(parameters.image_topic)
         self._silence = Silence(self._topic)
         self._out = {
             name: ros.publisher(getattr(parameters, f"{name}_topic"), kind)
             for name, kind in message_types().items()
         }
-        # At most one image waits, unless a rule of ROS 2 says more: a node that cannot keep up
-        # skips images and measures the newest.
-        self._waiting: deque[tuple[Any, int]] = deque(maxlen=1)
+        # A node that cannot keep up skips images and measures the newest.
         kind = getattr(sensor, image_type(self._topic))
-        depth = ros.take_images(self._topic, kind, self._on_image)
-        if depth != 1:
-            self._waiting = deque(maxlen=depth)
+        ros.take_images(self._topic, kind, self._on_image)
         ros.take_poses(parameters.pose_topic, Transform, self._on_pose)
-
-    @contextmanager
-    def measuring(self) -> Iterator[None]:
-        """Measure the images that arrive in the `with` block."""
-        # In a thread of its own: poses get the time of their arrival, so they must not wait.
-        thread = threading.Thread(target=self._measure)
-        thread.start()
-        try:
-            yield
-        finally:
-            self._ended = True
-            self._arrived.set()
-            thread.join()
 
     def watch(self) -> None:
         """Report images that have stopped."""
@@ -84,22 +62,14 @@ class Connection:
         if self._silence.said and self._last is not None:
             self._out["status"].publish(status_message("STALE", self._silence.said, self._last))
 
-    def _measure(self) -> None:
-        while self._arrived.wait() and not self._ended:
-            self._arrived.clear()
-            while self._waiting and not self._ended:
-                image, number = self._waiting.popleft()
-                output = self._rig.output(image, self._ros.stamp_s(image), number)
-                if output.level is OutputState.FAILED:
-                    self._complain("image", output.doubt)
-                for name, message in messages_of(output, image).items():
-                    self._out[name].publish(message)
-
     def _on_image(self, image: Any, number: int) -> None:
         self._silence.end()
         self._last = image
-        self._waiting.append((image, number))
-        self._arrived.set()
+        output = self._rig.output(image, self._ros.stamp_s(image), number)
+        if output.level is OutputState.FAILED:
+            self._complain("image", output.doubt)
+        for name, message in messages_of(output, image).items():
+            self._out[name].publish(message)
 
     def _on_pose(self, pose: Any, received_s: float) -> None:
         try:
@@ -121,9 +91,7 @@ def main() -> None:
         with ros_here().running("eyespot") as ros:
             parameters = ros.parameters()
             with opened_rig(parameters) as rig:
-                connection = Connection(ros, rig, parameters)
-                with connection.measuring():
-                    ros.spin(connection.watch)
+                ros.spin(Connection(ros, rig, parameters).watch)
     except (InputError, OSError) as error:
         print(f"eyespot: {error}", file=sys.stderr)
         sys.exit(2)

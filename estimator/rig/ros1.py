@@ -57,8 +57,8 @@ class Ros1:
         """Publishes messages."""
         return self._rospy.Publisher(self.resolved(topic), kind, queue_size=10)
 
-    def take_images(self, topic: str, kind: Any, take: Callable[[Any, int], None]) -> int:
-        """Give each image with the number of its publisher; how many may wait to be measured."""
+    def take_images(self, topic: str, kind: Any, take: Callable[[Any, int], None]) -> None:
+        """Give each image with the number of its publisher; at most one waits for `take`."""
         self._rospy.Subscriber(
             topic,
             kind,
@@ -66,7 +66,6 @@ class Ros1:
             queue_size=1,
             buff_size=_BUFFER_BYTES,
         )
-        return 1
 
     def take_poses(self, topic: str, kind: Any, take: Callable[[Any, float], None]) -> None:
         """Give each pose with the time of its arrival, s."""

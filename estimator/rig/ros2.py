@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from array import array
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Self
@@ -27,6 +28,7 @@ class Ros2:
         import rclpy
 
         self._node = rclpy.create_node(name, **options)
+        self._arrived, self._ended = threading.Event(), False
 
     @classmethod
     @contextmanager
@@ -101,14 +103,31 @@ class Ros2:
         """Publishes messages."""
         return self._node.create_publisher(kind, self.resolved(topic), 10)
 
-    def take_images(self, topic: str, kind: Any, take: Callable[[Any, int], None]) -> int | None:
-        """Give each image with the number of its publisher; how many may wait to be measured."""
+    def take_images(self, topic: str, kind: Any, take: Callable[[Any, int], None]) -> None:
+        """Give each image with the number of its publisher.
+
+        At most one waits for `take`, unless the topic's quality of service says more.
+        """
         from rclpy.qos import QoSHistoryPolicy
 
-        quality = self._subscribe(
-            topic, kind, lambda image, about: take(image, about["publication_sequence_number"]), 1
-        )
-        return None if quality.history is QoSHistoryPolicy.KEEP_ALL else quality.depth
+        waiting: deque[tuple[Any, int]] = deque()
+
+        def on_image(image: Any, about: Any) -> None:
+            waiting.append((image, about["publication_sequence_number"]))
+            self._arrived.set()
+
+        def work() -> None:
+            while self._arrived.wait() and not self._ended:
+                self._arrived.clear()
+                while waiting and not self._ended:
+                    take(*waiting.popleft())
+
+        quality = self._subscribe(topic, kind, on_image, 1)
+        if quality.history is not QoSHistoryPolicy.KEEP_ALL:
+            waiting = deque(waiting, maxlen=quality.depth)
+        # In a thread of its own: poses get the time of their arrival, so they must not wait.
+        self._images = threading.Thread(target=work, daemon=True)
+        self._images.start()
 
     def take_poses(self, topic: str, kind: Any, take: Callable[[Any, float], None]) -> None:
         """Give each pose with the time of its arrival, s."""
@@ -150,5 +169,10 @@ class Ros2:
 
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._node.create_timer(PERIOD_S, watch, clock=steady)
-        with suppress(KeyboardInterrupt, ExternalShutdownException):
-            rclpy.spin(self._node)
+        try:
+            with suppress(KeyboardInterrupt, ExternalShutdownException):
+                rclpy.spin(self._node)
+        finally:
+            self._ended = True
+            self._arrived.set()
+            self._images.join()
