@@ -8,10 +8,9 @@ difference is the correction. Its derivatives say what the errors of each quanti
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -116,16 +115,21 @@ class Budget:
 
     Example:
         >>> touch, noise = Part(Cause.TOUCH, 0.02), Part(Cause.IMAGE, 0.002, freedom=187)
-        >>> budget = Budget.of(2.38, correction_mm=0.34, parts=[touch, noise])
+        >>> budget = Budget(reading_mm=2.38, correction_mm=0.34, parts=(touch, noise))
         >>> low, high = budget.interval_mm
         >>> f"{low:.3f} to {high:.3f} mm, mostly by {budget.largest.cause.value}"
         '2.681 to 2.759 mm, mostly by touch'
     """
 
     reading_mm: float
-    correction_mm: float
+    correction_mm: float = 0.0
     parts: tuple[Part, ...]
     left_out: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Leave out what is zero; NaN, an unknown part, stays."""
+        counting = tuple(part for part in self.parts if part.sigma_mm != 0)
+        object.__setattr__(self, "parts", counting)
 
     @property
     def corrected_mm(self) -> float:
@@ -163,24 +167,6 @@ class Budget:
         unknown = (part for part in self.parts if math.isnan(part.sigma_mm))
         known = max(self.parts, key=lambda part: part.sigma_mm, default=None)
         return next(unknown, known)
-
-    @classmethod
-    def of(
-        cls,
-        reading_mm: float,
-        *,
-        correction_mm: float = 0.0,
-        parts: Sequence[Part],
-        left_out: tuple[str, ...] = (),
-    ) -> Self:
-        """The budget without the parts that are zero."""
-        return cls(
-            reading_mm=reading_mm,
-            correction_mm=correction_mm,
-            # NaN, an unknown part, stays.
-            parts=tuple(part for part in parts if part.sigma_mm != 0),
-            left_out=left_out,
-        )
 
 
 _ELLIPSE = 5  # parameters that a spot's profiles are fitted with
@@ -249,9 +235,9 @@ class Budgets:
         if not self._traced:  # a lens's curve contains the calibration's errors
             speed = float(np.linalg.norm(motion.velocity_mm_s))
             image = Part(Cause.IMAGE, found.sigma_mm, _freedom(spot))
-            return Budget.of(
-                found.distance_mm,
-                parts=[image, self._of_clock(motion, speed, 0.0)],
+            return Budget(
+                reading_mm=found.distance_mm,
+                parts=(image, self._of_clock(motion, speed, 0.0)),
                 left_out=("the calibration's own part (it is in that of the image)", "the eye"),
             )
         # A line of sight or a generator that misses the wall gives NaN.
@@ -299,10 +285,10 @@ class Budgets:
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
         exact = self._ranger.model in ("exact", "area")
         unknown = self._through_path and not exact
-        return Budget.of(
-            found.distance_mm,
+        return Budget(
+            reading_mm=found.distance_mm,
             correction_mm=0.0 if exact or unknown else mean - found.distance_mm,
-            parts=self._parts(spot, found, slopes, spread, (motion, speed), known=known),
+            parts=tuple(self._parts(spot, found, slopes, spread, (motion, speed), known=known)),
             left_out=("the model's error through this viewing path",) if unknown else (),
         )
 

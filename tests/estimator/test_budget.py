@@ -127,7 +127,8 @@ def test_degrees_of_freedom_are_those_of_the_gums_end_gauge():
     # JCGM 100:2008, H.1.6: 25, 9.7, 2.9 and 16.6 nm with 18, 25.6, 50 and 2 degrees of freedom
     # give 32 nm with 16 (16.7 before truncation).
     values = [(25.0, 18.0), (9.7, 25.6), (2.9, 50.0), (16.6, 2.0)]
-    budget = Budget.of(0.0, parts=[Part(Cause.IMAGE, u, freedom) for u, freedom in values])
+    parts = tuple(Part(Cause.IMAGE, u, freedom) for u, freedom in values)
+    budget = Budget(reading_mm=0.0, parts=parts)
     assert round(budget.sigma_mm) == 32
     assert int(budget.freedom) == 16
     # G.2: t_95(16) = 2.12.
