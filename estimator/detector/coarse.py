@@ -150,9 +150,7 @@ def bright_regions(
 ) -> Iterator[list[Candidate] | None]:
     """Bright regions, brightest first, each with the ellipses of which it may be a part.
 
-    None stands for a region that is too small for a spot.
-
-    A region exceeds the half level between the bright and the dark part of the window (after a
+    A region that is too small for a spot is None. Any other exceeds the half level between the bright and the dark part of the window (after a
     median filter). Its ellipse is fitted to the vertices of its convex hull: if something convex
     hides part of an ellipse, the hull's vertices still lie on the ellipse, because a chord without
     vertices bridges the hidden part. A spot that a shaft splits in two has two ellipses: that of

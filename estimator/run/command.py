@@ -107,13 +107,19 @@ def tracked(
     As `track_source`, with a progress bar.
     """
     from estimator.run.offline import track_source
+    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
 
-    tracking, spots = None, 0
+    tracking, spots, settings = None, 0, reader.mode.settings
+    drawing: AbstractContextManager[Draw | None] = nullcontext()
+    if overlay is not None:
+        drawing = overlay_writer(
+            overlay,
+            rate_hz=frames.rate_hz or RIG_RATE_HZ,
+            response=settings.response,
+            camera=getattr(settings, "camera", None),
+        )
     try:
-        with (
-            _overlay(overlay, frames, reader) as draw,
-            progress("Tracking", total=frames.length) as advance,
-        ):
+        with drawing as draw, progress("Tracking", total=frames.length) as advance:
 
             def measured(record: SpotRecord) -> None:
                 nonlocal spots
@@ -183,23 +189,6 @@ def _shown(
         yield show
 
 
-def _overlay(
-    path: Path | None, frames: Source, reader: Reader
-) -> AbstractContextManager[Draw | None]:
-    from estimator.detector.settings import SubpixelSettings
-    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
-
-    if path is None:
-        return nullcontext()
-    settings = reader.mode.settings
-    return overlay_writer(
-        path,
-        rate_hz=frames.rate_hz or RIG_RATE_HZ,
-        response=settings.response,
-        camera=settings.camera if isinstance(settings, SubpixelSettings) else None,
-    )
-
-
 def _report_early_end(tracking: Tracking, source: Source, out: Path, overlay: Path | None) -> None:
     from estimator.run.offline import Ended
 
@@ -213,10 +202,7 @@ def _report_early_end(tracking: Tracking, source: Source, out: Path, overlay: Pa
         remedy = "Free some space, or choose another disk."
         if source.length and source.length > tracking.frames:
             left = source.length - tracking.frames
-            size = _size(out) + (_size(overlay) if overlay else 0)
+            written = [out, *((overlay, *overlay.rglob("*")) if overlay else ())]
+            size = sum(file.stat().st_size for file in written if file.is_file())
             remedy += f" The other {left} need about {size * left / tracking.frames / 1e6:.1f} MB."
         raise InputError(f"{tracking.fault} {kept} before that. {remedy}")
-
-
-def _size(path: Path) -> int:
-    return sum(file.stat().st_size for file in [path, *path.rglob("*")] if file.is_file())
