@@ -150,12 +150,12 @@ def bright_regions(
 ) -> Iterator[list[Candidate] | None]:
     """Bright regions, brightest first, each with the ellipses of which it may be a part.
 
-    A region that is too small for a spot is None. Any other exceeds the half level between the bright and the dark part of the window (after a
-    median filter). Its ellipse is fitted to the vertices of its convex hull: if something convex
-    hides part of an ellipse, the hull's vertices still lie on the ellipse, because a chord without
-    vertices bridges the hidden part. A spot that a shaft splits in two has two ellipses: that of
-    all its pieces, and the largest alone. A region that was offered is painted over before the next
-    search.
+    A region that is too small for a spot is None. Any other exceeds the half level between the
+    bright and the dark part of the window (after a median filter). Its ellipse is fitted to the
+    vertices of its convex hull: if something convex hides part of an ellipse, the hull's vertices
+    still lie on the ellipse, because a chord without vertices bridges the hidden part. A spot that
+    a shaft splits in two has two ellipses: that of all its pieces, and the largest alone. A region
+    that was offered is painted over before the next search.
 
     Args:
         min_contrast: (peak - background) / background that texture does not reach. A region of less
