@@ -17,8 +17,11 @@ from tests.pixel_stacks import assert_posed, cone_stack, reader_in, readings_of
 
 
 def _of(folder, *, wall="printed paper", options=None, **tables):
-    phantom = {"wall": wall, "texture_seed": 4}
-    stack = cone_stack(folder / "stack", **{"phantom": phantom} | tables)
+    usual = {
+        "phantom": {"wall": wall, "texture_seed": 4},
+        "motion": {"start_mm": 2.0, "travel_mm": 0.54, "frames": 4, "speed_mm_s": 1.0},
+    }
+    stack = cone_stack(folder / "stack", **usual | tables)
     return list(readings_of(stack, folder, **(options or {})))
 
 
