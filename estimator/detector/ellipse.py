@@ -52,11 +52,6 @@ class AffineEllipse:
         angle = 0.5 * math.atan2(cross, half_difference)
         return major, minor, math.pi / 2 if angle <= -math.pi / 2 else angle
 
-    def canonical(self) -> AffineEllipse:
-        """The same ellipse with its shape's columns along the semi-major and semi-minor axes."""
-        x, y = self.centre.tolist()
-        return AffineEllipse.from_axes(x, y, *self.axes())
-
     def upright(self) -> AffineEllipse:
         """The same ellipse with a symmetric shape matrix.
 
@@ -187,8 +182,9 @@ def covariance_of_axes(ellipse: AffineEllipse, step_covariance: np.ndarray) -> n
     Args:
         step_covariance: 5x5 covariance of the parameters of `AffineEllipse.stepped`.
     """
-    a, b, _ = ellipse.axes()
-    canonical = ellipse.canonical().shape
+    a, b, angle = ellipse.axes()
+    # The shape whose columns are the semi-major and the semi-minor axis.
+    canonical = AffineEllipse.from_axes(0.0, 0.0, a, b, angle).shape
     # n' = V' n labels the same point of the contour with respect to the axes.
     (c, d), (e, f) = (cv2.invert(ellipse.shape)[1] @ canonical).tolist()
     to_axes = np.zeros((5, 5))
