@@ -49,10 +49,10 @@ class Connection:
             name: ros.publisher(getattr(parameters, f"{name}_topic"), kind)
             for name, kind in message_types().items()
         }
+        ros.take_poses(parameters.pose_topic, Transform, self._on_pose)
         # A node that cannot keep up skips images and measures the newest.
         kind = getattr(sensor, image_type(self._topic))
         ros.take_images(self._topic, kind, self._on_image)
-        ros.take_poses(parameters.pose_topic, Transform, self._on_pose)
 
     def watch(self) -> None:
         """Report images that have stopped."""
