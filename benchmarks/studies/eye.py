@@ -9,6 +9,7 @@ DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -151,9 +152,7 @@ def _calibrated(
 
 
 def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
-    def of_batch(eyes: Eye) -> PathCamera:
-        return eye_paths.cameras(path, eyes, jnp.asarray(pupil_radius))
-
+    of_batch = partial(eye_paths.cameras, path, pupil_radius=jnp.asarray(pupil_radius))
     groups = [eye_paths.in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
 
@@ -254,12 +253,8 @@ def tables_of(
     - `limits`: c up to which half or 95 % of the eyes stay within each limit, interpolated.
     - `eyes`: what every eye shows behind every path; the errors are the largest at c = 3 mm over
       distances and tilts, with the ellipse's area.
-    - `pinholes`: pinholes and fields of each path, over the random eyes.
-
-    Args:
-        fields: largest c that each eye's dilated pupil shows, by path, mm.
-        names: of the eyes: Navarro's, the random ones, other schematic ones.
-        population: number of random eyes.
+    - `pinholes`: pinholes and fields (the largest c that a dilated pupil shows, mm) of each path,
+      over the random eyes, a `population` between Navarro's and other schematic ones.
     """
     random, errors, limits, eyes, pinholes = slice(1, 1 + population), [], [], [], []
     for path, found in paths.items():
