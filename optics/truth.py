@@ -68,7 +68,9 @@ def wall_irradiance(
     """
     first, second = perpendicular_frame(beam.axis)
     around = jnp.cos(angle)[..., None] * first + jnp.sin(angle)[..., None] * second
-    wall = surface.intersect(beam.tip + radius[..., None] * around, _like(beam.axis, around))
+    wall = surface.intersect(
+        beam.tip + radius[..., None] * around, jnp.broadcast_to(beam.axis, around.shape)
+    )
     lateral, axial = table(radius=radius, distance=wall.distance)
     vector = lateral[..., None] * around + axial[..., None] * beam.axis
     irradiance = -dot(wall.normal, vector)
@@ -106,10 +108,6 @@ def half_maximum_contour(
     low, high = jax.lax.stop_gradient(found)
     edge = implicit_root(excess, 0.5 * (low + high))
     return wall_irradiance(table, beam, surface, radius=edge, angle=angles)[1]
-
-
-def _like(vector: Float[Array, "3"], batch: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-    return jnp.broadcast_to(vector, batch.shape)
 
 
 _RINGS, _DIRECTIONS = 8, 16  # of the nodes of a smooth light

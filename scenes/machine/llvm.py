@@ -13,9 +13,8 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, final
 
 OLDEST_USABLE = 19
 ENVIRONMENT_VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -58,36 +57,24 @@ class Refused:
     reason: str
 
 
-@final
 @dataclass(frozen=True)
 class Llvm:
-    """A libLLVM that a child process could load, new enough for Dr.Jit.
+    """The libLLVM for Dr.Jit; falsy, with reasons and remedy as its text, if none can be used.
 
     Attributes:
-        path: the library file.
+        path: the library file, which a child process could load.
         version: major, minor, patch.
-        refused: other files that were found and must not be used.
+        refused: other files that were found and must not be used, each with its reason.
+        remedy: what to do if no file is usable.
     """
 
-    path: Path
-    version: tuple[int, int, int]
-    refused: tuple[Refused, ...] = ()
-
-
-@final
-@dataclass(frozen=True)
-class NoLlvm:
-    """No usable libLLVM. It is falsy, for `if llvm := find_llvm():`.
-
-    Attributes:
-        refused: the files that were found, each with its reason.
-    """
-
+    path: Path | None = None
+    version: tuple[int, ...] = ()
     refused: tuple[Refused, ...] = ()
     remedy: str = REMEDY
 
-    def __bool__(self) -> Literal[False]:
-        return False
+    def __bool__(self) -> bool:
+        return self.path is not None
 
     def __str__(self) -> str:
         found = "; ".join(f"{item.path}: {item.reason}" for item in self.refused) or "none"
@@ -98,7 +85,7 @@ def find_llvm(
     *,
     environment: Mapping[str, str] = os.environ,
     folders: Iterable[str] = LIBRARY_FOLDERS,
-) -> Llvm | NoLlvm:
+) -> Llvm:
     """The libLLVM to use: the one in DRJIT_LIBLLVM_PATH, else the newest usable one.
 
     If the path in DRJIT_LIBLLVM_PATH cannot be used, no other file is tried, so that nobody works
@@ -115,17 +102,11 @@ def find_llvm(
         candidates = _candidates(folders)
         remedy = REMEDY
 
-    refused: list[Refused] = []
-    usable: Llvm | None = None
-    for path in candidates:
-        outcome = _examine(path)
-        if isinstance(outcome, Refused):
-            refused.append(outcome)
-        elif usable is None or outcome.version > usable.version:
-            usable = outcome
-    if usable is None:
-        return NoLlvm(tuple(refused), remedy)
-    return Llvm(usable.path, usable.version, tuple(refused))
+    outcomes = [_examine(path) for path in candidates]
+    refused = tuple(outcome for outcome in outcomes if isinstance(outcome, Refused))
+    usable = [outcome for outcome in outcomes if isinstance(outcome, Llvm)]
+    newest = max(usable, key=lambda llvm: llvm.version, default=Llvm(remedy=remedy))
+    return replace(newest, refused=refused)
 
 
 def _candidates(folders: Iterable[str]) -> list[Path]:

@@ -62,13 +62,7 @@ def test_a_gaussian_spot_with_even_noise_has_the_bound_of_its_integrals() -> Non
     stretch = np.sqrt(np.diag(np.linalg.inv(stretches)))
     in_axes = noise * np.sqrt(2 / area) * np.array([a, b])
     cosine, sine = math.cos(ellipse.angle), math.sin(ellipse.angle)
-    centre = np.hypot(in_axes * [cosine, -sine], in_axes[::-1] * [sine, cosine])
-    centre = np.array(
-        [
-            math.hypot(in_axes[0] * cosine, in_axes[1] * sine),
-            math.hypot(in_axes[0] * sine, in_axes[1] * cosine),
-        ]
-    )
+    centre = np.hypot(in_axes[0] * np.array([cosine, sine]), in_axes[1] * np.array([sine, cosine]))
     # Pixels average over 1 px and differences over 1 px, of a spot with sigma 7: both blur the
     # squared derivative by about 1/(4 * 7^2) = 0.5 %.
     assert sigmas(found, ellipse) == pytest.approx(
@@ -168,7 +162,7 @@ def test_fits_by_maximum_likelihood_reach_the_bound() -> None:
     for _ in range(count):
         seen = mean + rng.normal(0, 1, SHAPE) / weight
         fit = least_squares(
-            lambda p, seen=seen: ((light(p) - seen) * weight).ravel(), truth, x_scale=abs(truth)
+            lambda p, seen=seen: ((light(p) - seen) * weight).ravel(), truth, method="lm"
         )
         fitted.append(fit.x[:4])
     scatter = np.std(fitted, axis=0, ddof=4)
