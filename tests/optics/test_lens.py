@@ -17,6 +17,8 @@ from optics.lens_table import (
 )
 from optics.refraction import fresnel_transmittance, refracted_cosine
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 
 
