@@ -33,7 +33,7 @@ from optics.beam import Beam, generator_angles, perpendicular_frame
 from optics.camera import Camera
 from optics.contour import ellipse_mismatch, mismatch_covariance, spot_contour
 from optics.ellipse import Ellipse, ellipse_of_contour, ellipse_points
-from optics.surface import Surface, dot
+from optics.surface import Intersection, Surface, dot
 
 _STEPS = 40
 _DAMPING = 1e-3
@@ -95,27 +95,19 @@ class PoseEstimate(NamedTuple):
     observable: Bool[Array, ""]
 
 
-def leaning_either_way(
-    points: Float[Array, "n 3"],
-    outward: Float[Array, "3"],
-    half_angle: ScalarLike,
-    apex_offset: ScalarLike,
+def _leaning_either_way(
+    met: Intersection, half_angle: ScalarLike, apex_offset: ScalarLike
 ) -> tuple[Float[Array, "2 3"], Float[Array, "2 3"]]:
     """Start values: tips and axes of the two beams that would make this spot on a plane.
 
     Such a spot has cos(incidence) = minor/major; the beam is tilted either way along the major
-    axis.
-
-    Args:
-        points: points on the spot's edge on the wall, mm.
-        outward: mean normal of the wall there, of any length.
-        half_angle: half-angle of the cone, rad.
-        apex_offset: b, mm.
+    axis. `met` has points of the spot's edge on the wall.
     """
+    outward = -jnp.mean(met.normal, axis=0)
     outward = outward / jnp.linalg.norm(outward)
     first, second = perpendicular_frame(outward)
-    centre = jnp.mean(points, axis=0)
-    apart = points - centre
+    centre = jnp.mean(met.point, axis=0)
+    apart = met.point - centre
     ellipse = ellipse_of_contour(jnp.stack([dot(apart, first), dot(apart, second)], axis=-1))
     along = jnp.cos(ellipse.angle) * first + jnp.sin(ellipse.angle) * second
     # An exactly perpendicular start would remain so; both starts are tilted by 3 degrees at least.
@@ -126,14 +118,12 @@ def leaning_either_way(
     return centre - distance * axes, axes
 
 
-def best_and_mirror(solve: Callable[..., BeamPose], starts: object) -> PoseEstimate:
-    """Solve from two starts and rank the solutions by cost.
-
-    Args:
-        solve: function from a tip and an axis to a solution.
-        starts: tips and axes; the leading axis is over the two starts.
-    """
-    both = jax.vmap(lambda start: solve(*start))(starts)
+def _best_and_mirror(
+    solve: Callable[[Float[Array, "3"], Float[Array, "3"]], BeamPose],
+    starts: tuple[Float[Array, "2 3"], Float[Array, "2 3"]],
+) -> PoseEstimate:
+    """Solve from two tips and axes, and rank the solutions by cost."""
+    both = jax.vmap(solve)(*starts)
     # If a cone's apex is on the wall, its contour is a point, whose mismatch is always 0.
     ahead = jnp.where(both.distance > 0, both.cost, jnp.inf)
     first, second = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
@@ -144,7 +134,7 @@ def best_and_mirror(solve: Callable[..., BeamPose], starts: object) -> PoseEstim
     return PoseEstimate(best, mirror, axis_error < _OBSERVABLE_AXIS_ERROR)
 
 
-def refined_pose(
+def _refined(
     residual: TipAndAxis,
     misfit_px: TipAndAxis,
     surface: Surface,
@@ -154,10 +144,7 @@ def refined_pose(
 ) -> BeamPose:
     """Gauss-Newton with Levenberg's damping until the steps are below rounding.
 
-    Args:
-        residual: function that returns residuals over their standard deviation.
-        misfit_px: function that returns a single number, px.
-        tip: start, mm.
+    `residual` gives residuals over their standard deviation, `misfit_px` a single number.
     """
 
     def residuals(step, tip, axis):
@@ -253,7 +240,6 @@ def pose_from_ellipse(
     """
     points = ellipse_points(ellipse, jnp.asarray(generator_angles(_POINTS)))
     met = surface.intersect(*microscope.ray(points))
-    starts = leaning_either_way(met.point, -jnp.mean(met.normal, axis=0), half_angle, apex_offset)
     whitening = jnp.linalg.inv(jnp.linalg.cholesky(mismatch_covariance(ellipse, covariance)))
 
     def mismatch(tip, axis):
@@ -265,16 +251,11 @@ def pose_from_ellipse(
         mean_squares = jnp.array([0.5, 0.5, 1.0, 0.5, 0.5])
         return ellipse.semi_minor * jnp.sqrt(jnp.sum(mean_squares * mismatch(tip, axis) ** 2))
 
-    return best_and_mirror(
-        partial(
-            refined_pose,
-            lambda tip, axis: whitening @ mismatch(tip, axis),
-            misfit_px,
-            surface,
-            prior,
-        ),
-        starts,
-    )
+    def whitened(tip, axis):
+        return whitening @ mismatch(tip, axis)
+
+    solve = partial(_refined, whitened, misfit_px, surface, prior)
+    return _best_and_mirror(solve, _leaning_either_way(met, half_angle, apex_offset))
 
 
 @eqx.filter_jit
@@ -316,11 +297,10 @@ def pose_from_contour(
         return (radius * cos_a - along * sin_a) / jax.lax.stop_gradient(jnp.hypot(*slopes))
 
     solve = partial(
-        refined_pose,
+        _refined,
         lambda tip, axis: off_contour_px(tip, axis) / sigma_px,
         lambda tip, axis: jnp.sqrt(jnp.mean(off_contour_px(tip, axis) ** 2)),
         surface,
         prior,
     )
-    outward = -jnp.mean(met.normal, axis=0)
-    return best_and_mirror(solve, leaning_either_way(met.point, outward, half_angle, apex_offset))
+    return _best_and_mirror(solve, _leaning_either_way(met, half_angle, apex_offset))
