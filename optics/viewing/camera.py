@@ -283,14 +283,7 @@ class SideCamera(Camera):
         return self.line_of_sight(at_pole, slope)
 
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
-        """Image of points inside the eye, by Newton's method on the traced lines of sight.
-
-        Args:
-            points: X, Y, Z in mm, eye frame; `sees` says which are visible.
-
-        Returns:
-            (u, v) in px of the window. Points outside the field have values without meaning.
-        """
+        """Image of points as `PathCamera.project`, by Newton's method on traced lines of sight."""
         offset = self._aims_at(points) * self.px_per_aim * jnp.array([1.0, -1.0])
         return self.principal_point + offset
 

@@ -62,38 +62,33 @@ def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
         assert f"| {fault.name.lower().replace('_', ' ')} |" in text
 
 
-def raised_errors() -> Iterator[tuple[str, int, str]]:
-    """File, line and longest fixed text of what is raised with one of our errors."""
-    for package in PACKAGES:
-        for path in sorted((HOME / package).rglob("*.py")):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call):
-                    name = ast.unparse(node.exc.func)
-                    if name in _ERRORS and node.exc.args:
-                        message = node.exc.args[0]
-                        parts = message.values if isinstance(message, ast.JoinedStr) else [message]
-                        texts = [part.value for part in parts if isinstance(part, ast.Constant)]
-                        yield str(path), node.lineno, max(map(str, texts), key=len, default="")
+@pytest.fixture(scope="module")
+def nodes() -> list[tuple[str, ast.AST]]:
+    """All nodes of all modules, each with its file."""
+    paths = [path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))]
+    trees = ((str(path), ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
+    return [(file, node) for file, tree in trees for node in ast.walk(tree)]
 
 
-def test_every_message_of_wrong_input_is_there(pages: dict[str, str]) -> None:
+def test_every_message_of_wrong_input_is_there(
+    pages: dict[str, str], nodes: list[tuple[str, ast.AST]]
+) -> None:
     text = pages["errors.md"]
-    for file, line, message in raised_errors():
-        # Without a text of its own it is another error's.
-        assert " ".join(message.split()) in text, f"{file}:{line}"
+    for file, node in nodes:
+        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
+            if ast.unparse(node.exc.func) in _ERRORS:
+                message = node.exc.args[0]
+                parts = message.values if isinstance(message, ast.JoinedStr) else [message]
+                texts = [part.value for part in parts if isinstance(part, ast.Constant)]
+                # The longest fixed text; without a text of its own it is another error's.
+                fixed = max(map(str, texts), key=len, default="")
+                assert " ".join(fixed.split()) in text, f"{file}:{node.lineno}"
 
 
-def test_every_error_that_a_user_can_correct_is_known() -> None:
-    for package in PACKAGES:
-        for path in (HOME / package).rglob("*.py"):
-            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-                bases = (
-                    [ast.unparse(base) for base in node.bases]
-                    if isinstance(node, ast.ClassDef)
-                    else []
-                )
-                if isinstance(node, ast.ClassDef) and {*bases} & {*_ERRORS}:
-                    assert node.name in _ERRORS, f"{path}:{node.lineno}"
+def test_every_error_that_a_user_can_correct_is_known(nodes: list[tuple[str, ast.AST]]) -> None:
+    for file, node in nodes:
+        if isinstance(node, ast.ClassDef) and {*map(ast.unparse, node.bases)} & {*_ERRORS}:
+            assert node.name in _ERRORS, f"{file}:{node.lineno}"
 
 
 PAGES = {
