@@ -236,11 +236,8 @@ def trials(scene: Scene, *, quick: bool) -> tuple[dict[str, Scene], dict[str, Sc
         bare = {"spot.incidence_deg": 0.0, "instrument.visible": False} if kind == "square" else {}
         for c in few if bare else every:
             place = {"spot.eccentricity_mm": c, "microscope.pinhole_height_mm": height}
-            name, own = (
-                f"{kind}-pinhole-{height:g}-c-{c:g}",
-                scenes.changed(scene, place | moves | bare),
-            )
-            found[name] = own
+            name = f"{kind}-pinhole-{height:g}-c-{c:g}"
+            found[name] = own = scenes.changed(scene, place | moves | bare)
             if c in few and not bare:
                 finer = {
                     "microscope.scale_mm_px": own.microscope.scale_mm_px / _FINER,

@@ -274,10 +274,8 @@ def _solved(
     ellipses, covariances = _ellipses(noisy)
     found = []
     for i, axis in enumerate(axes):
-        own, led = (
-            jax.tree.map(itemgetter(i), ellipses),
-            optics.DirectionPrior(jnp.asarray(axis), sigma),
-        )
+        own = jax.tree.map(itemgetter(i), ellipses)
+        led = optics.DirectionPrior(jnp.asarray(axis), sigma)
         fit = fit_tool(tool, own, covariances[i], wall, view, led)
         found.append((np.asarray(fit.best.tip), np.asarray(fit.best.axis), fit.distance, math.nan))
     return found
@@ -452,8 +450,8 @@ def _errors(
             sigma_distance = math.sqrt(per_mm @ covariance @ per_mm) if known else math.nan
             tip, towards = np.asarray(fit.best.tip), np.asarray(fit.best.axis)
             found = tip, towards, fit.distance, sigma_distance
-        about = {"source": "rendered", "spots": tool.cones, "prior": kind}
-        about["z_f_mm"] = microscope.pinhole_height_mm
+        height = microscope.pinhole_height_mm
+        about = {"source": "rendered", "spots": tool.cones, "prior": kind, "z_f_mm": height}
         rows.append(pose_error(place, found, noise_px=sigma, covariance=covariance, **about))
     return rows
 
