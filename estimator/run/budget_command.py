@@ -67,7 +67,17 @@ def budget(
             write=lambda record: None,
             progress=lambda record: advance(),
         )
-    chosen = _chosen(found, frame, tracking.frames)
+    if not found:
+        raise InputError(
+            f"none of the {tracking.frames} frames has a distance. `eyespot track` says why; "
+            "--overlay draws what it sees."
+        )
+    if frame is not None and frame not in found:
+        raise InputError(
+            f"frame {frame} has no distance. Frames with one: {min(found)} to {max(found)}, "
+            f"{len(found)} of them."
+        )
+    chosen = max(found, key=lambda n: found[n].sigma_mm) if frame is None else frame
     if as_json:
         print(json.dumps({"frame": chosen, **_content(found[chosen])}))
         return
@@ -81,22 +91,6 @@ def budget(
         f"uncertainties from {sigmas[0]:.3f} to {sigmas[-1]:.3f} mm.",
         highlight=False,
     )
-
-
-def _chosen(found: dict[int, Budget], frame: int | None, frames: int) -> int:
-    if not found:
-        raise InputError(
-            f"none of the {frames} frames has a distance. `eyespot track` says why; --overlay "
-            "draws what it sees."
-        )
-    if frame is None:
-        return max(found, key=lambda n: found[n].sigma_mm)
-    if frame not in found:
-        raise InputError(
-            f"frame {frame} has no distance. Frames with one: {min(found)} to {max(found)}, "
-            f"{len(found)} of them."
-        )
-    return frame
 
 
 def _table(budget: Budget, frame: int) -> Table:
