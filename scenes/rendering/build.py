@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import ArrayLike
 
 import optics
-import scenes.rendering.plugins
-import scenes.rendering.sensor  # noqa: F401
+import scenes.rendering.plugins  # noqa: F401
 from formats.inputs import InputError
 from optics.viewing.camera import PathCamera, coaxial_falloff
 from scenes.description.scene import Scene
