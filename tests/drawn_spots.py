@@ -1,4 +1,4 @@
-"""Spots drawn by formula with numpy alone; the truth for tests of the estimator."""
+"""Grey images of one spot by formula; the truth for tests of the estimator."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-_erf = np.vectorize(math.erf, otypes=[float])
+from scenes.drawn import Drawing, Truth, bell, erf_edge, light_of
 
 
 def spot_image(
@@ -46,17 +46,10 @@ def spot_image(
     Returns:
         (H, W), float64.
     """
-    down, right = np.mgrid[: shape[0], : shape[1]] - np.array([y, x])[:, None, None]
-    along = (right * math.cos(angle) + down * math.sin(angle)) / semi_major
-    across = (down * math.cos(angle) - right * math.sin(angle)) / semi_minor
-    radius = np.hypot(along, across)
-    if profile == "bell":
-        light = 0.5 ** (radius**2)
-    else:
-        slope = np.hypot(along / semi_major, across / semi_minor) / np.maximum(radius, 1e-9)
-        distance = (radius - 1) / np.maximum(slope, 1e-9)
-        light = 0.5 - 0.5 * _erf(np.clip(distance / (math.sqrt(2) * blur), -6, 6))
-    image = background + peak * light
+    truth = Truth(x=x, y=y, semi_major=semi_major, semi_minor=semi_minor, angle=angle)
+    light = bell if profile == "bell" else erf_edge(blur)
+    drawing = Drawing(truth=truth, profile=light, amplitude=peak, ambient=background)
+    image = light_of(drawing, shape)[..., 0]
     if noise:
         assert rng is not None
         image = image + rng.normal(0, noise, shape)
