@@ -41,7 +41,7 @@ class Choices(Given):
     """Parameters to fit (default: half_angle,b; of a lens sag,numerical_aperture). A cone has
     half_angle, b, scale, eye_radius, inverse_working_distance, tilt_x, tilt_y; a lens has sag,
     numerical_aperture, glue_index and others. In the fits to pixels, spread is the length over
-    which the wall spreads light."""
+    which the wall spreads light. robot_scale, true distances over the robot's, needs a prior."""
     prior: Annotated[tuple[str, ...], Parameter(metavar="NAME=MEAN,SIGMA", show_default=False)] = ()
     """Prior knowledge of a fitted parameter (mm, rad), or of touch, the distance in the first
     frame. Repeatable."""

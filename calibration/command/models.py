@@ -33,7 +33,7 @@ from calibration.spots.plane_fit import (
     fit_plane_trials,
 )
 from calibration.spots.sphere_fit import fit_eccentricity
-from formats.calibration import BEAM, Calibration
+from formats.calibration import BEAM, QUANTITIES, Calibration
 from formats.inputs import InputError
 
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
@@ -252,7 +252,7 @@ def _require_errors(recordings: Sequence[Recording]) -> None:
 
 def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
     """The result of `fit_cone` in the form that all models share."""
-    kept = [i for i, name in enumerate(fit.free) if name not in ("tilt_x", "tilt_y")]
+    kept = [i for i, name in enumerate(fit.free) if name in QUANTITIES]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
     covariance = fit.covariance[np.ix_(kept, kept)]
     if len(recordings) == 1 and np.isfinite(fit.boresight_covariance).all():

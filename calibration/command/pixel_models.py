@@ -5,26 +5,26 @@ The fit of a lens starts from one that is chosen by the sizes and edge widths of
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping, Sequence
 from operator import itemgetter
-from typing import Literal
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 from scipy import ndimage
+from scipy.optimize import least_squares
 
 import optics
 from calibration.command.choices import Choices
 from calibration.command.models import cone_start, known_cone
 from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels.data import LENS, UNITS, read_footage
+from calibration.pixels.data import FREE, LENS, UNITS, read_footage
 from calibration.pixels.fit import ImageFit, fit_image
 from calibration.recordings import Recording
-from calibration.spots.cone_trials import JointPrior, Prior
+from calibration.spots.cone_trials import JointPrior, Prior, phantom_wall, wandering_boresight
 from estimator.run.progress_bar import progress, say
 from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from formats.inputs import InputError
@@ -38,14 +38,17 @@ _APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
 deviate."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
-_DISTANCES, _RADII = 6, 65
+_REFINEMENTS = 12  # steps of a guess
+_DISTANCES, _RADII = 8, 65
 _STARTS = 3  # lenses to start from
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 """Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
 
 
-def guessed_lenses(recording: Recording, kind: Mapping[str, float]) -> list[dict[str, float]]:
-    """Lenses whose spots resemble those measured, one for each height of the cap on a coarse grid.
+def guessed_lenses(
+    recording: Recording, kind: Mapping[str, float], widths: Mapping[str, Prior]
+) -> list[dict[str, float]]:
+    """Lenses whose spots resemble those measured: the best of a coarse grid, then least squares.
 
     Compares the half-maximum radius and the edge width on perpendicular planes with the semi-minor
     axis and the edge width of the spots, at the distances given by the readings and the touch.
@@ -53,6 +56,7 @@ def guessed_lenses(recording: Recording, kind: Mapping[str, float]) -> list[dict
     Args:
         recording: the measured spots.
         kind: `optics.wall_light.lens.PARAMETERS` of a lens of the same fibre, compared too.
+        widths: priors of the radii, where they are not known.
 
     Returns:
         The parameters of those that resemble them most, the best one first.
@@ -62,20 +66,44 @@ def guessed_lenses(recording: Recording, kind: Mapping[str, float]) -> list[dict
     sampled = np.geomspace(distance.min(), distance.max(), _DISTANCES)
     measured = _radii_on_wall(recording)
 
-    def misfit(lens: Mapping[str, float]) -> float:
+    def mismatch(lens: Mapping[str, float]) -> Float[np.ndarray, "2n"]:
         field = optics.LensField(lens_of(lens), optics.MEDIA[recording.medium])
         radius, width = (np.interp(distance, sampled, y) for y in _spots(field, sampled))
-        far = (np.log(radius / measured) / _SIZE_ERROR) ** 2
-        far += ((width - recording.relative_edge_width) / _EDGE_ERROR) ** 2
+        edge = (width - recording.relative_edge_width) / _EDGE_ERROR
+        return np.concatenate([np.log(radius / measured) / _SIZE_ERROR, edge])
+
+    def misfit(lens: Mapping[str, float]) -> float:
         # The median tolerates outliers; no spot agrees exactly with a coarse grid.
-        return float(np.median(far))
+        return float(np.median(np.square(mismatch(lens)).reshape(2, -1).sum(axis=0)))
+
+    names = ("sag", "numerical_aperture", *widths)
+
+    def refined(lens: dict[str, float]) -> dict[str, float]:
+        """Least squares from a lens of the grid; its steps are ratios, since all are positive."""
+
+        def changed(ratios: Float[np.ndarray, "p"]) -> dict[str, float]:
+            drop = lens | {n: lens[n] * math.exp(r) for n, r in zip(names, ratios, strict=True)}
+            drop["aperture_radius"] = max(drop["aperture_radius"], drop["core_radius"])
+            drop["sag"] = min(drop["sag"], drop["aperture_radius"])
+            return drop
+
+        def residuals(ratios: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
+            drop = changed(ratios)
+            off = [(drop[name] - prior.mean) / prior.sigma for name, prior in widths.items()]
+            return np.concatenate([mismatch(drop), off])
+
+        start = np.zeros(len(names))
+        within = (start - 2.0, start + 2.0)
+        steps: Any = {"loss": "soft_l1", "diff_step": 0.02, "max_nfev": _REFINEMENTS}
+        return changed(least_squares(residuals, start, bounds=within, x_scale=0.1, **steps).x)
 
     ranked = [(misfit(kind), dict(kind))]
     for share in _SAGS:
         cap = {**kind, "sag": share * kind["core_radius"]}
         lenses = [{**cap, "numerical_aperture": aperture} for aperture in _APERTURES]
         ranked.append(min(((misfit(lens), lens) for lens in lenses), key=itemgetter(0)))
-    return [lens for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]]
+    likely = [lens for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]]
+    return sorted(map(refined, likely), key=misfit)
 
 
 def _spots(
@@ -125,12 +153,9 @@ _STATED = 1.05
 """Factor above which the report says that numerical errors enlarge the standard errors."""
 _MAPS, _SMOOTHING = 6, 0.03
 """Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
-_WIDTHS = ("core_radius", "aperture_radius")
-_CORE, _CAP, _HELD = (0.9, 0.15), (1.06, 0.12), 0.002
-"""Radii of a fibre's core and of a drop's rim over the fibre's radius, and their standard
-deviations: cladding and jacket take up to a quarter of it, and glue may run over the edge. Of a cap
-that is lit within its rim, the light shows the curvature only, so the rim is held while all else is
-fitted; then what its own standard deviation does to that is added."""
+_WIDTHS = {"core_radius": Prior(0.9, 0.15), "aperture_radius": Prior(1.06, 0.12)}
+"""Radii of a fibre's core and of a drop's rim over the fibre's radius: cladding and jacket take up
+to a quarter of it, and glue may run over the edge."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
@@ -151,8 +176,7 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     """Fit shape, aperture and brightness of a glue lens to pixels.
 
     Starts from the lenses that resemble the spots most, among them the one that was chosen. If
-    none was, and the light is not that of a drop as wide as the fibre, the radii of core and cap
-    are free.
+    none was, the radii of core and cap are free, too.
 
     A lens that was calibrated before is the start instead. What its file has an error of is free.
     """
@@ -161,19 +185,22 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
         start, joint = _known_lens(choices.known, choices.names)
         choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
         return _fitted(recording, choices, "lens", [start], joint_prior=joint)
+    radius, widths = recording.fibre_radius_mm, {}
     if choices.lens:
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
-        radii = dict.fromkeys(_WIDTHS, recording.fibre_radius_mm)
-        kind = {**radii, "rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
+        widths = {name: Prior(*(radius * x for x in prior)) for name, prior in _WIDTHS.items()}
+        kind = {name: prior.mean for name, prior in widths.items()}
+        kind |= {"rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
         kind["numerical_aperture"] = _APERTURES[0]
-    starts = guessed_lenses(recording, kind)
+    starts = guessed_lenses(recording, kind, widths)
     say(
         f"Starting from a lens with sag {starts[0]['sag']:.3g} mm and numerical aperture "
         f"{starts[0]['numerical_aperture']:.3g}, by the spots.",
     )
-    widths = not choices.lens and not choices.names
-    return _fitted(recording, choices, "lens", starts, widths=widths)
+    if choices.names:
+        return _fitted(recording, choices, "lens", starts)
+    return _fitted(recording, choices, "lens", starts, more=widths)
 
 
 def _known_lens(
@@ -205,13 +232,32 @@ def _known_lens(
     return start, JointPrior({name: start[name] for name in known}, covariance)
 
 
+def _pose_start(recording: Recording) -> dict[str, float]:
+    """Where the spots show that the beam meets the wall at reading 0, and its boresight."""
+    trial, file = recording.trial, recording.microscope
+    wall = phantom_wall(trial.kind, eye_radius=file.eye_radius_mm, tilt=recording.tilt)
+    centres = np.asarray(trial.ellipses.centre)
+    points = wall.intersect(*file.ideal_microscope().ray(centres)).point
+    motion = trial.axis if trial.motion is None else trial.motion
+    evenly = np.ones(len(centres))
+    boresight = wandering_boresight(
+        points,
+        jnp.asarray(trial.readings),
+        jnp.asarray(evenly),
+        motion=jnp.asarray(motion),
+        axis=jnp.asarray(trial.axis),
+    )
+    first = np.linalg.lstsq(np.stack([evenly, trial.readings], axis=1), centres, rcond=None)[0][0]
+    return dict(zip(("u", "v", *_BEAM), [*first.tolist(), *boresight.tolist()], strict=True))
+
+
 def _fitted(
     recording: Recording,
     choices: Choices,
     source: Literal["cone", "lens"],
     starts: Sequence[dict[str, float]],
     *,
-    widths: bool = False,
+    more: Mapping[str, Prior] | None = None,
     joint_prior: JointPrior | None = None,
 ) -> Fitted:
     """Fit, and bring the result into the form that all models share.
@@ -221,7 +267,7 @@ def _fitted(
         choices: what was asked for.
         source: kind of the light source.
         starts: start values, the likeliest first.
-        widths: whether the radii of core and cap may be fitted too, if the light asks for it.
+        more: priors of parameters that are free beside those free by default.
         joint_prior: of the beam, from a calibration.
     """
     if "spread" in choices.names:
@@ -231,6 +277,7 @@ def _fitted(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
+    starts = [_pose_start(recording) | start for start in starts]
     footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
@@ -239,22 +286,16 @@ def _fitted(
         f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.",
     )
     with progress("Fitting", total=None) as advance:
-        radius = recording.fibre_radius_mm
-        core, rim = (Prior(mean * radius, sigma * radius) for mean, sigma in (_CORE, _CAP))
-        held = Prior(rim.mean, _HELD * radius)
         fit = fit_image(
             footage,
             source=source,
             start=starts[0],
             others=starts[1:],
-            free=choices.names or None,
-            priors=choices.priors,
+            free=choices.names or (*FREE[source], *(more or {})),
+            priors={**(more or {}), **choices.priors},
             joint_prior=joint_prior,
-            spare=dict(zip(_WIDTHS, (core, held), strict=True)) if widths else None,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )
-    if widths and _WIDTHS[1] in fit.parameters:
-        fit = _released(fit, _WIDTHS[1], rim.sigma)
 
     def in_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """The calibration's parameters; with the beam's direction, if it is determined."""
@@ -307,22 +348,6 @@ def _fitted(
         notes=_notes(fit),
         pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit),
     )
-
-
-def _released(fit: ImageFit, name: str, sigma: float) -> ImageFit:
-    """The fit with a larger standard deviation of a parameter that was held by its prior.
-
-    The others follow it as their covariance says (a consider parameter, Schmidt 1966).
-    """
-    at = list(fit.parameters).index(name)
-    column = np.where(np.isfinite(fit.covariance[:, at]), fit.covariance[:, at], 0.0)
-    more = sigma**2 / column[at] - 1.0
-    covariance = fit.covariance + max(more, 0.0) * np.outer(column, column) / column[at]
-    parameters = {
-        own: (value, math.sqrt(covariance[k, k]))
-        for k, (own, (value, _)) in enumerate(fit.parameters.items())
-    }
-    return dataclasses.replace(fit, parameters=parameters, covariance=covariance)
 
 
 def _notes(fit: ImageFit) -> list[str]:

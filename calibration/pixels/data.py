@@ -186,23 +186,34 @@ UNITS = {
     "lean_sideways": "rad",
     "boresight": "rad",
     "boresight_sideways": "rad",
+    "robot_scale": "1",
 }
 """Every parameter's unit. `sensitivity`: full wells per radiance and second. `u`, `v`: image of
 the point where the beam meets the wall at reading 0, in the first frame. `touch`: distance along
 the beam there. `lean`, `lean_sideways`: rotation of the robot's directions against the eye, along
 `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
 beam from the tool's axis, along the same vectors. `spread`: L of the light's spread in the wall
-(`optics.spread_nodes`); without a start value there is none."""
+(`optics.spread_nodes`); without a start value there is none. `robot_scale`: true distances over the
+robot's."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}
 """Parameters that are free by default."""
-POSE = ("touch", "u", "v", "lean", "lean_sideways", "boresight", "boresight_sideways")
+POSE = (
+    "touch",
+    "u",
+    "v",
+    "lean",
+    "lean_sideways",
+    "boresight",
+    "boresight_sideways",
+    "robot_scale",
+)
 """Parameters of the frames' poses."""
 _ANGLES = ("lean", "lean_sideways", "boresight", "boresight_sideways")
 NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 """Parameters that are free in every fit, because no log book contains them accurately enough."""
-DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0}
+DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale": 1.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
 _HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
 

@@ -139,7 +139,6 @@ def fit_image(
     free: Sequence[str] | None = None,
     priors: Mapping[str, Prior] | None = None,
     others: Sequence[Mapping[str, float]] = (),
-    spare: Mapping[str, Prior] | None = None,
     joint_prior: JointPrior | None = None,
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
@@ -161,7 +160,6 @@ def fit_image(
             frame's power, exposure, place and shake, whose sizes are learnt.
         priors: priors of free parameters.
         others: further start values, tried in order while a fit misses light.
-        spare: priors of further parameters, free if the fit from `start` misses light.
         joint_prior: of free parameters that have none in `priors`, such as a lens that was
             calibrated before.
         lean_sigma: standard deviation of the robot's directions, rad.
@@ -192,21 +190,10 @@ def fit_image(
         sags = [min(factor * max(start["sag"], 0.01), highest) for factor in _OTHER_SAGS]
         starts += [{**at_start, "sag": sag} for sag in sags]
 
-    def run_of(free: Sequence[str], priors: dict[str, Prior]) -> _FitRun:
-        names = (*free, *(name for name in NUISANCES if name not in free))
-        lens = LinearLensLight(footage, names) if source == "lens" else None
-        return _FitRun(footage, names, priors, joint_prior, lens, radius, progress)
-
-    run = run_of(free, known)
-    # From what the first start leads to, wrong radii are likelier than a wrong start.
-    solver = run.first_fit(starts[:1] if spare else starts)
-    if spare and solver.misfit > _MISSED:
-        wider = run_of((*free, *spare), known | dict(spare))
-        means = {name: prior.mean for name, prior in spare.items()}
-        found = wider.first_fit([at | means for at in (solver.point.values, *starts[1:])])
-        if found.misfit < 0.5 * solver.misfit:
-            run, solver = wider, found
-    return run.whole_fit(solver)
+    names = (*free, *(name for name in NUISANCES if name not in free))
+    lens = LinearLensLight(footage, names) if source == "lens" else None
+    run = _FitRun(footage, names, known, joint_prior, lens, radius, progress)
+    return run.whole_fit(run.first_fit(starts))
 
 
 def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:

@@ -322,7 +322,7 @@ class Light:
         state: Float[np.ndarray, "7"],
         number: int,
         pose: Float[np.ndarray, "6"],
-        turn: Float[np.ndarray, "6 7"],
+        turn: Float[np.ndarray, "6 8"],
         view: _WallView,
         source: CellBeam,
         emitted: float,
@@ -467,17 +467,17 @@ class _WallView:
 
 @eqx.filter_jit
 def _poses(
-    at: Float[Array, "7"],
+    at: Float[Array, "8"],
     readings: Float[Array, "frames"],
     motion: Float[Array, "3"],
     axis: Float[Array, "3"],
     camera: optics.Microscope,
     wall: optics.Surface,
-) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 7"]]:
+) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 8"]]:
     """Tip and axis of frames by the parameters `POSE`, and their derivatives."""
 
     def pose(at: Array, reading: Array) -> Array:
-        touch, u, v, lean, lean_sideways, boresight, boresight_sideways = at
+        touch, u, v, lean, lean_sideways, boresight, boresight_sideways, scale = at
         spot = wall.intersect(*camera.ray(jnp.stack([u, v]))).point
         way, beam = beam_directions(
             motion=motion,
@@ -485,7 +485,7 @@ def _poses(
             lean=jnp.stack([lean, lean_sideways]),
             boresight=jnp.stack([boresight, boresight_sideways]),
         )
-        return jnp.concatenate([spot - touch * beam - reading * way, beam])
+        return jnp.concatenate([spot - touch * beam - scale * reading * way, beam])
 
     return jax.vmap(lambda reading: (pose(at, reading), jax.jacfwd(pose)(at, reading)))(readings)
 
@@ -500,8 +500,8 @@ def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"])
 
 
 def _through(
-    beam: BeamAtWall, turn: Float[np.ndarray, "6 7"], slopes: Float[np.ndarray, "5 n"]
-) -> tuple[Float[np.ndarray, "7 n"], Float[np.ndarray, "3 n"]]:
+    beam: BeamAtWall, turn: Float[np.ndarray, "6 8"], slopes: Float[np.ndarray, "5 n"]
+) -> tuple[Float[np.ndarray, "8 n"], Float[np.ndarray, "3 n"]]:
     """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
     change = np.linalg.inv(beam.slopes)
     of_turn = np.concatenate([turn[:3], np.stack([beam.first, beam.second]) @ turn[3:]])

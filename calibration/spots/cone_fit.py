@@ -45,8 +45,10 @@ PARAMETERS = (
     "inverse_working_distance",
     "tilt_x",
     "tilt_y",
+    "robot_scale",
 )
-"""Parameters that can be fitted: rad, mm, mm/px, mm, 1/mm, and the tangents of the plane's tilt.
+"""Parameters that can be fitted: rad, mm, mm/px, mm, 1/mm, the tangents of the plane's tilt, and
+true distances over the robot's.
 
 The focal length is 1/(scale inverse_working_distance) px; the pinhole's height is
 1/inverse_working_distance - eye_radius.
@@ -167,7 +169,7 @@ def fit_cone(
         "eye_radius": -float(microscope.pole_height),
         "inverse_working_distance": float(microscope.inverse_working_distance),
     }
-    fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0} | dict(start)
+    fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0, "robot_scale": 1.0} | dict(start)
     # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     own = {name: prior for name, prior in (priors or {}).items() if name in free}

@@ -95,6 +95,24 @@ def trial(
 START = {"half_angle": 1.3 * TRUE["half_angle"], "b": 0.7 * TRUE["b"]}
 
 
+def test_a_robot_whose_scale_is_off_is_contained_in_the_errors_if_it_is_said():
+    trials = [trial("eyeball", c, azimuth=c, touch=calibration.Prior(0.12, 1e-4)) for c in (1, 2)]
+    # Readings 2 % too long: the cone seems to widen more slowly by as much.
+    for one in trials:
+        one.readings[:] *= 1.02
+    start = TRUE | {"tilt_x": 0.0, "tilt_y": 0.0}
+    silent = calibration.fit_cone(trials, EYE, start=start, free=CONE)
+    off = silent.values["half_angle"] / TRUE["half_angle"] - 1.0
+    assert off == pytest.approx(-0.02, abs=0.003)
+    said = {"robot_scale": calibration.Prior(1.0, 0.02)}
+    free = (*CONE, "robot_scale")
+    fit = calibration.fit_cone(trials, EYE, start=start, free=free, priors=said)
+    # The half-angle is known as well as the scale: 2 % of it, which is what it is off by.
+    sigma = np.sqrt(fit.covariance[0, 0]) / TRUE["half_angle"]
+    assert sigma == pytest.approx(0.02, rel=0.1)
+    assert fit.values["half_angle"] / TRUE["half_angle"] - 1.0 == pytest.approx(off, abs=0.002)
+
+
 def test_exact_contours_give_every_parameter_back():
     trials = [
         trial("plane", 1.5, tilted=True),

@@ -1,0 +1,199 @@
+"""Beams drawn at random, rendered, fitted as a user does: how far off, in standard errors.
+
+    python -m tests.random_fits lenses FILE [FIRST LAST]   lenses over textured walls, then read
+    python -m tests.random_fits cones FILE [FIRST LAST]    clean withdrawals of ideal cones
+
+Each fit is a line of JSON in FILE. A run that was killed goes on where it ended, several runs may
+share FILE, and the table at the end is of all its lines. VARIANT in the environment is Mitsuba's.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy.spatial.transform import Rotation
+
+import eyespot
+import optics
+from calibration.spots.cone_trials import BORESIGHT_SIGMA
+from formats.inputs import InputError
+
+LEAN, TOUCH_MM = math.radians(1.0), 0.02
+"""Standard deviations of what a fit assumes about the robot's directions and the touch."""
+WALLS = ("printed paper", "retina", "photograph")
+_VARIANT: Any = os.environ.get("VARIANT", "llvm_ad_rgb")
+_SMALL = {"microscope.width_px": 320, "microscope.height_px": 240, "microscope.scale_mm_px": 0.0134}
+
+
+def _view(
+    rng: np.random.Generator, most_eccentric: float, least_incidence: float
+) -> dict[str, Any]:
+    return {
+        "seed": int(rng.integers(1 << 31)),
+        "phantom.texture_seed": int(rng.integers(1 << 31)),
+        "phantom.wall": str(rng.choice(WALLS)),
+        "spot.eccentricity_mm": rng.uniform(0.0, most_eccentric),
+        "spot.azimuth_deg": rng.uniform(0.0, 360.0),
+        "spot.incidence_deg": rng.uniform(least_incidence, 30.0),
+        "spot.incidence_azimuth_deg": rng.uniform(0.0, 360.0),
+        "microscope.pinhole_height_mm": float(rng.choice([11.5, 200.0])),
+        "exposures.kinds": ["metered"],
+    }
+
+
+def _touch_prior(scene: dict[str, Any], rng: np.random.Generator) -> str:
+    """The distance at which the fibre's rim touches the wall, told with the operator's error."""
+    wall: Any = optics.Sphere(11.5)
+    if scene.get("phantom.kind") == "plane":
+        wall = optics.Plane(point=np.array([0.0, 0.0, -11.5]), inward=np.array([0.0, 0.0, 1.0]))
+    contact = optics.contact_distance(
+        wall, incidence=math.radians(scene["spot.incidence_deg"]), rim_radius=0.25
+    )
+    return f"touch={float(contact) + TOUCH_MM * rng.standard_normal()},{TOUCH_MM}"
+
+
+def misreported(kinematics: Path, rng: np.random.Generator) -> None:
+    """Turn the robot's frame against the eye, and the tool against the beam, as priors expect."""
+    table = pd.read_csv(kinematics)
+    lean = Rotation.from_rotvec(LEAN * rng.standard_normal(3))
+    place, axis = ["x_mm", "y_mm", "z_mm"], ["axis_x", "axis_y", "axis_z"]
+    along = table[axis].to_numpy()
+    askew = Rotation.from_rotvec(np.cross(along[0], BORESIGHT_SIGMA * rng.standard_normal(3)))
+    table[place], table[axis] = lean.apply(table[place]), lean.apply(askew.apply(along))
+    table.to_csv(kinematics, index=False)
+
+
+def _fitted(stack: Path, out: Path, **choices: Any) -> tuple[dict[str, Any], eyespot.Fit]:
+    began = time.monotonic()
+    fit = eyespot.fit(stack, **choices)
+    row = {"good": fit.good, "said": fit.verdict, "seconds": time.monotonic() - began}
+    if fit.good:
+        fit.save(out)
+    return row | {"model": fit.model}, fit
+
+
+def _errors(fit: eyespot.Fit, truth: dict[str, float]) -> dict[str, list[float]]:
+    """Error and standard error by name."""
+    found = fit.parameters
+    return {
+        name: [float(found.value[name]) - true, float(found.sigma[name])]
+        for name, true in truth.items()
+        if name in found.index
+    }
+
+
+def lens(seed: int, folder: Path) -> dict[str, Any]:
+    """A lens is fitted without a start, and distances are read with it over another wall."""
+    rng = np.random.default_rng([38, seed])
+    core = rng.uniform(0.18, 0.25)
+    drop = {
+        "core_radius": core,
+        "aperture_radius": rng.uniform(core, 0.28),
+        "glue_index": 1.49,
+        "sag": rng.uniform(0.0, 0.15),
+        "numerical_aperture": rng.uniform(0.09, 0.22),
+    }
+    drop["glue_length"] = drop["sag"]
+    numbers = "\n".join(f"{name} = {value}" for name, value in drop.items())
+    (folder / "drop.toml").write_text(f"schema = 1\n[lens]\n{numbers}\n")
+    beam = {
+        **_SMALL,
+        "source.lens": str(folder / "drop.toml"),
+        "source.medium": str(rng.choice(["air", "vitreous"])),
+        "phantom.kind": str(rng.choice(["plane", "eyeball"])),
+    }
+    fitted = beam | _view(rng, 2.0, 15.0) | {"motion.frames": 21, "motion.travel_mm": 6.0}
+    eyespot.render(eyespot.Scene(), folder / "fit", fitted, variant=_VARIANT)
+    misreported(folder / "fit/kinematics.csv", rng)
+    row, fit = _fitted(folder / "fit", folder / "c.json", prior=[_touch_prior(fitted, rng)])
+    row |= {"scene": fitted, "drop": drop} | _errors(fit, drop)
+    if not fit.good or fit.model != "lens":
+        return row
+    others = [wall for wall in WALLS if wall != fitted["phantom.wall"]]
+    read = beam | _view(rng, 2.0, 15.0) | {"motion.frames": 9, "motion.travel_mm": 5.0}
+    read |= {"spot.eccentricity_mm": 2.6, "phantom.wall": str(rng.choice(others))}
+    read |= {"phantom.kind": "eyeball", "motion.start_mm": 0.8}
+    stack = eyespot.render(eyespot.Scene(), folder / "read", read, variant=_VARIANT)
+    began = time.monotonic()
+    spots = eyespot.track(folder / "read", calibration=folder / "c.json")
+    truth = pd.read_json(stack.folder / "metadata.jsonl", lines=True)["d_mm"].to_numpy()
+    off = spots["distance_mm"].to_numpy(float) - truth
+    row["distances"] = np.stack([off, spots["sigma_distance_mm"].to_numpy(float)]).T.tolist()
+    row["read_seconds"] = time.monotonic() - began
+    return row
+
+
+def cone(seed: int, folder: Path) -> dict[str, Any]:
+    """A cone is fitted to a clean withdrawal."""
+    rng = np.random.default_rng([39, seed])
+    k = rng.uniform(10.0, 25.0)
+    scene = _view(rng, 5.0, 0.0) | {
+        "source.kind": "cone",
+        "source.cone_k": k,
+        "source.cone_apex_offset_mm": -k * rng.uniform(0.22, 0.28),
+        "motion.frames": int(rng.integers(5, 61)),
+        "motion.travel_mm": 6.0,
+        "microscope.width_px": 448,
+        "microscope.height_px": 384,
+    }
+    eyespot.render(eyespot.Scene(), folder / "fit", scene, variant=_VARIANT)
+    misreported(folder / "fit/kinematics.csv", rng)
+    row, fit = _fitted(folder / "fit", folder / "c.json", prior=[_touch_prior(scene, rng)])
+    truth = {"half_angle": math.atan(1.0 / k), "b": scene["source.cone_apex_offset_mm"]}
+    return row | {"scene": scene} | _errors(fit, truth)
+
+
+KINDS: dict[str, Callable[[int, Path], dict[str, Any]]] = {"lenses": lens, "cones": cone}
+
+
+def results(file: Path, kind: str, seeds: range) -> pd.DataFrame:
+    """Fits by seed: those in the file, and the missing ones, which it then has too."""
+    done = pd.read_json(file, lines=True) if file.exists() else pd.DataFrame({"seed": []})
+    for seed in seeds:
+        if seed in set(done.seed):
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            try:
+                row = KINDS[kind](seed, Path(folder))
+            except InputError as error:  # a scene that is impossible, or a fit that cannot begin
+                row = {"good": False, "said": str(error), "seconds": math.nan}
+        with file.open("a") as appended:
+            appended.write(json.dumps({"seed": seed, **row}) + "\n")
+    return pd.read_json(file, lines=True)
+
+
+def summary(rows: pd.DataFrame) -> str:
+    """Counts of what was accepted, and shares of errors within 1, 1.96, 3 and 4 sigma."""
+    good = rows[rows.good.astype(bool)]
+    lines = [f"{len(good)} of {len(rows)} accepted; median {rows.seconds.median():.0f} s a fit."]
+    names = ("sag", "numerical_aperture", "half_angle", "b", "distances")
+    for name in (name for name in names if name in good):
+        pairs = np.concatenate(
+            [np.array(pair, float).reshape(-1, 2) for pair in good[name].dropna()]
+        )
+        z = np.abs(pairs[:, 0] / pairs[:, 1])
+        z = z[np.isfinite(z)]
+        shares = ", ".join(f"{np.mean(z < n):.1%} within {n:g}" for n in (1, 1.96, 3, 4, 5))
+        lines.append(f"{name}: {z.size} errors, {shares} sigma; largest {z.max():.1f}")
+    if "distances" in good:
+        off = [np.array(pair, float)[:, 0] for pair in good.distances.dropna()]
+        rms = [np.sqrt(np.nanmean(np.square(errors))) for errors in off]
+        lines.append(f"distances: median of the lenses' RMS {1e3 * np.median(rms):.1f} um")
+    for _, row in rows[~rows.good.astype(bool)].iterrows():
+        lines.append(f"refused {row.seed}: {' '.join(str(row.said).split())}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    kind, file, *limits = sys.argv[1:]
+    print(summary(results(Path(file), kind, range(*map(int, limits or ("0", "100"))))))
