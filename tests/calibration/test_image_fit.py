@@ -317,14 +317,14 @@ def test_slopes_are_those_of_central_differences():
     names = (
         *("half_angle", "b", "blur", "spread", "scale", "eye_radius", "reflectance", "power"),
         *("sensitivity", "illumination", "touch", "u", "v", "lean", "lean_sideways"),
-        *("boresight", "boresight_sideways"),
+        *("boresight", "boresight_sideways", "robot_scale"),
     )
     values = dict(
         zip(
             names,
             [
                 *(HALF_ANGLE, B, 2.0, 0.03, 0.02, 11.5, 0.5, 1.0, 200.0, 0.05, 0.15, 64.0, 63.0),
-                *(0.01, -0.02, 0.03, 0.005),
+                *(0.01, -0.02, 0.03, 0.005, 1.0),
             ],
             strict=True,
         )
