@@ -6,7 +6,7 @@ The fit of a lens starts from one that is chosen by the sizes and edge widths of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from operator import itemgetter
 from typing import Any, Literal
 
@@ -38,8 +38,8 @@ _APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
 deviate."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
-_REFINEMENTS = 12  # steps of a guess
-_DISTANCES, _RADII = 8, 65
+_REFINEMENTS = 6  # steps of a guess
+_DISTANCES, _RADII = 6, 65
 _STARTS = 3  # lenses to start from
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 """Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
@@ -47,8 +47,8 @@ _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 
 def guessed_lenses(
     recording: Recording, kind: Mapping[str, float], widths: Mapping[str, Prior]
-) -> list[dict[str, float]]:
-    """Lenses whose spots resemble those measured: the best of a coarse grid, then least squares.
+) -> Iterator[dict[str, float]]:
+    """Lenses whose spots resemble those measured: the best of a coarse grid, by least squares.
 
     Compares the half-maximum radius and the edge width on perpendicular planes with the semi-minor
     axis and the edge width of the spots, at the distances given by the readings and the touch.
@@ -58,8 +58,8 @@ def guessed_lenses(
         kind: `optics.wall_light.lens.PARAMETERS` of a lens of the same fibre, compared too.
         widths: priors of the radii, where they are not known.
 
-    Returns:
-        The parameters of those that resemble them most, the best one first.
+    Yields:
+        The parameters of one lens after the other, from the likeliest of the grid on.
     """
     trial = recording.trial
     distance = np.maximum(trial.readings + trial.touch.mean, 0.05)
@@ -102,8 +102,7 @@ def guessed_lenses(
         cap = {**kind, "sag": share * kind["core_radius"]}
         lenses = [{**cap, "numerical_aperture": aperture} for aperture in _APERTURES]
         ranked.append(min(((misfit(lens), lens) for lens in lenses), key=itemgetter(0)))
-    likely = [lens for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]]
-    return sorted(map(refined, likely), key=misfit)
+    yield from (refined(lens) for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS])
 
 
 def _spots(
@@ -194,13 +193,7 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
         kind |= {"rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
         kind["numerical_aperture"] = _APERTURES[0]
     starts = guessed_lenses(recording, kind, widths)
-    say(
-        f"Starting from a lens with sag {starts[0]['sag']:.3g} mm and numerical aperture "
-        f"{starts[0]['numerical_aperture']:.3g}, by the spots.",
-    )
-    if choices.names:
-        return _fitted(recording, choices, "lens", starts)
-    return _fitted(recording, choices, "lens", starts, more=widths)
+    return _fitted(recording, choices, "lens", starts, more={} if choices.names else widths)
 
 
 def _known_lens(
@@ -255,7 +248,7 @@ def _fitted(
     recording: Recording,
     choices: Choices,
     source: Literal["cone", "lens"],
-    starts: Sequence[dict[str, float]],
+    starts: Iterable[dict[str, float]],
     *,
     more: Mapping[str, Prior] | None = None,
     joint_prior: JointPrior | None = None,
@@ -270,14 +263,15 @@ def _fitted(
         more: priors of parameters that are free beside those free by default.
         joint_prior: of the beam, from a calibration.
     """
-    if "spread" in choices.names:
-        starts = [start | {"spread": _SPREAD_MM} for start in starts]
     if any(recording.tilt):
         raise InputError(
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
-    starts = [_pose_start(recording) | start for start in starts]
+    known = _pose_start(recording)
+    if "spread" in choices.names:
+        known["spread"] = _SPREAD_MM
+    begins = (known | start for start in starts)
     footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
@@ -289,8 +283,8 @@ def _fitted(
         fit = fit_image(
             footage,
             source=source,
-            start=starts[0],
-            others=starts[1:],
+            start=next(begins),
+            others=begins,
             free=choices.names or (*FREE[source], *(more or {})),
             priors={**(more or {}), **choices.priors},
             joint_prior=joint_prior,

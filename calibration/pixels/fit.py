@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from operator import attrgetter
@@ -138,7 +139,7 @@ def fit_image(
     start: Mapping[str, float],
     free: Sequence[str] | None = None,
     priors: Mapping[str, Prior] | None = None,
-    others: Sequence[Mapping[str, float]] = (),
+    others: Iterable[Mapping[str, float]] | None = None,
     joint_prior: JointPrior | None = None,
     lean_sigma: float = np.radians(1.0),
     boresight_sigma: float = BORESIGHT_SIGMA,
@@ -159,7 +160,7 @@ def fit_image(
             numerical_aperture. The pose, sensitivity and illumination are always free, and each
             frame's power, exposure, place and shake, whose sizes are learnt.
         priors: priors of free parameters.
-        others: further start values, tried in order while a fit misses light.
+        others: further start values, taken in order while a fit misses light; None: other sags.
         joint_prior: of free parameters that have none in `priors`, such as a lens that was
             calibrated before.
         lean_sigma: standard deviation of the robot's directions, rad.
@@ -183,13 +184,12 @@ def fit_image(
         **{name: prior.mean for name, prior in known.items()},
         **start,
     }
-    starts = [at_start, *({**at_start, **other} for other in others)]
-    if "sag" in free and not others:
+    if others is None and "sag" in free:
         # A half ball is the highest drop; a fit that starts there cannot move.
         highest = 0.5 * (start["sag"] + start["aperture_radius"])
         sags = [min(factor * max(start["sag"], 0.01), highest) for factor in _OTHER_SAGS]
-        starts += [{**at_start, "sag": sag} for sag in sags]
-
+        others = [{"sag": sag} for sag in sags]
+    starts = itertools.chain([at_start], ({**at_start, **other} for other in others or ()))
     names = (*free, *(name for name in NUISANCES if name not in free))
     lens = LinearLensLight(footage, names) if source == "lens" else None
     run = _FitRun(footage, names, known, joint_prior, lens, radius, progress)
@@ -285,24 +285,27 @@ class _FitRun(NamedTuple):
             progress=self.progress,
         )
 
-    def first_fit(self, starts: Sequence[dict[str, float]]) -> BeamSolver:
+    def first_fit(self, starts: Iterable[dict[str, float]]) -> BeamSolver:
         """The best of the fits of some frames from the starts, of which the first may do."""
         tried: list[BeamSolver] = []
         found: list[BeamSolver] = []
-        attempts = [(start, False) for start in starts]
+        attempts: Iterable[tuple[dict[str, float], bool]] = ((start, False) for start in starts)
         if self.lens is None:  # a free wall can take the shape of the light of a cone far off
-            attempts.append((starts[0], True))
-        for left, (start, even) in zip(range(len(attempts) - 1, -1, -1), attempts, strict=True):
-            still = np.zeros((len(self.footage.readings), len(STATES)))
+            each = list(attempts)
+            attempts = [*each, (each[0][0], True)]
+        still = np.zeros((len(self.footage.readings), len(STATES)))
+        for start, even in attempts:
             tried.append(self._guess(Point(dict(start), still), first=True, even=even))
             best = min(tried, key=attrgetter("misfit"))
-            if best.misfit > _POOR and (left or found):
+            if best.misfit > _POOR:
                 continue
             tried.remove(best)
             found.append(self._guess(best.point, first=False))
             *before, misfit = (solver.misfit for solver in found)
             if misfit < _MISSED or any(math.isclose(misfit, one, rel_tol=_ALIKE) for one in before):
                 break
+        if not found:
+            found.append(self._guess(min(tried, key=attrgetter("misfit")).point, first=False))
         return min(found, key=attrgetter("misfit"))
 
     def _guess(self, point: Point, *, first: bool, even: bool = False) -> BeamSolver:

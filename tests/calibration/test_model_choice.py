@@ -82,7 +82,7 @@ def test_of_two_exposures_the_metered_one_is_measured(stack):
 
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
     kind = lens_parameters(optics.load_lens("dome"))  # another lens on the same fibre
-    guess, *_ = guessed_lenses(read_recording(stack("lens", LENS)), kind, {})
+    guess = next(guessed_lenses(read_recording(stack("lens", LENS)), kind, {}))
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
     assert guess["sag"] < 0.05
