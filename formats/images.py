@@ -280,7 +280,7 @@ def decoded_image(data: bytes) -> DecodedImage:
             if len(pages) > 1:
                 raise InputError(f"holds {len(pages)} frames. Give it as a source of its own")
             return image_of_page(file.pages[pages[0]].aspage())
-    except (InputError, MemoryError):
+    except (InputError, MemoryError, ImportError):  # a missing decoder is no damaged image
         raise
     except Exception as error:  # decoders raise errors of all kinds
         raise InputError(_DAMAGED) from error

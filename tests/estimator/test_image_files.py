@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+import sys
 import zlib
 from collections.abc import Callable
 from functools import partial
@@ -21,6 +22,7 @@ from estimator import SubpixelSettings, track
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame
 from formats.camera import Response
+from formats.images import decoded_image
 from formats.inputs import InputError
 from formats.spots import Spot
 from tests.drawn_spots import spot_image
@@ -549,3 +551,10 @@ def test_a_thousand_tiffs_at_random_are_right_or_refused(tmp_path, light):
         print(number, bits, options)
         assert error_px(frame) < TOLERANCE_PX
     assert refused < 400
+
+
+def test_a_decoder_that_is_not_installed_is_not_called_a_damaged_image(monkeypatch):
+    monkeypatch.setitem(sys.modules, "imagecodecs", None)
+    _, png = cv2.imencode(".png", np.zeros((4, 4), np.uint8))
+    with pytest.raises(ImportError, match="imagecodecs"):
+        decoded_image(png.tobytes())
