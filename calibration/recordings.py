@@ -37,26 +37,15 @@ _MOST_ASKEW_DEG = 10.0
 `BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
 
 
-class StraightWithdrawal(NamedTuple):
-    """A straight motion of the tip away from the wall.
-
-    Attributes:
-        readings: distance from the first frame along the motion, mm.
-        motion: unit vector of the motion, reversed, so that it points towards the wall.
-        axis: unit vector of the tool's mean axis, towards the wall.
-        across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
-    """
-
-    readings: Float[np.ndarray, "n"]
-    motion: Float[np.ndarray, "3"]
-    axis: Float[np.ndarray, "3"]
-    across: Float[np.ndarray, "2 3"]
-
-
 def withdrawal(
     times: Float[np.ndarray, "n"], poses_file: Path, *, source: Path
-) -> StraightWithdrawal:
-    """Distance of the tip since the first frame, its direction, and the tool's mean axis.
+) -> tuple[
+    Float[np.ndarray, "n"],
+    Float[np.ndarray, "3"],
+    Float[np.ndarray, "3"],
+    Float[np.ndarray, "2 3"],
+]:
+    """Distance of the tip since the first frame, its direction, and the tool's mean axes.
 
     Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
     0.5 um, which equals one standard error of the half-angle at 5 mm.
@@ -67,7 +56,9 @@ def withdrawal(
         source: source of the frames, for messages.
 
     Returns:
-        The withdrawal, in the poses' frame.
+        Distances from the first frame along the motion, mm, and unit vectors in the poses' frame:
+        the motion, reversed, and the tool's axis, both towards the wall, and the tool's x and y
+        axes in the middle of the withdrawal.
 
     Raises:
         InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
@@ -89,7 +80,10 @@ def withdrawal(
     axis = np.mean([pose.axis for pose in poses[first : last + 1]], axis=0)
     axis /= np.linalg.norm(axis)
     gone = places[0] - places
-    motion = _direction(gone, axis)
+    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
+    # A tip at rest has no direction.
+    motion = lines[0] if travel[0] > _MOST_ASIDE_MM else axis
+    motion = np.asarray(motion * np.copysign(1.0, motion @ axis))
     readings = gone @ motion
     aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
     askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
@@ -101,17 +95,7 @@ def withdrawal(
         )
     middle = poses[(first + last) // 2].rotation
     across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    return StraightWithdrawal(readings, motion, axis, across)
-
-
-def _direction(
-    gone: Float[np.ndarray, "n 3"], axis: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Unit vector of the straight line through the places, on the axis's side."""
-    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
-    # A tip at rest has no direction.
-    line = lines[0] if travel[0] > _MOST_ASIDE_MM else axis
-    return np.asarray(line * np.copysign(1.0, line @ axis))
+    return readings, motion, axis, across
 
 
 _FEWEST_SPOTS = 3
@@ -185,11 +169,6 @@ class Recording(NamedTuple):
         """Derivatives of (beam_x, beam_y) of a calibration with respect to the boresight."""
         return self.across @ np.stack(optics.perpendicular_frame(self.trial.axis)).T
 
-    @property
-    def is_stack(self) -> bool:
-        """Whether its pixels can be fitted, too, and not only its spots."""
-        return is_stack(self.source)
-
 
 def is_stack(source: Path) -> bool:
     """Whether a source is a stack, which contains its own log book."""
@@ -211,7 +190,7 @@ def read_recording(
     Args:
         source: a stack, a spots file, or any other source of `open_source`, such as a bag or video.
         exposure: see `open_source`.
-        log_book: for a source other than a stack.
+        log_book: for a source other than a stack, which contains its own.
         touch: distance at the first frame, mm; by default the distance at which the rim touches.
         progress: called after each measured frame.
 
@@ -219,24 +198,16 @@ def read_recording(
         InputError: a missing or broken file, no withdrawal from the touch, or too few spots.
     """
     source = Path(source)
-    if is_stack(source):
-        log_book = _of_stack(source)
-        prints = [source / "manifest.json"]
-    elif source.is_dir() and log_book is None:
-        read_stack(source)  # its error says which part of the stack is missing
-    if log_book is None:
-        raise InputError(
-            f"{source} is no stack, so the fit needs --microscope, --poses, --phantom and "
-            "--medium. Add them."
-        )
+    if log_book is None or is_stack(source):
+        log_book, prints = _of_stack(source), [source / "manifest.json"]
+    else:
+        prints = [source, log_book.poses]
     if source.suffix.lower() in _SPOTS_FILES:
         records = read_spots(source)
     else:
         opened = open_source(source, exposure=exposure)
         reader = Options(microscope=log_book.microscope).reader()
         records = track_whole_source(opened, reader, progress=lambda record: progress())
-    if not is_stack(source):
-        prints = [*_files(source), *_files(log_book.poses)]
     if touch is None and not log_book.begins_at_touch:
         raise InputError(
             f"{source} does not begin where the tip touches the wall, so the distance at reading 0 "
@@ -253,7 +224,7 @@ def _of_stack(folder: Path) -> LogBook:
         return stack.described(f"scene.{key}", float)
 
     tilt, towards = (math.radians(number(f"phantom.tilt_{part}deg")) for part in ("", "azimuth_"))
-    from_touch = stack.described("scene.motion.kind", str) == "withdrawal"
+    motion: dict[str, object] = stack.described("scene.motion", dict)
     return LogBook(
         kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
         tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
@@ -261,13 +232,8 @@ def _of_stack(folder: Path) -> LogBook:
         fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
         microscope=folder / "microscope.json",
         poses=folder / "kinematics.csv",
-        begins_at_touch=from_touch and _start_of(stack) == "contact",
+        begins_at_touch=(motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact"),
     )
-
-
-def _start_of(stack: Stack) -> object:
-    motion: dict[str, object] = stack.described("scene.motion", dict)
-    return motion.get("start_mm")
 
 
 def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:
@@ -306,7 +272,8 @@ def _joined(
         )
     spots = [spot for _, spot, _ in usable]
     microscope = read_microscope(log_book.microscope)
-    ellipses = _ellipses(spots)
+    columns = jnp.array([spot.ellipse for spot in spots])
+    ellipses = optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
     if touch is None:
         wall = phantom_wall(log_book.kind, eye_radius=microscope.eye_radius_mm, tilt=log_book.tilt)
         normal = wall.intersect(*microscope.ideal_microscope().ray(ellipses.centre[0])).normal
@@ -343,25 +310,11 @@ def _joined(
     )
 
 
-def _files(path: Path) -> list[Path]:
-    return sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
-
-
-def _sha256(files: Iterable[Path]) -> str:
+def _sha256(paths: Iterable[Path]) -> str:
+    """Checksum of files, or of all files in folders."""
     checksum = hashlib.sha256()
-    for file in files:
-        with file.open("rb") as content:
-            checksum.update(hashlib.file_digest(content, "sha256").digest())
+    for path in paths:
+        for file in sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]:
+            with file.open("rb") as content:
+                checksum.update(hashlib.file_digest(content, "sha256").digest())
     return checksum.hexdigest()
-
-
-def _ellipses(spots: Sequence[Spot]) -> optics.Ellipse:
-    def column(name: str) -> jnp.ndarray:
-        return jnp.array([getattr(spot, name) for spot in spots])
-
-    return optics.Ellipse(
-        centre=jnp.stack([column("x_px"), column("y_px")], axis=-1),
-        semi_major=column("semi_major_px"),
-        semi_minor=column("semi_minor_px"),
-        angle=column("angle_rad"),
-    )

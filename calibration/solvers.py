@@ -16,7 +16,7 @@ $$ \Bigl(A - \sum_b B_b C_b^{-1} B_b^T\Bigr)\,\delta x
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -72,6 +72,18 @@ def slow_power(values: Float[np.ndarray, "n"]) -> tuple[float, float]:
     slow, rest = np.split(waves, [max(1, min(_SLOW, len(values) // 4))])
     ratio = np.mean(slow) / max(np.mean(rest), _NOTHING)
     return float(np.mean(slow)), float(stats.f.sf(ratio, slow.size, rest.size))
+
+
+def slow_waves(
+    residuals: Mapping[str, Float[np.ndarray, "n"]],
+) -> list[tuple[str, float, float, bool]]:
+    """Name, power and chance of each kind of residuals, and whether it has structure.
+
+    Noise has structure of at least one kind with the probability `SIGNIFICANCE`.
+    """
+    powers = [(name, *slow_power(values)) for name, values in residuals.items()]
+    level = SIGNIFICANCE / max(len(powers), 1)
+    return [(name, power, chance, chance < level) for name, power, chance in powers]
 
 
 MOST_STEPS = 40
@@ -168,7 +180,6 @@ def _solved(
 
 _TOLERANCE = 1e-10
 _MAX_STEPS = 256
-_PADDING = 64
 
 Solver = optx.AbstractLeastSquaresSolver
 
@@ -233,15 +244,10 @@ def least_squares(
     )
 
 
-def padded(*columns: Float[np.ndarray, "n"]) -> tuple[Float[np.ndarray, "m"], ...]:
-    """Columns padded to a multiple of 64, followed by the weights (1, or 0 for padding).
-
-    Trials have different numbers of frames; equal shapes avoid a compilation for each.
-    """
-    count = len(columns[0])
-    missing = -count % _PADDING
-    weight = np.concatenate([np.ones(count), np.zeros(missing)])
-    return (*(np.pad(column, (0, missing)) for column in columns), weight)
+def padded(values: Float[ArrayLike, "n ..."], length: int) -> Float[np.ndarray, "m ..."]:
+    """Rows, the last one repeated up to a length: equal shapes share one compilation."""
+    values = np.asarray(values)
+    return np.pad(values, [(0, length - len(values)), *[(0, 0)] * (values.ndim - 1)], mode="edge")
 
 
 _TUNING = 1.345
@@ -250,24 +256,12 @@ _MAD_OF_NORMAL = 0.6745
 _OUTLIER = 3.5  # modified z-score from which Iglewicz and Hoaglin (1993) call a value an outlier
 
 
-class Robust(NamedTuple):
-    """An M-estimate.
-
-    Attributes:
-        solution: with unweighted residuals and Huber's covariance.
-        outliers: whether each residual exceeds 3.5 robust standard deviations.
-    """
-
-    solution: Solution
-    outliers: Bool[Array, "n"]
-
-
 def huber(
     residual: Callable[[Float[Array, "p"]], Float[Array, "n"]],
     start: Float[ArrayLike, "p"],
     *,
     weight: Float[ArrayLike, "n"],
-) -> Robust:
+) -> tuple[Solution, Bool[Array, "n"]]:
     r"""Minimise Huber's loss by iteratively reweighted least squares.
 
     The scale is the median of the absolute residuals over 0.6745. Scale and parameters are a fixed
@@ -279,6 +273,10 @@ def huber(
         residual: unweighted, almost linear function of the parameters; zero for padding.
         start: first guess.
         weight: 1, or 0 for padding.
+
+    Returns:
+        The solution, with unweighted residuals and Huber's covariance, and which residuals exceed
+        3.5 robust standard deviations.
     """
     real = jnp.asarray(weight) > 0
     count = jnp.sum(real)
@@ -311,16 +309,14 @@ def huber(
     parameters = jacobian.shape[1]
     correction = 1.0 + parameters / count * (1.0 - within) / within
     variance = jnp.sum(jnp.clip(left, -limit, limit) ** 2) / (count - parameters)
-    return Robust(
-        Solution(
-            parameters=found.value,
-            covariance=correction**2 * variance / within**2 * jnp.linalg.inv(information),
-            information=information,
-            residuals=left,
-            converged=(found.result == optx.RESULTS.successful) & plain.converged,
-        ),
-        outliers=(jnp.abs(left) > _OUTLIER * spread) & (spread > 0),
+    solution = Solution(
+        parameters=found.value,
+        covariance=correction**2 * variance / within**2 * jnp.linalg.inv(information),
+        information=information,
+        residuals=left,
+        converged=(found.result == optx.RESULTS.successful) & plain.converged,
     )
+    return solution, (jnp.abs(left) > _OUTLIER * spread) & (spread > 0)
 
 
 _MOST_STEPS = 12
@@ -423,14 +419,6 @@ def covariance_and_lost(
     hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _PART
     covariance[hidden, :] = covariance[:, hidden] = np.inf
     return covariance, sentences
-
-
-def marginal_information(
-    information: Float[np.ndarray, "p p"], count: int
-) -> Float[np.ndarray, "f f"]:
-    """Fisher information of the first `count` parameters, with the others unknown."""
-    own, mixed = information[:count, :count], information[:count, count:]
-    return own - mixed @ np.linalg.solve(information[count:, count:], mixed.T)
 
 
 def correlations(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:

@@ -16,7 +16,7 @@ from formats.inputs import InputError, shortened
 if TYPE_CHECKING:
     from calibration.recordings import LogBook
     from calibration.spots.cone_trials import Prior
-    from calibration.spots.plane_fit import Loss
+    from calibration.spots.paper import Loss
     from formats.calibration import Calibration
     from formats.poses import Quaternion
 

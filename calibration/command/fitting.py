@@ -149,7 +149,7 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
     )
     if width <= SOFT_EDGE:
         return ("cone", seen.format("sharp"))
-    if len(recordings) > 1 or not recordings[0].is_stack:
+    if len(recordings) > 1 or not is_stack(recordings[0].source):
         raise InputError(
             f"{seen.format('soft')}, so the light comes from a lens.\n"
             "A lens is fitted to the pixels of one stack: give one stack. To fit a cone instead, "
@@ -293,7 +293,7 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
 def _has_pixels(recordings: Sequence[Recording]) -> bool:
     """Whether a beam can be fitted to all pixels of the only recording."""
     first, *others = recordings
-    known = first.is_stack and first.microscope.noise is not None
+    known = is_stack(first.source) and first.microscope.noise is not None
     return known and not others and not any(first.tilt)
 
 

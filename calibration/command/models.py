@@ -11,10 +11,10 @@ from scipy.linalg import block_diag
 
 import optics
 from calibration.command.choices import Choices
-from calibration.command.verdict import Fitted, PlotCurve, bounds_hit
+from calibration.command.verdict import Fitted, bounds_hit
 from calibration.pixels.data import CONE
 from calibration.recordings import Recording
-from calibration.spots.cone_fit import ConeFit, fit_cone
+from calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone
 from calibration.spots.cone_trials import (
     OUTLINE_PER_MM,
     RETINA,
@@ -24,15 +24,15 @@ from calibration.spots.cone_trials import (
     Prior,
     phantom_wall,
 )
-from calibration.spots.plane_fit import (
+from calibration.spots.paper import (
     Loss,
     PlaneFit,
     PlaneTrial,
     PlaneTrialsFit,
+    fit_eccentricity,
     fit_plane,
     fit_plane_trials,
 )
-from calibration.spots.sphere_fit import fit_eccentricity
 from formats.calibration import BEAM, QUANTITIES, Calibration
 from formats.inputs import InputError
 
@@ -65,7 +65,7 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     for recording in planes:
         line = line_through([recording], choices.loss)
         axis = np.sort(np.asarray(recording.trial.ellipses.semi_minor))
-        lines[recording.name] = PlotCurve(axis, line.delta_k * axis + line.b, line.band(axis))
+        lines[recording.name] = (axis, line.delta_k * axis + line.b, line.band(axis))
     return Fitted(
         calibration_model="planar",
         values={"k": pooled.delta_k / scale, "b": pooled.b},
@@ -144,7 +144,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         used=errors.size + pooled.residuals.size,
         degrees_of_freedom=errors.size - 1,
         notes=notes,
-        lines={sphere.name: PlotCurve(axis[order], np.asarray(model)[order], band)},
+        lines={sphere.name: (axis[order], np.asarray(model)[order], band)},
     )
 
 
@@ -207,8 +207,6 @@ def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
 
 EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
 """What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
-_MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
-"""The components of `ConeFit.residuals` in words."""
 
 
 def cone_start(recordings: Sequence[Recording]) -> dict[str, float]:
@@ -282,7 +280,7 @@ def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model:
         undetermined=fit.undetermined,
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
-        residuals=dict(zip(_MISMATCHES, residuals.T, strict=True)),
+        residuals=dict(zip(MISMATCHES, residuals.T, strict=True)),
         recordings=recordings,
         used=len(residuals),
         others=[

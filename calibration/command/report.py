@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from calibration.recordings import Recording
-from calibration.solvers import SIGNIFICANCE, accepted_range, slow_power
+from calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
 from formats.inputs import in_figure
 
 
@@ -78,11 +78,8 @@ def render(
             data_sha256=data_sha256,
             software=software,
             figures=figures,
-            kinds=[
-                (name, float(np.mean(values**2)), *slow_power(values))
-                for name, values in fitted.residuals.items()
-            ],
-            level=SIGNIFICANCE / max(len(fitted.residuals), 1),
+            mean_squares={n: float(np.mean(v**2)) for n, v in fitted.residuals.items()},
+            kinds=slow_waves(fitted.residuals),
             accepted=accepted_range(fitted.degrees_of_freedom),
             stated=any(doubt.fault is Fault.STATED_MISFIT for doubt in doubts),
             significance=SIGNIFICANCE,
@@ -164,17 +161,17 @@ def _lines(fitted: Fitted) -> Figure:
     figure = Figure(figsize=(10.0, 4.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     for number, recording in enumerate(fitted.recordings):
-        line = fitted.lines[recording.name]
+        size, line, band = fitted.lines[recording.name]
         trial = recording.trial
         axis = np.asarray(trial.ellipses.semi_minor)
         count_from = trial.touch.mean if trial.kind == "eyeball" else 0.0
         distance = trial.readings + count_from
         colour = _COLOURS[number % len(_COLOURS)]
         _marks(left, axis, distance, number, recording.name)
-        left.plot(line.semi_minor_px, line.distance, color=colour, lw=1)
-        left_over = np.interp(axis, line.semi_minor_px, line.distance) - distance
+        left.plot(size, line, color=colour, lw=1)
+        left_over = np.interp(axis, size, line) - distance
         _marks(right, axis, left_over, number, recording.name)
-        right.fill_between(line.semi_minor_px, -line.band, line.band, color=colour, alpha=0.2, lw=0)
+        right.fill_between(size, -band, band, color=colour, alpha=0.2, lw=0)
     for axes in (left, right):
         axes.set_xlabel("$e_1'$ (px)")
     left.set_ylabel("reading (mm)")

@@ -20,18 +20,8 @@ from jaxtyping import Float, Int
 from calibration.pixels.fit import Failure
 from calibration.pixels.misfit import Misfit
 from calibration.recordings import Recording
-from calibration.solvers import SIGNIFICANCE, accepted_range, correlations, slow_power
+from calibration.solvers import accepted_range, correlations, slow_waves
 from formats.calibration import QUANTITIES
-
-
-class PlotCurve(NamedTuple):
-    """A model's curve through one recording, for the figure of distance against spot size."""
-
-    semi_minor_px: Float[np.ndarray, "n"]
-    """e1' of the spots, ascending."""
-    distance: Float[np.ndarray, "n"]
-    band: Float[np.ndarray, "n"]
-    """Half-width of the 95 % confidence band, mm."""
 
 
 class PixelResiduals(NamedTuple):
@@ -81,8 +71,9 @@ class Fitted:
     """Name, value, sigma and unit of fitted parameters that the file does not contain."""
     notes: list[str] = field(default_factory=list)
     """Sentences for the report."""
-    lines: dict[str, PlotCurve] = field(default_factory=dict)
-    """By the recording's name."""
+    lines: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
+    """By the recording's name: e1' of its spots, ascending, px; the model's distances and the
+    half-widths of their 95 % confidence band, mm."""
     pixels: PixelResiduals | None = None
     """None for a fit to spots."""
 
@@ -266,11 +257,10 @@ def of_structure(
     residuals: Mapping[str, Float[np.ndarray, "n"]], *, noise_is_known: bool
 ) -> list[Doubt]:
     """Doubts about slow waves in the residuals of spots: how far they may move the parameters."""
-    powers = {name: slow_power(values) for name, values in residuals.items()}
     structured = {
         name: math.sqrt(power)
-        for name, (power, chance) in powers.items()
-        if chance < SIGNIFICANCE / len(powers) and power > _FELT**2
+        for name, power, _, found in slow_waves(residuals)
+        if found and power > _FELT**2
     }
     if not structured:
         return []

@@ -13,14 +13,11 @@ from jaxtyping import Array, Float
 
 import optics
 from calibration.solvers import (
-    SIGNIFICANCE,
     Solution,
-    correlations,
     covariance_and_lost,
     excess_variance,
     least_squares,
-    marginal_information,
-    slow_power,
+    slow_waves,
 )
 from calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
@@ -57,6 +54,8 @@ The focal length is 1/(scale inverse_working_distance) px; the pinhole's height 
 
 _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
 """Scales of parameters that may be zero; the scale of the others is their value."""
+MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
+"""The components of `ConeFit.residuals` in words."""
 _HAS_PRIOR = np.array([name not in ("u", "v") for name in NUISANCES], float)
 
 
@@ -70,7 +69,6 @@ class ConeFit(NamedTuple):
             `growth`.
         growth: factor on the ellipses' covariances that their residuals demand, by chi squared or
             by slow waves; priors stay as they are.
-        information: Fisher information of the fitted parameters, marginal over the nuisances.
         touch: distance at reading 0 per trial, mm.
         touch_error: its standard error, mm; infinite if the data do not determine it.
         lean: rotation of the robot against the eye per trial, along the two vectors of
@@ -90,7 +88,6 @@ class ConeFit(NamedTuple):
     free: tuple[str, ...]
     covariance: Float[np.ndarray, "p p"]
     growth: float
-    information: Float[np.ndarray, "p p"]
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
     lean: Float[np.ndarray, "trials 2"]
@@ -103,11 +100,6 @@ class ConeFit(NamedTuple):
     degrees_of_freedom: int
     undetermined: tuple[str, ...]
     converged: bool
-
-    @property
-    def correlations(self) -> Float[np.ndarray, "p p"]:
-        """Correlations of the fitted parameters."""
-        return correlations(self.covariance)
 
     @property
     def eccentricity(self) -> Float[np.ndarray, "trials"]:
@@ -206,11 +198,11 @@ def fit_cone(
     residuals = _by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials)
     chi_squared = float(np.sum(np.square(solution.residuals)))
     degrees = count - found.size
-    powers = [slow_power(kind) for kind in np.concatenate(residuals).T]
+    kinds = dict(zip(MISMATCHES, np.concatenate(residuals).T, strict=True))
     growth = max(
         1.0,
         excess_variance(chi_squared / degrees, degrees),
-        *(power for power, chance in powers if chance < SIGNIFICANCE / len(powers)),
+        *(power for _, power, _, structured in slow_waves(kinds) if structured),
     )
     of_priors = np.diag(np.concatenate([np.zeros(len(free)), *[_HAS_PRIOR] * len(trials)]))
     of_free = prior_weights[:, [PARAMETERS.index(name) for name in free]] * sizes
@@ -241,7 +233,6 @@ def fit_cone(
         free=tuple(free),
         covariance=covariance[shared, shared] * np.outer(sizes, sizes),
         growth=growth,
-        information=marginal_information(information, len(free)) / np.outer(sizes, sizes),
         touch=touch,
         touch_error=touch_error,
         lean=lean,

@@ -1,4 +1,4 @@
-"""Trials of a cone: withdrawals with unknown touch, priors, and straight lines through them.
+"""Trials of a cone: withdrawals with unknown touch, and priors.
 
 A trial is a straight withdrawal. The robot reports the distance travelled and, to about a degree,
 the direction of the motion and of the tool, but not the position of the wall. The fibre's beam is
@@ -20,9 +20,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, ScalarLike
+from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 import optics
+from calibration.solvers import padded
 from formats.inputs import InputError
 
 NUISANCES = (
@@ -200,16 +201,12 @@ class TrialGroup(eqx.Module):
         longest = max(trial.readings.size for trial in trials)
         longest += -longest % _PADDING
 
-        def stacked(arrays: list[np.ndarray]) -> Array:
-            # Padding repeats the trial's last frame with weight 0.
-            rows = [
-                np.pad(a, [(0, longest - len(a)), *[(0, 0)] * (a.ndim - 1)], mode="edge")
-                for a in map(np.asarray, arrays)
-            ]
-            return jnp.asarray(np.stack(rows))
+        def stacked(arrays: Sequence[ArrayLike]) -> Array:
+            # The padding has weight 0.
+            return jnp.asarray(np.stack([padded(a, longest) for a in arrays]))
 
         ellipses = optics.Ellipse(
-            *(stacked(list(leaves)) for leaves in zip(*(t.ellipses for t in trials), strict=True))
+            *(stacked(leaves) for leaves in zip(*(t.ellipses for t in trials), strict=True))
         )
         covariances = stacked([t.covariances for t in trials])
         missed = jnp.array([outline_sigmas[n] for n in numbers])
@@ -407,52 +404,3 @@ OUTLINE_PER_MM = 0.0001
 
 Root mean square over random eyes, perpendicular beams, withdrawals at c = 1, 3 and 5 mm. It is a
 tenth of the noise of real frames, and all that is left in frames without noise."""
-
-
-class Lines(NamedTuple):
-    """The columns of Table I as arrays over trials (Zhou et al. 2020).
-
-    Attributes:
-        delta_k: mm/px, or k if the spots are given in mm.
-        b: mm.
-        r_squared: coefficient of determination.
-        rmse: root mean square error, mm.
-    """
-
-    delta_k: np.ndarray
-    b: np.ndarray
-    r_squared: np.ndarray
-    rmse: np.ndarray
-
-
-def fit_lines(semi_minor: np.ndarray, reading: np.ndarray) -> Lines:
-    """Least squares of d_r on e1': the same line as `fit_plane`, without standard errors.
-
-    Args:
-        semi_minor: e1', ... x n, px or mm; NaN for frames without a spot.
-        reading: d_r, mm; broadcasts against `semi_minor`.
-
-    Returns:
-        Arrays of the shape ...; NaN for trials with fewer than three spots, or with equal sizes.
-    """
-    seen = np.isfinite(semi_minor)
-    count = np.count_nonzero(seen, axis=-1)
-    reading = np.where(seen, reading, 0.0)
-    with np.errstate(invalid="ignore", divide="ignore"):
-
-        def mean(values: np.ndarray) -> np.ndarray:
-            return np.asarray(np.sum(values, axis=-1) / count)
-
-        axis = np.where(seen, semi_minor, 0.0)
-        mean_axis, mean_reading = mean(axis), mean(reading)
-        axis = np.where(seen, axis - mean_axis[..., None], 0.0)
-        offset = np.where(seen, reading - mean_reading[..., None], 0.0)
-        delta_k = mean(axis * offset) / mean(axis**2)
-        squares = mean((offset - delta_k[..., None] * axis) ** 2)
-        line = Lines(
-            delta_k=delta_k,
-            b=mean_reading - delta_k * mean_axis,
-            r_squared=1.0 - squares / mean(offset**2),
-            rmse=np.sqrt(squares),
-        )
-    return Lines(*(np.where(count >= 3, value, np.nan) for value in line))

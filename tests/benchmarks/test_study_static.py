@@ -14,7 +14,7 @@ from benchmarks.paper import TABLE_I, PlaneRow, paper_trials
 from benchmarks.studies import static, table_one
 from benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
 from benchmarks.studies.table_one import AT_SCALE, Family, Isophotes
-from calibration.spots.cone_trials import fit_lines
+from calibration.spots.paper import fit_lines
 from scenes.world.world import World
 
 K, B = 20.0, -5.117

@@ -131,11 +131,6 @@ def test_exact_contours_give_every_parameter_back():
     np.testing.assert_allclose(fit.touch, 0.12, atol=1e-6)
     np.testing.assert_allclose(fit.lean, 0.0, atol=1e-6)
     np.testing.assert_allclose(fit.eccentricity, [1.5, 3.0, 3.0, 5.0, 4.5], rtol=1e-6)
-    # What is known of the parameters alone is what is known with the nuisances not known.
-    # Correlations of 0.99 and more take four of the sixteen digits, the solver's end the rest.
-    sigma = np.sqrt(np.diag(fit.covariance))
-    difference = (np.linalg.inv(fit.information) - fit.covariance) / np.outer(sigma, sigma)
-    np.testing.assert_allclose(difference, 0.0, atol=1e-5)
 
 
 @pytest.mark.slow

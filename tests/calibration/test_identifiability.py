@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.solvers import covariance_and_lost, marginal_information
+from calibration.solvers import covariance_and_lost
 
 NAMES = ("half_angle", "b", "scale")
 
@@ -33,11 +33,3 @@ def test_what_is_not_seen_is_said_with_a_remedy(seen, values, told):
     hidden = [name in told for name in NAMES]
     assert np.isinf(np.diag(covariance)[hidden]).all()
     assert np.isfinite(np.diag(covariance)[np.logical_not(hidden)]).all()
-
-
-def test_marginal_information_is_the_inverse_of_the_own_covariance():
-    root = np.random.default_rng(0).standard_normal((9, 5))
-    information = root.T @ root
-    np.testing.assert_allclose(
-        marginal_information(information, 2), np.linalg.inv(np.linalg.inv(information)[:2, :2])
-    )

@@ -1,19 +1,15 @@
 """The paper's fits against NumPy's, known truth, and the spread that their errors promise."""
 
-import functools
 import math
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 import scipy.optimize
 import scipy.stats
 
 import optics
-from calibration import fit_eccentricity, fit_plane
-from calibration.spots.plane_fit import plane_solution
-from calibration.spots.sphere_fit import sphere_solution
+from calibration import fit_eccentricity, fit_lines, fit_plane
 
 
 def test_plane_fit_is_the_linear_regression_of_numpy():
@@ -174,39 +170,21 @@ def test_c_and_its_band_follow_what_they_were_fitted_with():
     np.testing.assert_allclose(band, student * np.abs(up - down) / 2, rtol=1e-3)
 
 
-def many(c: np.ndarray, count: int, noise: float):
-    rng = np.random.default_rng(5)
-    axis = np.linspace(38.0, 83.0, 61) + rng.uniform(-2, 2, (count, 1))
-    distance = optics.small_plane_distance(
-        semi_minor_px=axis, k=20.0, b=-5.117, eccentricity=c, **EYE
+@pytest.mark.parametrize("c", [2.0, 4.0, 6.0])
+def test_c_is_what_scipy_finds(c):
+    axis, distance = sphere_data(c)
+    distance = distance + np.random.default_rng(5).normal(0, 0.05, axis.size)
+    fit = fit_eccentricity(semi_minor_px=axis, distance=distance, **PLANE, **EYE)
+    theirs = scipy.optimize.least_squares(
+        lambda p: (
+            20 * (r := 0.0067 * axis * p[0]) - 5.117 + 11.5 - np.sqrt(11.5**2 - r**2) - distance
+        ),
+        [0.9],
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
     )
-    return axis, np.asarray(distance) + rng.normal(0, noise, axis.shape)
-
-
-def test_a_batch_of_fits_is_what_numpy_and_scipy_find_one_by_one():
-    axis, distance = many(np.linspace(2.0, 6.0, 20)[:, None], 20, 0.05)
-    weight = np.ones_like(axis)
-    planes = jax.jit(jax.vmap(plane_solution))(axis, distance, weight)
-    spheres = jax.jit(jax.vmap(functools.partial(sphere_solution, **PLANE, **EYE)))(
-        axis, distance, weight
-    )
-    assert np.all(planes.converged)
-    assert np.all(spheres.converged)
-    for e, d, plane, sphere in zip(
-        axis, distance, planes.parameters, spheres.parameters, strict=True
-    ):
-        design = np.column_stack([e, np.ones_like(e)])
-        np.testing.assert_allclose(plane, np.linalg.lstsq(design, d)[0], atol=1e-8)
-        theirs = scipy.optimize.least_squares(
-            lambda p, e=e, d=d: np.asarray(
-                20 * (r := 0.0067 * e * p[0]) - 5.117 + 11.5 - np.sqrt(11.5**2 - r**2) - d
-            ),
-            [0.9],
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
-        )
-        np.testing.assert_allclose(sphere, theirs.x, atol=1e-8)
+    assert math.sqrt(1 - (fit.c / 11.5) ** 2) == pytest.approx(theirs.x[0], abs=1e-8)
 
 
 def test_standard_errors_are_those_of_the_bootstrap():
@@ -216,9 +194,8 @@ def test_standard_errors_are_those_of_the_bootstrap():
     fit = fit_plane(semi_minor_px=axis, distance=distance)
     line = fit.delta_k * axis + fit.b
     drawn = line + rng.choice(distance - line, (2000, axis.size))
-    weight = np.ones_like(drawn)
-    batch = jax.jit(jax.vmap(plane_solution, in_axes=(None, 0, 0)))
-    spread = np.std(batch(axis, drawn, weight).parameters, axis=0)
+    lines = fit_lines(axis, drawn)
+    spread = np.std([lines.delta_k, lines.b], axis=1)
     # Residuals are smaller than errors by sqrt(59/61), 1.6 %; 2000 draws know a spread to 1.6 %.
     np.testing.assert_allclose(spread, [fit.delta_k_error, fit.b_error], rtol=0.016 + 3 * 0.016)
 
@@ -242,3 +219,26 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     # 95 % intervals by an exact binomial test at 1 %, over these and the six of the cone's fit.
     low, high = (scipy.stats.binom.ppf(p, runs, 0.95) for p in (0.01 / 18, 1 - 0.01 / 18))
     assert all(low <= count <= high for count in hits.values()), hits
+
+
+def test_the_line_through_an_ideal_cone_is_its_k_and_b_whichever_spots_are_missing():
+    d = np.linspace(0.0, 4.0, 21)
+    radius = np.tile((d + 5.117) / 20.0, (3, 1))
+    radius[1, ::3] = np.nan
+    radius[2, 2:] = np.nan
+    line = fit_lines(radius, d)
+    # Rounding of numbers near 5 mm, times the leverage of b.
+    assert line.delta_k[:2] == pytest.approx(20.0, rel=1e-12)
+    assert line.b[:2] == pytest.approx(-5.117, rel=1e-12)
+    assert line.rmse[:2] == pytest.approx(0.0, abs=1e-12)
+    assert np.isnan(line.delta_k[2])  # two spots are no line
+
+
+def test_lines_are_those_of_numpys_polyfit():
+    rng = np.random.default_rng(5)
+    axis, d = rng.normal(50.0, 8.0, (4, 30)), rng.normal(2.0, 1.0, (4, 30))
+    line = fit_lines(axis, d)
+    for n in range(4):
+        delta_k, b = np.polyfit(axis[n], d[n], 1)
+        assert (line.delta_k[n], line.b[n]) == pytest.approx((delta_k, b), rel=1e-9)
+        assert line.r_squared[n] == pytest.approx(np.corrcoef(axis[n], d[n])[0, 1] ** 2, rel=1e-9)

@@ -7,7 +7,7 @@ import pytest
 
 import optics
 from calibration import Prior, fit_plane
-from calibration.spots.plane_fit import PlaneTrial, fit_plane_trials
+from calibration.spots.paper import PlaneTrial, fit_plane_trials
 
 DELTA_K, B = 0.134, -5.117
 AXIS = np.linspace(38.0, 83.0, 40)
