@@ -103,7 +103,8 @@ _TOUCH_SIGMA_MM = 0.02
 """Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
 _LEAST_COVERAGE = 0.5
 """Least visible fraction of the contour; below it, the ellipse depends mainly on the model."""
-_SPOTS_FILES = (".csv", ".parquet")
+SPOTS_FILES = (".csv", ".parquet")
+"""Endings of files of spots, without images."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,7 +203,7 @@ def read_recording(
         log_book, prints = _of_stack(source), [source / "manifest.json"]
     else:
         prints = [source, log_book.poses]
-    if source.suffix.lower() in _SPOTS_FILES:
+    if source.suffix.lower() in SPOTS_FILES:
         records = read_spots(source)
     else:
         opened = open_source(source, exposure=exposure)

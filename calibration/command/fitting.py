@@ -11,7 +11,7 @@ import json
 import math
 import operator
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -29,7 +29,7 @@ from calibration.command.models import EYE, fit_cone_to_spots, fit_eye, fit_plan
 from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
 from calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
 from calibration.pixels.data import CONE, FREE, NUISANCES, known_names
-from calibration.recordings import Recording, is_stack, read_recording
+from calibration.recordings import SPOTS_FILES, Recording, is_stack, read_recording
 from calibration.spots.cone_fit import PARAMETERS
 from estimator import Ranger
 from estimator.run.progress_bar import progress, say
@@ -40,15 +40,15 @@ from formats.inputs import InputError, in_terminal
 from formats.spots import Spot
 from formats.whole_files import require_space, written_whole
 
-_SPOTS_FILES = (".csv", ".parquet")
-
 
 def record_fit(target: str, fit: Fit) -> None:
     """Record the frames of a fit, one recording after the other on the timeline `frame`."""
     fitted, recordings, calibration = fit.fitted, fit.recordings, fit.calibration
     name = ", ".join(recording.name for recording in recordings)
     touches = {row[0].removeprefix("touch of "): row[1] for row in fitted.others}
-    residuals = _residuals(fitted, recordings)
+    # The residuals of spots are in the order of the recordings; a fit may have left some out.
+    all_used = list(map(id, fitted.recordings)) == list(map(id, recordings))
+    residuals = zip(*fitted.residuals.values(), strict=True) if all_used else iter(())
     first = 0
     with recording_of(target, name=name, microscope=recordings[0].microscope) as recorded:
         for recording in recordings:
@@ -58,7 +58,13 @@ def record_fit(target: str, fit: Fit) -> None:
             numbers = [record.frame for record in recording.records]
             seen = zip(recording.records, trial.readings, strict=True)
             spots = dict(zip(numbers, seen, strict=True))
-            for number, time_s, image in _frames(recording, fit.exposure):
+            frames: Iterable[tuple[int, float, np.ndarray | None]]
+            if recording.source.suffix.lower() in SPOTS_FILES:
+                frames = ((record.frame, record.time_s, None) for record in recording.records)
+            else:
+                opened = open_source(recording.source, exposure=fit.exposure)
+                frames = ((frame.index, frame.time_s, frame.image) for frame in opened)
+            for number, time_s, image in frames:
                 recorded.add_frame(first + number, time_s, image)
                 if number not in spots:
                     continue
@@ -67,30 +73,9 @@ def record_fit(target: str, fit: Fit) -> None:
                 found = ranger.distance(record.result, axis=trial.axis, frame=image)
                 recorded.add_measured(record.result, found, "")
                 recorded.add_value("distance/robot", touch + float(reading))
-                for kind, value in next(residuals, {}).items():
-                    recorded.add_value(f"residuals/{kind.replace(' ', '_')}", value)
+                for kind, value in zip(fitted.residuals, next(residuals, ()), strict=False):
+                    recorded.add_value(f"residuals/{kind.replace(' ', '_')}", float(value))
             first += recording.frames
-
-
-def _frames(
-    recording: Recording, exposure: str | None
-) -> Iterator[tuple[int, float, np.ndarray | None]]:
-    """Number, time and image of every frame; of a spots file those with a spot, without image."""
-    source = recording.source
-    if source.suffix.lower() in _SPOTS_FILES:
-        yield from ((record.frame, record.time_s, None) for record in recording.records)
-        return
-    for frame in open_source(source, exposure=exposure):
-        yield frame.index, frame.time_s, frame.image
-
-
-def _residuals(fitted: Fitted, recordings: Sequence[Recording]) -> Iterator[dict[str, Any]]:
-    """The residuals of each usable spot, in the order of the recordings; none of pixels."""
-    order = [id(recording) for recording in fitted.recordings]
-    if order != [id(recording) for recording in recordings]:
-        return
-    for row in zip(*fitted.residuals.values(), strict=True):
-        yield {name: float(value) for name, value in zip(fitted.residuals, row, strict=True)}
 
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
@@ -278,23 +263,15 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
         say(f"Model {model}: {reason}.")
         _check(model, choices, sources=len(sources), others=len(others))
     fit = _fit(model, recordings, choices)
-    if (
-        (choices.model, model, choices.free) != ("auto", "cone", None)
-        or fit.good
-        or not _has_pixels(recordings)
-    ):
+    first, *more = recordings
+    has_pixels = is_stack(first.source) and first.microscope.noise is not None
+    one_cone = (choices.model, model, choices.free) == ("auto", "cone", None) and not more
+    if fit.good or not one_cone or not has_pixels or any(first.tilt):
         return fit
     of_pixels = "lens" if _edge_width(recordings) > SHARP_EDGE else "image"
     say(f"The spots are {fit.verdict.splitlines()[0]} Trying model {of_pixels}, of all pixels.")
     other = _fit(of_pixels, recordings, choices)
     return other if other.good else fit
-
-
-def _has_pixels(recordings: Sequence[Recording]) -> bool:
-    """Whether a beam can be fitted to all pixels of the only recording."""
-    first, *others = recordings
-    known = is_stack(first.source) and first.microscope.noise is not None
-    return known and not others and not any(first.tilt)
 
 
 def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
@@ -458,13 +435,6 @@ def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
     for name, value, error, unit in fitted.rows:
         digits = 6 if name in fitted.values else 4
-        table.add_row(in_terminal(name), f"{value:.{digits}g}", _error(error), unit)
+        sigma = "given" if error == 0 else fit_report.rounded(error, 2)
+        table.add_row(in_terminal(name), f"{value:.{digits}g}", sigma, unit)
     return table
-
-
-def _error(sigma: float) -> str:
-    if math.isinf(sigma):
-        return "not determined"
-    if sigma == 0:
-        return "given"
-    return "" if math.isnan(sigma) else f"{sigma:.2g}"

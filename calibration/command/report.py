@@ -83,12 +83,13 @@ def render(
             accepted=accepted_range(fitted.degrees_of_freedom),
             stated=any(doubt.fault is Fault.STATED_MISFIT for doubt in doubts),
             significance=SIGNIFICANCE,
-            number=_number,
+            number=rounded,
         )
     )
 
 
-def _number(value: float, digits: int = 6) -> str:
+def rounded(value: float, digits: int = 6) -> str:
+    """A value in words; empty for NaN."""
     if math.isnan(value):
         return ""
     return "not determined" if math.isinf(value) else f"{value:.{digits}g}"
