@@ -47,6 +47,10 @@ _FINEST_PX = 1.0  # widest cell of a table; the mean light within a radius has n
 _KNOWN = 1e-4
 """Relative error of a lens's parameter that does not matter: it is a third of a micrometre in the
 distance. Each other parameter costs time in each frame."""
+_LINEAR = 0.2
+"""Relative change up to which the light counts as linear in a lens's parameters. What a fit knows
+less well hardly changes the light, such as the rim of a cap that is lit within it, with the sag
+that keeps its curvature; a frame that could change it farther would leave the table."""
 
 
 class PixelRanger:
@@ -305,7 +309,10 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     for source in (Path(__file__), *sorted(Path(optics.__file__).parent.rglob("*.py"))):
         key.update(source.read_bytes())
     kept = kept_arrays(cache_file("lens_table", key.hexdigest()), compute)
-    return LensTable.of_arrays(kept), _root(calibration.covariance[np.ix_(at, at)])
+    spread = _root(calibration.covariance[np.ix_(at, at)])
+    sizes = np.array([[abs(values[name])] for name in free])
+    change = np.max(np.abs(spread) / sizes, axis=0, initial=0.0)
+    return LensTable.of_arrays(kept), spread * np.minimum(1.0, _LINEAR / np.maximum(change, 1e-300))
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
