@@ -421,13 +421,6 @@ def covariance_and_lost(
     return covariance, sentences
 
 
-def correlations(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """Correlation matrix; NaN where a variance is zero or infinite."""
-    sigma = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return covariance / np.outer(sigma, sigma)
-
-
 def _sentence(
     direction: Float[np.ndarray, "p"], names: Sequence[str], signs: Float[np.ndarray, "p"]
 ) -> str:

@@ -20,7 +20,7 @@ from jaxtyping import Float, Int
 from calibration.pixels.fit import Failure
 from calibration.pixels.misfit import Misfit
 from calibration.recordings import Recording
-from calibration.solvers import accepted_range, correlations, slow_waves
+from calibration.solvers import accepted_range, slow_waves
 from formats.calibration import QUANTITIES
 
 
@@ -90,11 +90,13 @@ class Fitted:
     @property
     def strong_correlations(self) -> str:
         """Pairs of fitted parameters with a correlation above 0.9, in words; empty if none."""
-        names, rho = list(self.values), correlations(self.covariance)
+        names, sigma = list(self.values), np.sqrt(np.diag(self.covariance))
+        with np.errstate(invalid="ignore", divide="ignore"):
+            rho = self.covariance / np.outer(sigma, sigma)
         return ", ".join(
             f"{names[i]} and {names[j]} {rho[i, j]:+.2f}"
             for i, j in zip(*np.triu_indices(len(names), 1), strict=True)
-            # False for NaN, where a parameter was not fitted, and for 1, where one follows another.
+            # False for NaN (a variance of 0 or infinity) and for 1 (one follows another).
             if 0.9 < abs(rho[i, j]) < 1 - 1e-9
         )
 

@@ -207,9 +207,11 @@ def fit_cone(
     of_priors = np.diag(np.concatenate([np.zeros(len(free)), *[_HAS_PRIOR] * len(trials)]))
     of_free = prior_weights[:, [PARAMETERS.index(name) for name in free]] * sizes
     of_priors[: len(free), : len(free)] = of_free.T @ of_free
+    numbers = [number for group in groups for number in group.numbers]
+    nuisances = [f"{name} of trial {number + 1}" for number in numbers for name in NUISANCES]
     covariance, undetermined = covariance_and_lost(
         (information - of_priors) / growth + of_priors,
-        (*free, *_names(groups)),
+        (*free, *nuisances),
         [*(values[name] for name in free), *found[len(free) :]],
     )
     errors = np.sqrt(np.diag(covariance))
@@ -217,7 +219,7 @@ def fit_cone(
     lean, boresight = np.empty((2, len(trials), 2))
     boresight_covariance = np.empty((len(trials), 2, 2))
     at = len(free)
-    for number in (number for group in groups for number in group.numbers):
+    for number in numbers:
         mean, sigma = trials[number].touch
         touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
         lean[number] = lean_sigma * found[at + 3 : at + 5]
@@ -226,7 +228,7 @@ def fit_cone(
         boresight_covariance[number] = boresight_sigma**2 * covariance[beam, beam]
         at += len(NUISANCES)
     shared = slice(len(free))
-    in_order = np.argsort([number for group in groups for number in group.numbers])
+    in_order = np.argsort(numbers)
     slopes = np.asarray(spot_slopes)[in_order]
     return ConeFit(
         values=values,
@@ -257,15 +259,6 @@ def _carried_on(
     carried = slopes @ known @ slopes.swapaxes(1, 2)
     carried[np.any(slopes[..., unknown], axis=(1, 2))] = np.inf
     return carried
-
-
-def _names(groups: list[TrialGroup]) -> list[str]:
-    return [
-        f"{name} of trial {number + 1}"
-        for group in groups
-        for number in group.numbers
-        for name in NUISANCES
-    ]
 
 
 def _by_trial(
