@@ -11,6 +11,9 @@ import scipy.stats
 import optics
 from calibration import fit_eccentricity, fit_lines, fit_plane
 
+PLANE: dict[str, Any] = {"delta_k": 0.134, "b": -5.117}
+EYE: dict[str, Any] = {"scale": 0.0067, "eye_radius": 11.5}
+
 
 def test_plane_fit_is_the_linear_regression_of_numpy():
     rng = np.random.default_rng(0)
@@ -45,7 +48,7 @@ def sphere_data(c: float) -> tuple[np.ndarray, np.ndarray]:
     """Spots that obey the small-plane model itself, by inverting it on a fine grid."""
     axis = np.linspace(38.0, 95.0, 50)
     distance = optics.small_plane_distance(
-        semi_minor_px=axis, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=11.5
+        semi_minor_px=axis, k=20.0, b=-5.117, eccentricity=c, **EYE
     )
     return axis, np.asarray(distance)
 
@@ -53,14 +56,7 @@ def sphere_data(c: float) -> tuple[np.ndarray, np.ndarray]:
 @pytest.mark.parametrize("c", [1.0, 4.584, 6.982])
 def test_eccentricity_is_found_again_where_the_model_holds(c):
     axis, distance = sphere_data(c)
-    fit = fit_eccentricity(
-        semi_minor_px=axis,
-        distance=distance,
-        delta_k=0.134,
-        b=-5.117,
-        scale=0.0067,
-        eye_radius=11.5,
-    )
+    fit = fit_eccentricity(semi_minor_px=axis, distance=distance, **PLANE, **EYE)
     # The solver stops at 1e-10 of phi.
     assert fit.c == pytest.approx(c, abs=1e-6)
     assert fit.max_error < 1e-8
@@ -70,14 +66,7 @@ def test_eccentricity_is_found_again_where_the_model_holds(c):
 
 def test_data_that_ask_for_no_eccentricity_are_flagged():
     axis, distance = sphere_data(0.0)
-    fit = fit_eccentricity(
-        semi_minor_px=axis * 0.98,
-        distance=distance,
-        delta_k=0.134,
-        b=-5.117,
-        scale=0.0067,
-        eye_radius=11.5,
-    )
+    fit = fit_eccentricity(semi_minor_px=axis * 0.98, distance=distance, **PLANE, **EYE)
     assert fit.at_bound
     assert math.isnan(fit.c_error)
 
@@ -86,18 +75,7 @@ def test_too_few_spots_are_refused():
     with pytest.raises(ValueError, match="3 spots or more of different sizes; got 2"):
         fit_plane(semi_minor_px=np.array([1.0, 2.0]), distance=np.array([1.0, 2.0]))
     with pytest.raises(ValueError, match="2 spots or more; got 1"):
-        fit_eccentricity(
-            semi_minor_px=np.array([50.0]),
-            distance=np.array([1.0]),
-            delta_k=0.1,
-            b=-5.0,
-            scale=0.01,
-            eye_radius=11.5,
-        )
-
-
-PLANE: dict[str, Any] = {"delta_k": 0.134, "b": -5.117}
-EYE: dict[str, Any] = {"scale": 0.0067, "eye_radius": 11.5}
+        fit_eccentricity(semi_minor_px=np.array([50.0]), distance=np.array([1.0]), **PLANE, **EYE)
 
 
 def test_huber_names_the_outliers_and_finds_the_minimum_that_scipy_finds():
