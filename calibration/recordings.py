@@ -199,6 +199,8 @@ def read_recording(
         InputError: a missing or broken file, no withdrawal from the touch, or too few spots.
     """
     source = Path(source)
+    if log_book is None and not source.is_dir():
+        raise InputError(f"{source} is no stack, so the fit needs a log book. Give log_book.")
     if log_book is None or is_stack(source):
         log_book, prints = _of_stack(source), [source / "manifest.json"]
     else:
