@@ -317,6 +317,8 @@ def _fitted(
     if -_HOLLOW_MM < values.get("sag", 0.0) < 0.0:
         values["glue_length"] = max(values["glue_length"] - values["sag"], 0.0)
         values["sag"] = 0.0
+    if source == "lens":
+        values["aperture_radius"] = max(values["aperture_radius"], values["core_radius"])
     slopes = jax.jacfwd(in_file)(fitted)
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     numbers, of_frames = _of_frames(fit)

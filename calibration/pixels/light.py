@@ -59,6 +59,7 @@ FLATTEST = 0.02
 """Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
 as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""
 _FLAT_MM = 1e-5  # least sag of a table
+_ENCLOSED = 1e-4  # least excess of a table's rim over its core, relative
 
 
 class LinearLensLight:
@@ -81,6 +82,7 @@ class LinearLensLight:
         """Compute the table at these values of all parameters, unless it is the last one."""
         at = {name: values[name] for name in (*LENS, "touch")}
         at["sag"] = max(at["sag"], _FLAT_MM)
+        at["aperture_radius"] = max(at["aperture_radius"], (1.0 + _ENCLOSED) * at["core_radius"])
         if (at, coarse) == (self._at, self._coarse):
             return
         anew = coarse or self._coarse or self._is_beyond(_NEAR_BY, values)
