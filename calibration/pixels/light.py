@@ -26,7 +26,13 @@ from calibration.spots.cone_trials import beam_directions, phantom_wall
 from estimator.pixels.beam import BeamAtWall, blurred, blurred_with_growth
 from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import LensSamples, LensTable, halvings_for, lens_samples
+from optics.wall_light.lens import (
+    FLATTEST,
+    LensSamples,
+    LensTable,
+    halvings_for,
+    lens_samples,
+)
 from optics.wall_light.pose_light import (
     BeamFrame,
     beam_meets,
@@ -55,9 +61,6 @@ a fit is on its way. Its result is confirmed with a table that is much nearer.""
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
-FLATTEST = 0.02
-"""Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
-as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""
 _FLAT_MM = 1e-5  # least sag of a table
 _ENCLOSED = 1e-4  # least excess of a table's rim over its core, relative
 

@@ -277,6 +277,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     """The table of a lens's light, and how its own parameters scatter."""
     import optics
     from optics.wall_light.lens import (
+        FLATTEST,
         PARAMETERS,
         LensTable,
         halvings_for,
@@ -310,7 +311,8 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
         key.update(source.read_bytes())
     kept = kept_arrays(cache_file("lens_table", key.hexdigest()), compute)
     spread = _root(calibration.covariance[np.ix_(at, at)])
-    sizes = np.array([[abs(values[name])] for name in free])
+    least = {"sag": FLATTEST * parameters["aperture_radius"]}  # of a flat end
+    sizes = np.array([[max(abs(values[name]), least.get(name, 0.0))] for name in free])
     change = np.max(np.abs(spread) / sizes, axis=0, initial=0.0)
     return LensTable.of_arrays(kept), spread * np.minimum(1.0, _LINEAR / np.maximum(change, 1e-300))
 

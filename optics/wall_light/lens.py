@@ -46,6 +46,9 @@ PARAMETERS = (
 )
 """A lens's shape and light. `rim_height` is the height of the cap's rim over the core, mm. It
 replaces the glue's length, so that a change of the sag alone keeps the lens possible."""
+FLATTEST = 0.02
+"""Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
+as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""
 
 
 def lens_of(values: Mapping[str, ScalarLike]) -> optics.GlueLens:
