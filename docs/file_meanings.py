@@ -57,7 +57,7 @@ MEANINGS = {
         "retina_tilt_azimuth_deg": "Direction in which its z leans.",
         "retina_shift_mm": "Of its centre across the axis: x, y.",
         "camera": "Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
-        **attributes_of(named("formats.microscope:CameraSheet")),
+        **attributes_of(named("formats.camera:CameraSheet")),
         **attributes_of(named("formats.microscope:PathSeries")),
     },
     "spots": {

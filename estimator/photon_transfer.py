@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
+from formats.camera import CameraSheet
 from formats.inputs import InputError
 
 _MIDDLE = 0.5  # of the frame's width and height, which is the most even
@@ -24,24 +25,15 @@ _SMOOTH_PX = 7  # side of the box that takes the wall's shading out of the fixed
 
 
 class PhotonTransfer(NamedTuple):
-    """What a camera's data sheet says, measured.
+    """A camera's data sheet, measured.
 
     Attributes:
-        full_well_e: electrons at full scale.
-        read_noise_e: temporal standard deviation of a dark pixel, electrons.
-        black_level_dn: mean of a dark frame, DN.
-        prnu: standard deviation of the pixels' gain, relative.
-        dsnu_e: standard deviation of the pixels' dark signal, electrons.
         gain_dn_e: K, DN per electron.
         gain_sigma_dn_e: its standard error.
         worst: largest deviation of a variance from the line, relative.
     """
 
-    full_well_e: float
-    read_noise_e: float
-    black_level_dn: float
-    prnu: float
-    dsnu_e: float
+    sheet: CameraSheet
     gain_dn_e: float
     gain_sigma_dn_e: float
     worst: float
@@ -55,19 +47,21 @@ class _Pair(NamedTuple):
 
 
 def measured_noise(
-    pairs: list[tuple[np.ndarray, np.ndarray]], *, full_scale: int
+    pairs: list[tuple[np.ndarray, np.ndarray]], *, bit_depth: int, bayer: bool = False
 ) -> PhotonTransfer:
     """Measure a camera with a linear response.
 
     Args:
         pairs: two frames each of one scene and exposure, H x W x 3; one pair or more in the dark,
             and at least three at different brightness.
-        full_scale: largest value of a pixel.
+        bit_depth: that the camera uses per channel.
+        bayer: whether colours are interpolated behind a Bayer filter.
 
     Raises:
         InputError: no dark pair, too few bright ones, or a variance that does not grow in
             proportion to the light: another response, an automatic gain, or a scene that moved.
     """
+    full_scale = (1 << bit_depth) - 1
     most = max(int(frame.max()) for pair in pairs for frame in pair)
     if most > full_scale:
         raise InputError(
@@ -115,16 +109,16 @@ def measured_noise(
             "record raw frames."
         )
     unevenness = [(one.pattern - dark[0].pattern) / (one.mean - black) ** 2 for one in lit]
-    return PhotonTransfer(
+    sheet = CameraSheet(
         full_well_e=(full_scale - black) / gain,
         read_noise_e=float(np.sqrt(max(floor - _ROUNDING, 0.0))) / gain,
         black_level_dn=black,
+        bit_depth=bit_depth,
         prnu=float(np.sqrt(max(float(np.median(unevenness)), 0.0))),
         dsnu_e=float(np.sqrt(max(dark[0].pattern, 0.0))) / gain,
-        gain_dn_e=gain,
-        gain_sigma_dn_e=float(np.sqrt(covariance[1, 1])),
-        worst=worst,
+        bayer=bayer,
     )
+    return PhotonTransfer(sheet, float(gain), float(np.sqrt(covariance[1, 1])), worst)
 
 
 def _is_clipped(frame: np.ndarray) -> bool:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import cv2
 import numpy as np
+from pydantic import Field
 
-from formats.inputs import InputError
+from formats.inputs import InputError, Strict, validated
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float  # 0.1 s, a tenth of a short `track`
@@ -236,43 +237,64 @@ class Response:
         )
 
 
+_NonNegative = Annotated[float, Field(ge=0, le=1e15)]
+
+
+class CameraSheet(Strict):
+    """A camera's temporal noise and fixed pattern.
+
+    Attributes:
+        full_well_e: electrons at full scale.
+        read_noise_e: temporal standard deviation of a dark pixel, electrons.
+        dark_signal_e: mean thermal electrons.
+        black_level_dn: mean of a dark image before the response curve, DN.
+        bit_depth: bits per channel.
+        prnu: standard deviation of the pixels' gain, relative.
+        dsnu_e: standard deviation of the pixels' dark signal, electrons.
+        bayer: whether colours are interpolated between the pixels of a Bayer filter.
+        jpeg: whether the images were compressed, which leaves their colours coarse.
+    """
+
+    full_well_e: Annotated[float, Field(gt=0, le=1e15)]
+    read_noise_e: _NonNegative
+    dark_signal_e: _NonNegative = 0.0
+    black_level_dn: _NonNegative
+    bit_depth: Annotated[int, Field(ge=8, le=16)]
+    prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
+    dsnu_e: _NonNegative = 0.0
+    bayer: bool = False
+    jpeg: bool = False
+
+    @property
+    def full_scale(self) -> int:
+        """Largest value of a pixel, DN."""
+        return (1 << self.bit_depth) - 1
+
+
 _CHANNELS = 3
 _JPEG_DN2 = _CHANNELS * 2.5**2 / 12
 """At quality 90 the waves of a block are rounded to steps of 2 to 3 DN, in all channels alike: a
 mean over them is no better than one."""
 _CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
+_BAYER = 10.0 / 3.0
+"""Growth of the variance of a mean over many pixels by a Bayer filter: a mean of three independent
+channels has 3 variances of 9, one of a filtered camera's 4 + 2 + 4, as it has read a quarter, half
+and a quarter of the pixels."""
+_BAYER_CUT = 0.5
+"""`CameraNoise.cut` with a Bayer filter. Edges at random places and angles leave 0.3 of the step in
+a demosaiced red or blue image and 0.14 in a green one, and 0.5 in a mixture like 1.8 red - 0.9
+green, in which a retina is even."""
+USUAL_CUT = 0.01
+"""`CameraNoise.cut` of other cameras: in rendered cells of known pose the likeliest value was 0 to
+0.015, by wall."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CameraNoise:
-    """A camera's temporal noise after EMVA 1288, in full wells.
+    """A camera's noise after EMVA 1288, in full wells, from its sheet and its response curve."""
 
-    Attributes:
-        full_well_e: electrons at full scale.
-        read_noise_e: standard deviation of a dark pixel, electrons.
-        dark_signal_e: mean thermal electrons.
-        black: level of a dark pixel, as a fraction of full scale.
-        full_scale: largest pixel value in a file.
-        response: response curve of the pixel values.
-        prnu: standard deviation of the pixels' gain, relative.
-        dsnu_e: standard deviation of the pixels' dark signal, electrons.
-        cut: error of a pixel that an edge cuts, over the step; no camera sees all of a pixel alike.
-            In rendered cells of known pose the likeliest value was 0 to 0.015, by wall.
-        correlated: growth of the variance of a mean over many pixels, whose noise is correlated.
-        coarse_colours: whether only the sum of the channels is true to the light, as after JPEG.
-    """
-
-    full_well_e: float
-    read_noise_e: float
-    dark_signal_e: float
-    black: float
-    full_scale: int
+    sheet: CameraSheet
     response: Response
-    prnu: float = 0.0
-    dsnu_e: float = 0.0
-    cut: float = 0.01
-    correlated: float = 1.0
-    coarse_colours: bool = False
 
     @classmethod
     def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
@@ -293,15 +315,24 @@ class CameraNoise:
                 f"the image fit needs independent noise in every pixel; this camera has {names}. "
                 "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
             )
-        full_scale = (1 << camera["bit_depth"]) - 1
-        return cls(
-            full_well_e=camera["full_well_e"],
-            read_noise_e=camera["read_noise_e"],
-            dark_signal_e=camera["dark_signal_e"],
-            black=camera["black_level_dn"] / full_scale,
-            full_scale=full_scale,
-            response=response,
-        )
+        own = CameraSheet.model_fields.keys() & camera.keys() - {"bayer"}
+        sheet = {name: camera[name] for name in own}
+        return cls(validated(CameraSheet, sheet, remedy="Render the stack again."), response)
+
+    @property
+    def full_scale(self) -> int:
+        """Largest value of a pixel, DN."""
+        return self.sheet.full_scale
+
+    @property
+    def black(self) -> float:
+        """Level of a dark pixel, as a fraction of full scale."""
+        return self.sheet.black_level_dn / self.sheet.full_scale
+
+    @property
+    def cut(self) -> float:
+        """Error of a pixel that an edge cuts, over the step: no pixel is seen evenly."""
+        return _BAYER_CUT if self.sheet.bayer else USUAL_CUT
 
     def light(self, values: np.ndarray) -> Float[np.ndarray, "h w"]:
         """Mean light of an image's channels; with noise it can be negative."""
@@ -309,7 +340,7 @@ class CameraNoise:
 
     def channels(self, values: np.ndarray) -> Float[np.ndarray, "h w 3"]:
         """Light of an image's channels; with noise it can be negative."""
-        dark = self.dark_signal_e / self.full_well_e
+        dark = self.sheet.dark_signal_e / self.sheet.full_well_e
         return (self._straight(values) - self.black) / (1 - self.black) - dark
 
     def variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -322,14 +353,15 @@ class CameraNoise:
         Pixel values are rounded after the response curve, so the inverse curve gives the step in
         light.
         """
-        electrons = np.maximum(light, 0) * self.full_well_e + self.dark_signal_e
-        still = self.read_noise_e**2 + self.dsnu_e**2 + (self.prnu * electrons) ** 2
-        counted = (electrons + still) / self.full_well_e**2
+        own = self.sheet
+        electrons = np.maximum(light, 0) * own.full_well_e + own.dark_signal_e
+        still = own.read_noise_e**2 + own.dsnu_e**2 + (own.prnu * electrons) ** 2
+        counted = (electrons + still) / own.full_well_e**2
         step = np.interp(self._level(light), *self._steps) / (1 - self.black)
         rounded = step**2 / 12
-        if self.coarse_colours:
+        if own.jpeg:
             rounded = rounded + _JPEG_DN2 * step**2
-        return self.correlated * (counted + rounded)
+        return (_BAYER if own.bayer else 1.0) * (counted + rounded)
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""
@@ -345,7 +377,8 @@ class CameraNoise:
         return straight, np.gradient(straight)
 
     def _level(self, light: np.ndarray) -> np.ndarray:
-        return self.black + (1 - self.black) * (light + self.dark_signal_e / self.full_well_e)
+        dark = self.sheet.dark_signal_e / self.sheet.full_well_e
+        return self.black + (1 - self.black) * (light + dark)
 
     def _straight(self, values: np.ndarray) -> np.ndarray:
         """Pixel values before the response curve, as fractions of full scale."""

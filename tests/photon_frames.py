@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from calibration.pixels.data import BareFibre, Footage
-from formats.camera import CameraNoise, Response
+from formats.camera import CameraNoise, CameraSheet, Response
 from formats.microscope import MicroscopeFile
 from formats.stack import StackWriter
 from scenes import load_scene
@@ -248,14 +248,13 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
             "response": Response(),
         }
     )
-    noise = CameraNoise(
+    sheet = CameraSheet(
         full_well_e=own.full_well,
         read_noise_e=own.read_noise,
-        dark_signal_e=0.0,
-        black=own.black / 255,
-        full_scale=255,
-        response=file.response,
+        black_level_dn=own.black,
+        bit_depth=8,
     )
+    noise = CameraNoise(sheet, file.response)
     return Footage(
         light=np.stack([noise.light(image) for image in images]).astype(np.float32),
         clear=np.all((images > 0) & (images < 255), axis=-1),

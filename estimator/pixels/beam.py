@@ -17,7 +17,7 @@ from scipy.fft import dct
 from scipy.special import j1
 
 from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
-from formats.camera import CameraNoise
+from formats.camera import USUAL_CUT
 from formats.microscope import MicroscopeFile
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ class BeamLight:
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
         self.apex_mm, self.within_mm = apex_mm, within_mm
-        cut = (microscope.noise or CameraNoise).cut
+        cut = microscope.noise.cut if microscope.noise else USUAL_CUT
         self.cut = cut if sharp else _SOFT * cut
         self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)
         self.camera = microscope.ideal_microscope()

@@ -382,7 +382,7 @@ def explained_alone(
     usable = picture.usable & ~window.pixels(outliers(solver, best), picture.usable.shape)
     picture = replace(picture, usable=usable)
     clear = contrast(solver.model.light(best.frames[0], best.own), best.frames[0]) > _CLEAR
-    if clear and not (noise.coarse_colours or picture.saturated.any()):
+    if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
     cells = picture.cells(mix)
     found = [

@@ -56,26 +56,18 @@ def camera(
             "that they follow each other."
         )
     images = [read_image(name).image for name in names]
-    full_scale = (1 << bit_depth) - 1
     pairs = list(zip(images[::2], images[1::2], strict=True))
     with in_file(folder):
-        found = measured_noise(pairs, full_scale=full_scale)
-    content["camera"] = {
-        "full_well_e": found.full_well_e,
-        "read_noise_e": found.read_noise_e,
-        "black_level_dn": found.black_level_dn,
-        "bit_depth": bit_depth,
-        "prnu": found.prnu,
-        "dsnu_e": found.dsnu_e,
-        "bayer": bayer,
-    }
+        found = measured_noise(pairs, bit_depth=bit_depth, bayer=bayer)
+    sheet = found.sheet
+    content["camera"] = sheet.model_dump(exclude_unset=True)
     with written_whole(out) as partial:
         partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     error = found.gain_sigma_dn_e / found.gain_dn_e
     print(
         f"{out}: {found.gain_dn_e:.4g} DN per electron (± {100 * error:.1f} %), full well "
-        f"{found.full_well_e:.0f} e, read noise {found.read_noise_e:.1f} e, black level "
-        f"{found.black_level_dn:.2f} DN, PRNU {100 * found.prnu:.2f} %; variances within "
+        f"{sheet.full_well_e:.0f} e, read noise {sheet.read_noise_e:.1f} e, black level "
+        f"{sheet.black_level_dn:.2f} DN, PRNU {100 * sheet.prnu:.2f} %; variances within "
         f"{100 * found.worst:.1f} % of a straight line, from {len(pairs)} pairs."
     )
 

@@ -5,7 +5,7 @@ import pytest
 
 from calibration.pixels.data import BareFibre, Footage
 from calibration.pixels.fit import fit_image
-from formats.camera import CameraNoise, Response
+from formats.camera import CameraNoise, CameraSheet, Response
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
 
@@ -31,14 +31,8 @@ def saturated_footage() -> Footage:
         response=Response(),
         paper_exposure_s=None,
     )
-    noise = CameraNoise(
-        full_well_e=5000.0,
-        read_noise_e=10.0,
-        dark_signal_e=0.0,
-        black=0.0,
-        full_scale=255,
-        response=Response(),
-    )
+    sheet = CameraSheet(full_well_e=5000.0, read_noise_e=10.0, black_level_dn=0.0, bit_depth=8)
+    noise = CameraNoise(sheet, Response())
     return Footage(
         light=np.stack([disc] * 3),
         clear=np.zeros((3, SIDE, SIDE), bool),

@@ -541,7 +541,9 @@ def test_wrong_exposures_are_learnt_frame_by_frame(stack):
 @pytest.mark.slow
 def test_a_camera_noisier_than_its_data_sheet_enlarges_the_errors(stack):
     footage = read_footage(stack)
-    better = dataclasses.replace(footage.noise, full_well_e=4 * footage.noise.full_well_e)
+    sheet = footage.noise.sheet
+    sheet = sheet.model_copy(update={"full_well_e": 4 * sheet.full_well_e})
+    better = dataclasses.replace(footage.noise, sheet=sheet)
     told = fit_image(dataclasses.replace(footage, noise=better), source="cone", start=START)
     right = fit_image(footage, source="cone", start=START)
     assert told.chi_squared_per_dof > 3

@@ -13,7 +13,7 @@ from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.photon_transfer import measured_noise
 from estimator.pixels.picture import FramePixels
 from estimator.run.options import Options
-from formats.camera import CameraNoise, Response
+from formats.camera import CameraNoise, CameraSheet, Response
 from formats.inputs import InputError
 from formats.spots import NoSpot, Reason, Spot
 from tests.drawn_spots import spot_image
@@ -209,14 +209,8 @@ def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
     spot, _ = measure(frame, TrackState(), LiteralSettings())
     assert isinstance(spot, Spot)
     assert spot.saturated > 0.6
-    noise = CameraNoise(
-        full_well_e=9e3,
-        read_noise_e=8.0,
-        dark_signal_e=0.0,
-        black=0.0,
-        full_scale=255,
-        response=Response(),
-    )
+    sheet = CameraSheet(full_well_e=9e3, read_noise_e=8.0, black_level_dn=0.0, bit_depth=8)
+    noise = CameraNoise(sheet, Response())
     picture = FramePixels.of(np.dstack([frame] * 3), noise)
     assert (picture.full[..., 0] == (frame == 235)).all()
     assert picture.ends == pytest.approx([235 / 255] * 3)
@@ -234,8 +228,8 @@ def test_clipped_pairs_do_not_measure_a_camera() -> None:
         return first, second
 
     pairs = [pair(light) for light in (0, 2000, 4000, 8000, 14000)]
-    found = measured_noise(pairs, full_scale=4095)
+    found = measured_noise(pairs, bit_depth=12)
     # 4 electrons a DN; the standard error of the slope is a hundredth.
     assert found.gain_dn_e == pytest.approx(0.25, rel=0.04)
     with pytest.raises(InputError, match=r"values up to .* above the full scale 1023"):
-        measured_noise(pairs, full_scale=1023)
+        measured_noise(pairs, bit_depth=10)

@@ -35,7 +35,7 @@ def _pairs(**camera):
 
 
 def test_the_data_sheet_is_found():
-    found = measured_noise(_pairs(), full_scale=255)
+    found = measured_noise(_pairs(), bit_depth=8).sheet
     # Each variance has 230,400 samples, 0.3 %; the gain follows from five of them.
     assert found.full_well_e == pytest.approx(8000.0, rel=0.01)
     assert found.black_level_dn == pytest.approx(6.0, abs=0.02)
@@ -46,12 +46,12 @@ def test_the_data_sheet_is_found():
 
 def test_a_gamma_is_refused():
     with pytest.raises(InputError, match="straight line"):
-        measured_noise(_pairs(response=1.5), full_scale=255)
+        measured_noise(_pairs(response=1.5), bit_depth=8)
 
 
 def test_pairs_without_the_dark_are_refused():
     with pytest.raises(InputError, match="light off"):
-        measured_noise(_pairs()[1:], full_scale=255)
+        measured_noise(_pairs()[1:], bit_depth=8)
 
 
 def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
