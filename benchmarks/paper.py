@@ -326,8 +326,8 @@ class Way:
         """The name for use in file names."""
         return self.name.replace(",", "").replace(" ", "-")
 
-    def mode(self, ranger: Ranger | None = None, **more: Any) -> LiteralMode | SubpixelMode:
-        """The mode with these settings, for a reader."""
+    def reader(self, ranger: Ranger | None = None, **more: Any) -> LiteralMode | SubpixelMode:
+        """A reader with these settings."""
         if isinstance(self.settings, LiteralSettings):
             return LiteralMode(self.settings, ranger, **more)
         return SubpixelMode(self.settings, ranger, **more)
@@ -375,7 +375,7 @@ def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> pd.DataFrame:
     labels = stack.exposed(way.exposure)
     start = (labels[0].half_max_x_px, labels[0].half_max_y_px) if way.clicked else None
     results = tuple(track(stack.images(way.exposure), way.settings, start=start))
-    mode = way.mode().name
+    mode = way.reader().mode
     write_results(spots_file, labels, results, mode=mode)
     return spots_of(labels, results)
 

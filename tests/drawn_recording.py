@@ -55,7 +55,7 @@ def write_video(
 
 
 def new_reader(**options: object) -> Reader:
-    return Reader(SubpixelMode(SubpixelSettings(), None), **options)  # type: ignore[arg-type]
+    return SubpixelMode(SubpixelSettings(), None, **options)  # type: ignore[arg-type]
 
 
 def tracked(source: Source) -> Tracking:

@@ -27,7 +27,7 @@ from benchmarks.bench import tracks
 from benchmarks.sets.make import Shard, local_workers, make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
-from estimator import Reader, SubpixelMode, SubpixelSettings
+from estimator import SubpixelMode, SubpixelSettings
 from formats.spots import Spot
 from scenes import changed, render_stack
 from scenes.drawn import Drawing, any_truth, any_wall, frame_of
@@ -84,7 +84,7 @@ class ReaderLoad(_Run):
         paced = pace == "at 30 Hz"
         number = round((300 if self.full else 20) * _RATE_HZ) if paced else 0
         number = number or (108_000 if self.full else 3_000)
-        reader, camera = Reader(SubpixelMode(SubpixelSettings(), None)), cycle(_frames())
+        reader, camera = SubpixelMode(SubpixelSettings(), None), cycle(_frames())
         self.seconds, self.memory, spots = np.empty(number), [], 0
         for image in islice(camera, _WARM):
             reader.read(image)

@@ -290,18 +290,18 @@ def own_reader(
     """
     given = {"response": microscope.response} | dict(constants or {})
     if mode == "literal":
-        return Reader(LiteralMode(LiteralSettings(**given), None), start=click)
+        return LiteralMode(LiteralSettings(**given), None, start=click)
     settings, ranger = SubpixelSettings(**given), None
     if mode == "auto" and best_mode(beam, microscope)[0] == "subpixel":
         mode = "subpixel"
         if beam is not None and microscope.camera() is None:
             ranger = Ranger(beam, microscope)
     if mode == "subpixel":
-        return Reader(SubpixelMode(settings, ranger))
+        return SubpixelMode(settings, ranger)
     from estimator.pixels.tracker import PixelRanger
 
     assert beam is not None, "the mode pixels needs the beam"
-    return Reader(PixelsMode(settings, PixelRanger(beam, microscope)))
+    return PixelsMode(settings, PixelRanger(beam, microscope))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -31,7 +31,7 @@ from benchmarks import reporting as page
 from benchmarks.reporting import grouped, number, rows_of, where
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
-from estimator import Ranger, Reader, Reading
+from estimator import Ranger, Reading
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.poses import PoseTrack, read_poses
 from formats.stack import Stack
@@ -273,10 +273,8 @@ _OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
 def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> Iterator[Reading]:
     labels = stack.exposed(way.exposure)
     first = labels[0]
-    reader = Reader(
-        way.mode(ranger, eye_from_robot=_SAME_FRAME),
-        start=(first.half_max_x_px, first.half_max_y_px) if way.clicked else None,
-    )
+    start = (first.half_max_x_px, first.half_max_y_px) if way.clicked else None
+    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=start)
     for row, image in zip(labels, stack.images(way.exposure), strict=True):
         yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)
 

@@ -210,7 +210,7 @@ class Session:
     @property
     def mode(self) -> str:
         """Name of the reader's mode."""
-        return self._reader.mode.name
+        return self._reader.mode
 
     @property
     def course(self) -> list[CoursePoint]:
@@ -337,7 +337,7 @@ class Session:
         return self._seek is not None or self._place is not None
 
     def _measure(self, frame: Frame, number: int) -> None:
-        arrived_s, expected, poses = time.time(), self._reader.mode.expected_px, self._poses()
+        arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()
         reading = self._reader.read(
             frame.image,
             time_s=frame.time_s,

@@ -143,7 +143,7 @@ class Rig:
         self._count(number)
         name = f"image {number}"
         failed = NoSpot(Reason.INTERNAL_ERROR)
-        reading, fault = Reading(self._reader.mode.name, failed), ""
+        reading, fault = Reading(self._reader.mode, failed), ""
         try:
             image, full_scale = frame_of_message(message)
             poses = self.poses.track()

@@ -76,7 +76,7 @@ def track(
             tracking, drawn = tracked(
                 frames, reader, poses, overlay=overlay, show=show, write=write
             )
-    summary = summary_of(tracking, frames, reader.mode.name, time.perf_counter() - began) | {
+    summary = summary_of(tracking, frames, reader.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
     }
@@ -109,7 +109,7 @@ def tracked(
     from estimator.run.offline import track_source
     from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
 
-    tracking, spots, settings = None, 0, reader.mode.settings
+    tracking, spots, settings = None, 0, reader.settings
     drawing: AbstractContextManager[Draw | None] = nullcontext()
     if overlay is not None:
         drawing = overlay_writer(

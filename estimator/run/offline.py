@@ -183,7 +183,7 @@ def _readings(
                 " a bag or a video."
             )
         if frame.fault:
-            yield frame, Reading(reader.mode.name, NoSpot(Reason.UNREADABLE))
+            yield frame, Reading(reader.mode, NoSpot(Reason.UNREADABLE))
             continue
         try:
             reading = reader.read(

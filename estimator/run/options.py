@@ -27,7 +27,7 @@ from formats.poses import Quaternion, unit_quaternion
 if TYPE_CHECKING:
     from estimator.detector.literal import LiteralSettings
     from estimator.detector.settings import SubpixelSettings
-    from estimator.run.reader import Mode, Reader
+    from estimator.run.reader import Reader
     from estimator.sources.source import Source
     from formats.calibration import Calibration
     from formats.microscope import MicroscopeFile
@@ -174,7 +174,6 @@ class Options(Given):
             InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
-        from estimator.run.reader import Reader
         from formats.calibration import read_calibration
 
         for name, other in _NEEDS.items():
@@ -184,14 +183,9 @@ class Options(Given):
                 )
         microscope = self.microscope_file()
         beam = None if self.calibration is None else read_calibration(self.calibration)
-        return Reader(
-            self._mode(microscope, beam),
-            start=self.start,
-            size_px=(microscope.width_px, microscope.height_px) if microscope else None,
-            exposure_s=self.exposure_s,
-        )
+        return self._reader(microscope, beam)
 
-    def _mode(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> Mode[Any, Any]:
+    def _reader(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> Reader:
         from estimator.detector.literal import LiteralSettings
         from estimator.distance.ranger import Ranger
         from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
@@ -210,7 +204,13 @@ class Options(Given):
                 f"--reference has no effect in the mode {mode}. Leave it out, or take the mode "
                 "pixels."
             )
-        turn, ranger = self.eye_from_robot, None
+        ranger = None
+        more: dict[str, Any] = {
+            "eye_from_robot": self.eye_from_robot,
+            "start": self.start,
+            "size_px": (microscope.width_px, microscope.height_px) if microscope else None,
+            "exposure_s": self.exposure_s,
+        }
         if not isinstance(settings, LiteralSettings) and mode == "pixels":
             from estimator.pixels.tracker import PixelRanger
 
@@ -225,12 +225,12 @@ class Options(Given):
                     )
             known_wall, shake_px = self._reference_image(microscope), stated.shake_px
             pixels = PixelRanger(beam, microscope, known_wall, shake_px=shake_px)
-            return PixelsMode(settings, pixels, eye_from_robot=turn, stated=stated)
+            return PixelsMode(settings, pixels, stated=stated, **more)
         if beam is not None and microscope is not None:
             ranger = Ranger(
                 beam, microscope, model=self.model, eccentricity_mm=self.eccentricity_mm
             )
-        if ranger is not None and ranger.model == "area" and turn is None:
+        if ranger is not None and ranger.model == "area" and self.eye_from_robot is None:
             raise InputError(
                 "the model area needs the robot's axis, so it needs eye_from_robot: the rotation "
                 "from the poses' frame to the eye's (0,0,0,1 for none). Give it with the poses, or "
@@ -238,8 +238,8 @@ class Options(Given):
             )
         stated = self._stated(beam)
         if isinstance(settings, LiteralSettings):
-            return LiteralMode(settings, ranger, eye_from_robot=turn, stated=stated)
-        return SubpixelMode(settings, ranger, eye_from_robot=turn, stated=stated)
+            return LiteralMode(settings, ranger, stated=stated, **more)
+        return SubpixelMode(settings, ranger, stated=stated, **more)
 
     def _stated(self, calibration: Calibration | None) -> Stated:
         from formats.stated import Stated, read_stated

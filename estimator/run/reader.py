@@ -1,7 +1,7 @@
 """From a frame to a reading: the spot, its distance, the age of the robot's pose.
 
-Each mode is a class with one `read(frame, context)`. Recordings (`offline`), the rig's node
-(`estimator.rig`) and the console give their frames to a `Reader`, which has one of them.
+Recordings (`offline`), the rig's node (`estimator.rig`) and the console give their frames to a
+`Reader`; each mode is one.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -82,14 +82,12 @@ class Context(NamedTuple):
     Attributes:
         time_s: on the poses' clock; NaN if unknown.
         exposure_s: NaN if unknown.
-        full_scale: at which the source says that its values end; the settings' counts before.
         poses: the robot's, of some time round the frame's.
     """
 
-    time_s: float = math.nan
-    exposure_s: float = math.nan
-    full_scale: float | None = None
-    poses: PoseTrack = _NO_POSES
+    time_s: float
+    exposure_s: float
+    poses: PoseTrack
 
     @property
     def pose(self) -> tuple[Pose | None, float]:
@@ -102,16 +100,19 @@ S = TypeVar("S", bound=LiteralSettings | SubpixelSettings)
 R = TypeVar("R", bound="Ranger | PixelRanger | None")
 
 
-class Mode(ABC, Generic[S, R]):
-    """Reads the frames of one sequence in order, and follows the spot from frame to frame.
+class Reader(ABC, Generic[S, R]):
+    """Reads the frames of one sequence in order in one of the modes; no frame ends the run.
 
     Args:
         eye_from_robot: unit quaternion that turns the poses' frame into the eye's; with it the
             beam's axis is known from the tool's +z, or from the beam's direction in the tool's
             frame if the calibration contains it.
+        start: (x, y) of the spot in the first frame, px; None finds it.
+        size_px: (width, height) for which the microscope file is valid; None accepts any size.
+        exposure_s: of all frames; None takes each frame's own.
     """
 
-    name: ClassVar[str]
+    mode: ClassVar[str]
     """The spots file's `mode`."""
 
     def __init__(
@@ -121,37 +122,81 @@ class Mode(ABC, Generic[S, R]):
         *,
         eye_from_robot: Quaternion | None = None,
         stated: Stated | None = None,
+        start: tuple[float, float] | None = None,
+        size_px: tuple[int, int] | None = None,
+        exposure_s: float | None = None,
     ) -> None:
         self.settings = self._scaled = settings
         self._ranger, self._turn, self._stated = ranger, eye_from_robot, stated or Stated()
         self._beam_in_tool = (0.0, 0.0, 1.0)
         if ranger is not None:
             self._beam_in_tool = ranger.calibration.beam_in_tool
-        self._state = TrackState()
+        self._start, self._size_px, self._exposure_s = start, size_px, exposure_s
+        self._state = TrackState(at_px=start)
+        self._shape: tuple[int, ...] | None = None
 
     @property
     def expected_px(self) -> tuple[float, float] | None:
         """Where the spot is looked for in the next frame, (x, y) px; None in the whole frame."""
         return self._state.at_px
 
-    def look_at(self, at_px: tuple[float, float] | None) -> None:
-        """Look for any spot near (x, y) px in the next frame; None looks in the whole frame."""
-        self._state = TrackState(at_px=at_px)
-
     def forget(self) -> None:
-        """Read the next frame by itself: it does not follow the frames that were read."""
-        self.look_at(None)
+        """Measure the next frame by itself: it does not follow the frames that were read."""
+        if self._shape is not None:
+            self._state = TrackState()
 
-    def read(self, frame: np.ndarray, context: Context) -> Reading:
+    def look_at(self, x_px: float, y_px: float) -> None:
+        """Look for the spot at (x, y) px in the next frame, as for a start."""
+        self.forget()
+        self._start = (x_px, y_px)
+        self._state = TrackState(at_px=self._start)
+
+    def read(
+        self,
+        image: np.ndarray,
+        *,
+        time_s: float = math.nan,
+        exposure_s: float = math.nan,
+        full_scale: float | None = None,
+        poses: PoseTrack = _NO_POSES,
+        name: str = "a frame",
+    ) -> Reading:
         """Measure the next frame.
 
+        A frame that meets a bug is a frame without a spot (`Reason.INTERNAL_ERROR`); the traceback
+        is logged, and the next spot may be any near the last place.
+
+        Args:
+            image: as `measure` takes it.
+            time_s, exposure_s, poses: see `Context`.
+            full_scale: at which the source says that its values end; the settings' counts before.
+
         Raises:
-            InputError: it is not an image, or its full scale is not known.
+            InputError: the image is not an image or not of the microscope's size, its full scale is
+                not known, or the start lies outside of the first image.
         """
-        self._scale(frame, context.full_scale)
-        result, self._state = measure(frame, self._state, self._scaled)
-        found, budget = self._distance(result, frame, context)
-        return Reading(self.name, result, found, context.pose[1], budget)
+        self._check(image)
+        if self._shape not in (None, image.shape):
+            self.forget()
+        self._shape = image.shape
+        context = Context(time_s, self._exposure_s or exposure_s, poses)
+        try:
+            self._scale(image, full_scale)
+            result, self._state = measure(image, self._state, self._scaled)
+            found, budget = self._distance(result, image, context)
+            reading = Reading(self.mode, result, found, context.pose[1], budget)
+        except InputError:
+            raise
+        except Exception as error:
+            exit_codes.note(error, name)
+            self._state = TrackState(at_px=self.expected_px)
+            reading = Reading(self.mode, NoSpot(Reason.INTERNAL_ERROR))
+        self._start = None
+        return reading
+
+    @abstractmethod
+    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+        """The distance and what it is worth; None where there is none."""
 
     def _axis(self, pose: Pose | None) -> np.ndarray | None:
         """The beam's direction at a pose of the robot, eye frame; None if unknown."""
@@ -173,10 +218,6 @@ class Mode(ABC, Generic[S, R]):
         turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
         return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
 
-    @abstractmethod
-    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
-        """The distance and what it is worth; None where there is none."""
-
     def _scale(self, frame: np.ndarray, full_scale: float | None) -> None:
         """Take over the full scale of a frame."""
         known = self.settings.response.full_scale or full_scale
@@ -190,8 +231,23 @@ class Mode(ABC, Generic[S, R]):
             response = replace(self.settings.response, full_scale=known)
             self._scaled = replace(self.settings, response=response)
 
+    def _check(self, image: np.ndarray) -> None:
+        height, width = image.shape[:2]
+        if self._size_px is not None and self._size_px != (width, height):
+            made_for = "x".join(map(str, self._size_px))
+            raise InputError(
+                f"the image is {width}x{height} px, but the microscope file is made for {made_for}"
+                " px. Calibrate the microscope at the images' size."
+            )
+        x, y = self._start or (0.0, 0.0)
+        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
+            raise InputError(
+                f"the start ({x:g}, {y:g}) px lies outside of the image of {width}x{height} px."
+                " Give x to the right and y down, from 0, or auto."
+            )
 
-class _OutlineMode(Mode[S, Ranger | None]):
+
+class _OutlineMode(Reader[S, Ranger | None]):
     """The distance from the spot's outline, by one of the models."""
 
     def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
@@ -212,24 +268,25 @@ class _OutlineMode(Mode[S, Ranger | None]):
 class LiteralMode(_OutlineMode[LiteralSettings]):
     """The paper's Algorithms 1 and 2."""
 
-    name = "literal"
+    mode = "literal"
 
 
 class SubpixelMode(_OutlineMode[SubpixelSettings]):
     """The half-maximum contour."""
 
-    name = "subpixel"
+    mode = "subpixel"
 
 
-class PixelsMode(Mode[SubpixelSettings, "PixelRanger"]):
+class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
     """The pose from all pixels; the spot is looked for as in the sub-pixel mode."""
 
-    name = "pixels"
+    mode = "pixels"
 
     def forget(self) -> None:
-        """Read the next frame by itself, on a wall that is not known."""
+        """Measure the next frame by itself, on a wall that is not known."""
         super().forget()
-        self._ranger.forget()
+        if self._shape is not None:
+            self._ranger.forget()
 
     def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
         from estimator.pixels.beam import NODES, Sweep
@@ -301,91 +358,3 @@ def best_mode(
     if hindrance:
         return "subpixel", f"Mode subpixel, because {hindrance}. B{several[1:]}"
     return "pixels", f"Mode pixels, because {several}"
-
-
-class Reader:
-    """Reads the frames of one sequence in order; no frame ends the run.
-
-    Args:
-        start: (x, y) of the spot in the first frame, px; None finds it.
-        size_px: (width, height) for which the microscope file is valid; None accepts any size.
-        exposure_s: of all frames; None takes each frame's own.
-    """
-
-    def __init__(
-        self,
-        mode: Mode[Any, Any],
-        *,
-        start: tuple[float, float] | None = None,
-        size_px: tuple[int, int] | None = None,
-        exposure_s: float | None = None,
-    ) -> None:
-        self.mode, self._start = mode, start
-        self._size_px, self._exposure_s = size_px, exposure_s
-        self._shape: tuple[int, ...] | None = None
-        mode.look_at(start)
-
-    def forget(self) -> None:
-        """Measure the next frame by itself: it does not follow the frames that were read."""
-        if self._shape is not None:
-            self.mode.forget()
-
-    def look_at(self, x_px: float, y_px: float) -> None:
-        """Look for the spot at (x, y) px in the next frame, as for a start."""
-        self.forget()
-        self._start = (x_px, y_px)
-        self.mode.look_at(self._start)
-
-    def read(
-        self,
-        image: np.ndarray,
-        *,
-        time_s: float = math.nan,
-        exposure_s: float = math.nan,
-        full_scale: float | None = None,
-        poses: PoseTrack = _NO_POSES,
-        name: str = "a frame",
-    ) -> Reading:
-        """Measure the next frame.
-
-        A frame that meets a bug is a frame without a spot (`Reason.INTERNAL_ERROR`); the traceback
-        is logged, and the next spot may be any near the last place.
-
-        Args:
-            image: as `measure` takes it.
-            time_s: see `Context`; so are the others.
-
-        Raises:
-            InputError: the image is not an image or not of the microscope's size, its full scale is
-                not known, or the start lies outside of the first image.
-        """
-        self._check(image)
-        if self._shape not in (None, image.shape):
-            self.forget()
-        self._shape = image.shape
-        context = Context(time_s, self._exposure_s or exposure_s, full_scale, poses)
-        try:
-            reading = self.mode.read(image, context)
-        except InputError:
-            raise
-        except Exception as error:
-            exit_codes.note(error, name)
-            self.mode.look_at(self.mode.expected_px)
-            reading = Reading(self.mode.name, NoSpot(Reason.INTERNAL_ERROR))
-        self._start = None
-        return reading
-
-    def _check(self, image: np.ndarray) -> None:
-        height, width = image.shape[:2]
-        if self._size_px is not None and self._size_px != (width, height):
-            made_for = "x".join(map(str, self._size_px))
-            raise InputError(
-                f"the image is {width}x{height} px, but the microscope file is made for {made_for}"
-                " px. Calibrate the microscope at the images' size."
-            )
-        x, y = self._start or (0.0, 0.0)
-        if not (0 <= x <= width - 1 and 0 <= y <= height - 1):
-            raise InputError(
-                f"the start ({x:g}, {y:g}) px lies outside of the image of {width}x{height} px."
-                " Give x to the right and y down, from 0, or auto."
-            )

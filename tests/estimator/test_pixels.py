@@ -199,7 +199,7 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
     paper = {"wall": "printed paper", "texture_seed": 9}
     other = cone_stack(tmp_path / "other", phantom=paper)
     reader = reader_in(paper_stack, tmp_path, eye_from_robot=None)
-    assert reader.mode.name == "pixels"
+    assert reader.mode == "pixels"
     frames = [list(open_source(one.folder)) for one in (paper_stack, other)]
     for wall, index in ((0, 0), (0, 1), (1, 2)):
         reading = reader.read(frames[wall][index].image)
