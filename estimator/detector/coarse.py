@@ -166,7 +166,8 @@ def bright_regions(
     for _ in range(Search.REGIONS):
         count = cv2.calcHist([smooth], [0], None, [256], [0, 256]).ravel().astype(int)
         below = np.cumsum(count)
-        split = _otsu_level(count, below)
+        # Otsu's level divides a histogram best, and small glints hardly move it.
+        split = int(cv2.threshold(smooth, 0, 255, cv2.THRESH_OTSU)[0])
         dark, pixels = int(below[split]), int(below[-1])
         low, background, high = np.searchsorted(below, np.array([0.16, 0.5, 0.84]) * dark).tolist()
         peak, top = np.searchsorted(below, dark + np.array([0.5, 0.96]) * (pixels - dark)).tolist()
@@ -238,17 +239,6 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
             found.append(np.array([moments["m10"], moments["m01"]]) / max(moments["m00"], 1))
     apart, closer = (math.dist(*places) for places in (middles, brightest))
     return apart - closer < Search.TOWARDS * math.sqrt(areas[order[1]])
-
-
-def _otsu_level(count: np.ndarray, cumulative: np.ndarray) -> int:
-    """Level that divides a histogram best (Otsu 1979); small glints hardly move it."""
-    below, sums = cumulative[:-1], np.cumsum(count * np.arange(len(count)))
-    above = cumulative[-1] - below
-    sum_below = sums[:-1]
-    sum_above = sums[-1] - sum_below
-    both = np.maximum(below * above, 1)
-    difference = (sum_above * below - sum_below * above) / both
-    return int(np.argmax(difference * difference * both))
 
 
 def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> AffineEllipse | None:

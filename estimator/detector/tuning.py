@@ -6,9 +6,9 @@ of the spot's ellipse in the same direction, those in "widths" in `Spot.edge_wid
 loops and sizes of grids stand where they are used. Settings for users are in
 `settings.SubpixelSettings`.
 
-A change of the largest by 20 % moves a semi-axis of some of 72 drawn frames by 1.5 px
-(Motion.ALONG), 1.3 px (Saturated.READABLE) and 0.7 px (Sharp.REACH), that of any other by less than
-0.5 px.
+A change by 20 % moves a semi-axis of some of 72 drawn frames by 1.5 px (Motion.ALONG), 1.3 px
+(Saturated.READABLE), 0.9 px (WideView.OUTERMOST) and 0.7 px (WideView.SAMPLES, Sharp.REACH), that
+of any other constant by less than 0.5 px.
 """
 
 RAYS = 192  # round a contour: 2 px apart on one of 60 px, nearer bilinear samples share pixels

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from estimator.distance.range import TipPose
-from estimator.rig.rig import OutputState, RigOutput
+from estimator.rig.rig import RigOutput
 from formats.poses import Pose
 
 PERIOD_S = 1.0  # how often a node should look
@@ -121,15 +121,13 @@ def messages_of(output: RigOutput, image: Any) -> dict[str, Any]:
     )
     if hasattr(distance, "variance") and not math.isnan(output.sigma_m):
         distance.variance = output.sigma_m**2
-    levels = {OutputState.NONE: "OK", OutputState.DOUBTFUL: "WARN", OutputState.FAILED: "ERROR"}
-    level, said = levels[output.level], output.doubt or "ok"
     messages = {
         "spot": types["spot"](header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
         "axes": types["axes"](
             header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)
         ),
         "range": distance,
-        "status": status_message(level, said, image, output.details),
+        "status": status_message(output.level, output.doubt or "ok", image, output.details),
     }
     if output.beam is not None:
         messages["beam"] = _beam(output.beam, types["beam"], _header(image))

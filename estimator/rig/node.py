@@ -21,7 +21,7 @@ from estimator.rig.messages import (
     messages_of,
     status_message,
 )
-from estimator.rig.rig import OutputState, Parameters, Rig, opened_rig
+from estimator.rig.rig import Parameters, Rig, opened_rig
 from estimator.rig.ros1 import Ros1
 from estimator.rig.ros2 import Ros2
 from formats.inputs import InputError
@@ -66,7 +66,7 @@ class Connection:
         self._silence.end()
         self._last = image
         output = self._rig.output(image, self._ros.stamp_s(image), number)
-        if output.level is OutputState.FAILED:
+        if output.level == "ERROR":
             self._complain("image", output.doubt)
         for name, message in messages_of(output, image).items():
             self._out[name].publish(message)

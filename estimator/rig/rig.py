@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from enum import Enum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
@@ -82,14 +81,6 @@ class Parameters(Options):
 Show = Callable[[Frame, Reading], None]
 
 
-class OutputState(Enum):
-    """What an output is worth."""
-
-    NONE = "none"
-    DOUBTFUL = "doubtful"
-    FAILED = "failed"
-
-
 class RigOutput(NamedTuple):
     """A reading in the form of the messages.
 
@@ -99,7 +90,7 @@ class RigOutput(NamedTuple):
         distance_m: from the tip to the wall along the beam; NaN where there is none.
         sigma_m: standard deviation of the distance; NaN where there is none.
         doubt: see `Reading.doubt`; of an image that cannot be measured the reason.
-        level: FAILED if the image could not be measured, or met a bug.
+        level: of `DiagnosticStatus`; an error if the image could not be measured, or met a bug.
         beam: tip and axis with their covariance; None but in the mode pixels.
         details: the rest, named and written as in the spots file, and the number of images that
             were measured and that were skipped.
@@ -110,7 +101,7 @@ class RigOutput(NamedTuple):
     distance_m: float
     sigma_m: float
     doubt: str
-    level: OutputState
+    level: Literal["OK", "WARN", "ERROR"]
     beam: TipPose | None
     details: dict[str, str]
 
@@ -210,16 +201,14 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:
         said["wall_memory"] = distance.wall.value
     best = distance.poses[0] if distance and distance.poses else None
     doubt = fault or reading.doubt
-    level = OutputState.DOUBTFUL if doubt else OutputState.NONE
-    if fault or spot == NoSpot(Reason.INTERNAL_ERROR):
-        level = OutputState.FAILED
+    failed = fault or spot == NoSpot(Reason.INTERNAL_ERROR)
     return RigOutput(
         centre=centre,
         axes=axes,
         distance_m=reading.distance_mm / 1e3,
         sigma_m=reading.sigma_distance_mm / 1e3,
         doubt=doubt,
-        level=level,
+        level="ERROR" if failed else "WARN" if doubt else "OK",
         beam=best if best is not None and best.covariance is not None else None,
         details={name: repr(float(value)) for name, value in details.items()} | said | counts,
     )

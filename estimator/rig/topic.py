@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import suppress
-from itertools import count
+from queue import Empty, Full, Queue
 from typing import Any
 
 from estimator.rig.messages import PERIOD_S, Silence, image_type
@@ -17,63 +16,51 @@ from formats.inputs import InputError
 from formats.poses import POSE_TOPIC
 
 
-def open_topic(
-    topic: str, *, poses: RecentPoses | None = None, pose_topic: str = POSE_TOPIC
-) -> Source:
+def open_topic(topic: str, *, poses: RecentPoses, pose_topic: str = POSE_TOPIC) -> Source:
     """Subscribe to a topic; the source gives the newest image, and skips those that it misses.
 
     Reading raises an InputError, with the cause, where images stop; read again for the next ones.
 
     Args:
         topic: of `sensor_msgs/Image`, or CompressedImage if it ends in /compressed.
-        poses: take the poses of the robot, at their time of arrival; None for no poses.
+        poses: take the poses of the robot, at their time of arrival.
         pose_topic: of `geometry_msgs/Transform`, mm.
 
     Raises:
         InputError: ROS is not installed, or this is no topic's name.
     """
-    newest, ros = _Newest(), ros_here().beside("eyespot_console")
+    newest: Queue[Any] = Queue(1)
+    ros = ros_here().beside("eyespot_console")
     from geometry_msgs.msg import Transform  # found by then in ROS 1, too
     from sensor_msgs import msg as sensor
 
+    def put(image: Any, number: int) -> None:
+        with suppress(Empty):
+            newest.get_nowait()
+        with suppress(Full):  # another publisher of the topic was faster
+            newest.put_nowait(image)
+
     def take(message: Any, received_s: float) -> None:
         with suppress(InputError):  # what is no pose is left out, and the poses before it stay
-            if poses is not None:
-                poses.take(message, received_s)
+            poses.take(message, received_s)
 
     name = ros.resolved(topic)
-    ros.take_images(name, getattr(sensor, image_type(topic)), newest.put)
-    if poses is not None:
-        ros.take_poses(pose_topic, Transform, take)
+    ros.take_images(name, getattr(sensor, image_type(topic)), put)
+    ros.take_poses(pose_topic, Transform, take)
 
     def read() -> Iterator[Frame]:
         silence = Silence(topic)
-        for index in count():
-            while (image := newest.taken(PERIOD_S)) is None:
+        index = 0
+        while True:
+            try:
+                image = newest.get(timeout=PERIOD_S)
+            except Empty:
                 change = silence.change(lambda: ros.types_of(name))
                 if change is not None and change[1]:
-                    raise InputError(change[0])
+                    raise InputError(change[0]) from None
+                continue
             silence.end()
             yield decoded_frame(image, index=index, time_s=ros.stamp_s(image))
+            index += 1
 
     return Source(name=topic, read=read, live=True)
-
-
-class _Newest:
-    """The newest message that nobody has taken yet."""
-
-    def __init__(self) -> None:
-        self._message: Any = None
-        self._arrived = threading.Condition()
-
-    def put(self, message: Any, number: int) -> None:
-        with self._arrived:
-            self._message = message
-            self._arrived.notify()
-
-    def taken(self, seconds: float) -> Any:
-        """Wait for a message; None if there is none in time."""
-        with self._arrived:
-            self._arrived.wait_for(lambda: self._message is not None, seconds)
-            message, self._message = self._message, None
-        return message

@@ -174,6 +174,9 @@ class Options(Given):
             InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
+        from estimator.detector.literal import LiteralSettings
+        from estimator.distance.ranger import Ranger
+        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
         from formats.calibration import read_calibration
 
         for name, other in _NEEDS.items():
@@ -183,13 +186,6 @@ class Options(Given):
                 )
         microscope = self.microscope_file()
         beam = None if self.calibration is None else read_calibration(self.calibration)
-        return self._reader(microscope, beam)
-
-    def _reader(self, microscope: MicroscopeFile | None, beam: Calibration | None) -> Reader:
-        from estimator.detector.literal import LiteralSettings
-        from estimator.distance.ranger import Ranger
-        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
-
         mode: str = self.mode
         if mode == "auto":
             asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]

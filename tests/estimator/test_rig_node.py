@@ -33,7 +33,7 @@ from estimator import LiteralSettings, SubpixelSettings
 from estimator.distance.ranger import Ranger
 from estimator.rig import node as rig_node
 from estimator.rig.messages import Silence
-from estimator.rig.rig import OutputState, Parameters, Rig
+from estimator.rig.rig import Parameters, Rig
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from formats.poses import read_poses
@@ -220,7 +220,7 @@ def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) ->
     third = Rig(Parameters()).output(unknown, 1.0, 0)
     assert "encoding" in third.doubt
     for output in (turned, outside, third):
-        assert output.level is OutputState.FAILED
+        assert output.level == "ERROR"
         np.testing.assert_equal(output.centre, (math.nan, math.nan, 0.0))
 
 
@@ -235,9 +235,9 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
     with monkeypatch.context() as patched:
         patched.setattr("estimator.run.reader.measure", with_a_bug)
         failed = rig.output(image, 1.0, 0)
-    assert (failed.doubt, failed.level) == ("internal_error", OutputState.FAILED)
+    assert (failed.doubt, failed.level) == ("internal_error", "ERROR")
     assert "ZeroDivisionError: here" in caplog.text
-    assert rig.output(image, 1.1, 0).level is OutputState.NONE
+    assert rig.output(image, 1.1, 0).level == "OK"
 
 
 def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
