@@ -1,4 +1,4 @@
-"""Grey images of one spot by formula; the truth for tests of the estimator."""
+"""Grey images of one spot by formula, and the spot that the estimator finds in a frame."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from formats.spots import Spot
 from scenes.drawn import Drawing, Truth, bell, erf_edge, light_of
 
 
@@ -54,3 +56,14 @@ def spot_image(
         assert rng is not None
         image = image + rng.normal(0, noise, shape)
     return np.minimum(image, clip)
+
+
+def spot_in(
+    frame: np.ndarray,
+    settings: LiteralSettings | SubpixelSettings | None = None,
+    at: tuple[float, float] | None = None,
+) -> Spot:
+    """The spot of a first frame, which must have one."""
+    spot, _ = measure(frame, TrackState(at_px=at), settings or SubpixelSettings())
+    assert isinstance(spot, Spot), spot
+    return spot

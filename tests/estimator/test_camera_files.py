@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
-from estimator import SubpixelSettings, TrackState, measure
+from estimator import SubpixelSettings
 from formats.camera import LensDistortion
 from formats.inputs import InputError
 from formats.microscope import read_microscope
-from formats.spots import Spot
+from tests.drawn_spots import spot_in
 
 FOCAL, CENTRE, SIZE = 800.0, np.array([162.25, 118.5]), (320, 240)
 MATRIX = np.array([[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]])
@@ -259,11 +259,9 @@ def test_a_spot_under_a_fisheye_is_measured_as_a_pinhole_would_see_it(tmp_path):
     inside = np.clip(radius + 0.5 - np.hypot(*(ideal - [x, y]).T), 0, 1).reshape(v.shape)
     image = np.rint(20 + 160 * inside).astype(np.uint8)
     camera = camera_in(tmp_path, FILES["ros"])
-    spot, _ = measure(image, TrackState(), SubpixelSettings(camera=camera))
-    assert isinstance(spot, Spot)
+    spot = spot_in(image, SubpixelSettings(camera=camera))
     # A drawn edge is rounded to 8 bits: 0.05 px, as for a disc without distortion. Without the
     # camera, the radius is 1 px off, and the centre 1.5 px.
     assert spot.ellipse[:4] == pytest.approx((x, y, radius, radius), abs=0.05)
-    blind, _ = measure(image, TrackState(), SubpixelSettings())
-    assert isinstance(blind, Spot)
+    blind = spot_in(image)
     assert np.abs(np.subtract(blind.ellipse[:4], (x, y, radius, radius))).max() > 0.5

@@ -16,7 +16,7 @@ from estimator.run.options import Options
 from formats.camera import CameraNoise, CameraSheet, Response
 from formats.inputs import InputError
 from formats.spots import NoSpot, Reason, Spot
-from tests.drawn_spots import spot_image
+from tests.drawn_spots import spot_image, spot_in
 from tests.made_up import a_microscope_file
 
 SHAPE = (240, 320)
@@ -206,8 +206,7 @@ def test_floats_beyond_one_need_their_full_scale() -> None:
 
 def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
     frame, _ = drawn(np.random.default_rng(6), bits=8, level=235, over=1.5)
-    spot, _ = measure(frame, TrackState(), LiteralSettings())
-    assert isinstance(spot, Spot)
+    spot = spot_in(frame, LiteralSettings())
     assert spot.saturated > 0.6
     sheet = CameraSheet(full_well_e=9e3, read_noise_e=8.0, black_level_dn=0.0, bit_depth=8)
     noise = CameraNoise(sheet, Response())

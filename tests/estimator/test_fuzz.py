@@ -16,6 +16,7 @@ from formats.camera import LensDistortion, Response
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, any_truth, light_of
 from tests.drawn_frames_at_random import random_frame
+from tests.drawn_spots import spot_in
 
 _MODES = (
     SubpixelSettings(),
@@ -50,6 +51,7 @@ _SHAPES = st.one_of(
     st.tuples(st.integers(1, 80), st.integers(1, 80), st.integers(1, 4)),
     hnp.array_shapes(min_dims=0, max_dims=4, max_side=5),
 )
+
 _DTYPES = st.sampled_from("u1 >u2 u2 u4 i1 i4 ?  f2 f4 >f4 f8 c8 U1 O".split())
 
 
@@ -119,8 +121,7 @@ def test_a_spot_is_measured_in_a_frame_of_any_size(shape: tuple[int, ...]) -> No
     corner = frame[:, -100:]
     v, u = np.ogrid[: corner.shape[0], : corner.shape[1]]
     corner[np.hypot(u - 51.5, v - y) < 30] = 220
-    spot, _ = measure(frame, TrackState(), SubpixelSettings())
-    assert isinstance(spot, Spot)
+    spot = spot_in(frame)
     # The rim of a disc of whole pixels is known to half a pixel.
     assert [spot.x_px, spot.y_px] == pytest.approx([x, y], abs=0.5)
     assert [spot.semi_major_px, spot.semi_minor_px] == pytest.approx([30, 30], abs=0.5)

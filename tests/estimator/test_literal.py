@@ -13,6 +13,7 @@ from estimator import LiteralSettings, TrackState, measure, track
 from estimator.detector.literal import patch_check
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, Truth, erf_edge, frame_of
+from tests.drawn_spots import spot_in
 
 _TRUTH = Truth(x=320.3, y=241.6, semi_major=66, semi_minor=60, angle=0.5)
 _SCENE = Drawing(truth=_TRUTH, amplitude=235, ambient=10, noise=1.0)
@@ -45,8 +46,7 @@ def test_literal_ellipse_lies_where_the_value_crosses_200(
 ) -> None:
     frame = frame_of(_SCENE, np.random.default_rng(0))
     settings = LiteralSettings(order=order)
-    spot, _ = measure(frame, TrackState(at_px=(300, 230)), settings)
-    assert isinstance(spot, Spot)
+    spot = spot_in(frame, settings, at=(300, 230))
     inward = 2.0 * NormalDist().inv_cdf((200 - 10) / 235)
     # The boundary runs through pixel centres: up to 1 px inside the crossing, half a px on average;
     # the filters' blur moves the crossing by another 0.3 px.
@@ -108,8 +108,7 @@ def test_exposure_moves_the_literal_spot() -> None:
     sizes = []
     for amplitude in (210, 240):
         bright = replace(scene, amplitude=amplitude)
-        spot, _ = measure(frame_of(bright, rng), TrackState(at_px=(320, 240)), LiteralSettings())
-        assert isinstance(spot, Spot)
+        spot = spot_in(frame_of(bright, rng), LiteralSettings(), at=(320, 240))
         sizes.append(spot.semi_minor_px)
     quantile = NormalDist().inv_cdf
     expected = 4 * (quantile(190 / 210) - quantile(190 / 240))

@@ -155,24 +155,19 @@ distortion_coefficients:
 """
 
 
-def test_what_ros_writes_is_read(written):
-    microscope = read_microscope(written(ROS, ".yaml"), **EYE)
-    assert microscope.camera_matrix is not None
-    np.testing.assert_allclose(microscope.camera_matrix, MATRIX)
-    np.testing.assert_allclose(microscope.distortion, DISTORTION)
+LISTS = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
 
 
-def test_plain_lists_in_json_are_read(written):
-    content = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
-    microscope = read_microscope(written(content), **EYE)
+@pytest.mark.parametrize(("content", "suffix"), [(ROS, ".yaml"), (LISTS, ".json")])
+def test_what_ros_writes_and_plain_lists_are_read(written, content, suffix):
+    microscope = read_microscope(written(content, suffix), **EYE)
     assert microscope.camera_matrix is not None
     np.testing.assert_allclose(microscope.camera_matrix, MATRIX)
     np.testing.assert_allclose(microscope.distortion, DISTORTION)
 
 
 def test_undistorted_points_lie_in_the_ideal_microscopes_image(written):
-    content = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
-    microscope = read_microscope(written(content), **EYE)
+    microscope = read_microscope(written(LISTS), **EYE)
     # Points of the eye, seen by OpenCV's camera at F that looks down: (X, -Y, z_F - Z).
     points = np.array([[0.0, 0.0, -11.5], [5.0, -3.0, -10.0], [-8.0, 6.0, -6.0]])
     from_pinhole = points * [1, -1, -1] + [0, 0, 200.0]

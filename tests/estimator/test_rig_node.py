@@ -26,7 +26,6 @@ from xmlrpc.client import ServerProxy
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
 
 from benchmarks.bench.load import memory_mb
 from estimator import LiteralSettings, SubpixelSettings
@@ -47,30 +46,19 @@ from tests.rig_recordings import (
     recording_of,
     rendered_stack,
 )
+from tests.ros_messages import ROS1, image_message, message
 
-MESSAGES = get_typestore(Stores.ROS1_NOETIC).types
 
-
-def image_message(image: np.ndarray) -> Any:
+def grey_message(image: np.ndarray) -> Any:
     """A `sensor_msgs/Image` of a grey image."""
-    stamp = MESSAGES["builtin_interfaces/msg/Time"](sec=1, nanosec=0)
-    return MESSAGES["sensor_msgs/msg/Image"](
-        header=MESSAGES["std_msgs/msg/Header"](seq=0, stamp=stamp, frame_id="microscope"),
-        height=image.shape[0],
-        width=image.shape[1],
-        encoding="mono8",
-        is_bigendian=0,
-        step=image.shape[1],
-        data=image.ravel(),
-    )
+    return image_message(ROS1, image, "mono8", time_s=1.0)
 
 
-def pose_message(x: float = 0.0, qx: float = 0.0, qw: float = 1.0) -> Any:
+def pose_message(qw: float = 1.0) -> Any:
     """A `geometry_msgs/Transform`."""
-    return MESSAGES["geometry_msgs/msg/Transform"](
-        translation=MESSAGES["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=0.0),
-        rotation=MESSAGES["geometry_msgs/msg/Quaternion"](x=qx, y=0.0, z=0.0, w=qw),
-    )
+    place = message(ROS1, "geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    turn = message(ROS1, "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=qw)
+    return message(ROS1, "geometry_msgs/msg/Transform", translation=place, rotation=turn)
 
 
 def disc(x: float, y: float, radius: float) -> np.ndarray:
@@ -88,7 +76,7 @@ def microscope_in(folder: Path) -> Path:
 
 
 def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
-    reading = Rig(Parameters()).output(image_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
+    reading = Rig(Parameters()).output(grey_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
     # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
     assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
     assert reading.axes[:2] == pytest.approx((40.0, 40.0), abs=0.05)
@@ -97,7 +85,7 @@ def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
 
 
 def test_a_dark_image_is_no_spot_and_says_why() -> None:
-    reading = Rig(Parameters()).output(image_message(DARK), 1.0, 0)
+    reading = Rig(Parameters()).output(grey_message(DARK), 1.0, 0)
     np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
     np.testing.assert_equal(reading.axes, (math.nan,) * 3)
     assert reading.doubt == "none_found"
@@ -107,14 +95,14 @@ def test_a_dark_image_is_no_spot_and_says_why() -> None:
 def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
     rig = Rig(Parameters())
     images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
-    doubts = [rig.output(image_message(image), float(n), 0).doubt for n, image in enumerate(images)]
+    doubts = [rig.output(grey_message(image), float(n), 0).doubt for n, image in enumerate(images)]
     assert doubts == ["", "ambiguous", ""]
 
 
 def test_the_distance_is_in_metres(tmp_path: Path) -> None:
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
+    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
     truth_mm = 0.0134 * 20 * 30.0 - 5.117
     assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
@@ -125,13 +113,13 @@ def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     # At contact the spot has -b/(delta k) = 19.1 px.
-    reading = Rig(parameters).output(image_message(disc(159.5, 119.5, 17.0)), 1.0, 0)
+    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, 17.0)), 1.0, 0)
     assert reading.doubt == "out_of_range"
     assert reading.distance_m < 0
 
 
 def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
-    rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
+    rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
     assert math.isnan(pose_age_s(rig.output(image, 5.0, 0).details))
     for received_s in (4.97, 4.98, 5.01):
         rig.poses.take(pose_message(), received_s)
@@ -146,7 +134,7 @@ def test_a_topic_of_compressed_images_is_looked_for_as_such() -> None:
 
 
 def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> None:
-    rig, image = Rig(Parameters()), image_message(disc(150, 110, 40))
+    rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
     for received_s in (5.00, 5.01, 1.00):  # the recording is played again
         rig.poses.take(pose_message(), received_s)
     assert pose_age_s(rig.output(image, 5.02, 0).details) == pytest.approx(4.02, abs=1e-9)
@@ -211,11 +199,11 @@ def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: st
 
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
     microscope = microscope_in(tmp_path)
-    turned = Rig(Parameters(microscope=microscope)).output(image_message(DARK.T.copy()), 1.0, 0)
+    turned = Rig(Parameters(microscope=microscope)).output(grey_message(DARK.T.copy()), 1.0, 0)
     assert "240x320 px" in turned.doubt
-    outside = Rig(Parameters(start=(320.0, 10.0))).output(image_message(DARK), 1.0, 0)
+    outside = Rig(Parameters(start=(320.0, 10.0))).output(grey_message(DARK), 1.0, 0)
     assert "start (320, 10) px lies outside" in outside.doubt
-    unknown = image_message(DARK)
+    unknown = grey_message(DARK)
     unknown.encoding = "jpeg"
     third = Rig(Parameters()).output(unknown, 1.0, 0)
     assert "encoding" in third.doubt
@@ -227,7 +215,7 @@ def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) ->
 def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    rig, image = Rig(Parameters()), image_message(disc(150.25, 110.5, 40.0))
+    rig, image = Rig(Parameters()), grey_message(disc(150.25, 110.5, 40.0))
 
     def with_a_bug(*_: object) -> None:  # stands in for a bug, of which we know none
         raise ZeroDivisionError("here")
@@ -243,7 +231,7 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
 def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
     rig, counts = Rig(Parameters()), []
     for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2
-        details = rig.output(image_message(DARK), 1.0, number).details
+        details = rig.output(grey_message(DARK), 1.0, number).details
         counts.append((int(details["images"]), int(details["skipped_images"])))
     assert counts == [(1, 0), (2, 0), (3, 2), (4, 2), (5, 2), (6, 3)]
 

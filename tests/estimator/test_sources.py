@@ -12,7 +12,7 @@ import pytest
 import tifffile
 
 from estimator import SubpixelSettings, track
-from estimator.run.offline import Ended, track_source
+from estimator.run.offline import Ended
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot
@@ -22,7 +22,6 @@ from tests.drawn_recording import (
     GONE,
     SHAPE,
     assert_same,
-    new_reader,
     opencv_order,
     recorded,
     tracked,
@@ -303,9 +302,3 @@ def test_a_camera_that_stops_by_itself_is_a_fault(monkeypatch, images):
 def test_a_camera_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="camera 63 cannot be opened"):
         open_source("63")
-
-
-def test_a_start_outside_of_the_frame_is_refused(tmp_path, images):
-    source = open_source(write_folder(tmp_path / "folder", images))
-    with pytest.raises(ValueError, match=r"\(200, 80\) px lies outside .* 200x160 px"):
-        track_source(source, new_reader(start=(200, 80)))

@@ -7,9 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, TrackState, measure
-from formats.spots import Spot
 from tests import own_frames
+from tests.drawn_spots import spot_in
 from tests.lookalikes import LOOKALIKES, taken_for_spots
 from tests.stated_errors import measured
 
@@ -27,8 +26,7 @@ def test_a_spot_that_speeds_up_is_measured_in_the_middle_of_the_exposure(unevenn
     frame = own_frames.moved(
         rng, truth, own_frames.disc(2.0), np.ones(own_frames.SHAPE), path, unevenness
     )
-    spot, _ = measure(frame.image, TrackState(), SubpixelSettings())
-    assert isinstance(spot, Spot)
+    spot = spot_in(frame.image)
     error = math.hypot(spot.x_px - truth.x, spot.y_px - truth.y)
     # The mean of t**2 over the exposure is 1/12: there the centre would be without acceleration.
     unknown = abs(unevenness) * math.hypot(*path) / 12

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.contour import without_texture
 from estimator.detector.ellipse import AffineEllipse, Patch
+from tests.drawn_spots import spot_in
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0
@@ -69,12 +69,18 @@ def test_a_bell_on_a_veined_wall_is_measured_better_in_colour(semi_minor_px: flo
         frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         red = np.ascontiguousarray(frame[..., 0])
         for name, seen in (("colour", frame), ("red", red)):
-            spot, _ = measure(seen, TrackState(), SubpixelSettings())
-            assert spot
+            spot = spot_in(seen)
             errors[name].append(math.sqrt(spot.semi_major_px * spot.semi_minor_px) - semi_minor_px)
     rms = {name: math.sqrt(np.mean(np.square(values))) for name, values in errors.items()}
     # Of twelve frames an RMS is known to 20 %, of both to 30 %: half cannot be had by chance.
     assert rms["colour"] < rms["red"] / 2
+
+
+def sizes_px(image: np.ndarray, channel: int) -> list[float]:
+    """Semi-minor axis of the spot in a frame of colour, and in one of its channels alone."""
+    frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
+    alone = np.ascontiguousarray(frame[..., channel])
+    return [spot_in(seen).semi_minor_px for seen in (frame, alone)]
 
 
 def test_light_of_another_colour_than_the_rest_leaves_its_size() -> None:
@@ -85,28 +91,15 @@ def test_light_of_another_colour_than_the_rest_leaves_its_size() -> None:
         tint * spot_light + other * ambient
         for tint, other in zip((1.0, 0.8, 0.6), (0.7, 0.9, 1.0), strict=True)
     ]
-    image = np.dstack(colours) + rng.normal(0, 2, (*SHAPE, 3))
-    frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    red = np.ascontiguousarray(frame[..., 0])
-    sizes = []
-    for seen in (frame, red):
-        spot, _ = measure(seen, TrackState(), SubpixelSettings())
-        assert spot
-        sizes.append(spot.semi_minor_px)
+    both, red = sizes_px(np.dstack(colours) + rng.normal(0, 2, (*SHAPE, 3)), 0)
     # Logarithms of mixtures do not quite add up: 1 % of the radius, as for bells on a retina.
-    assert abs(sizes[0] - sizes[1]) < 0.01 * SEMI_MINOR_PX
+    assert abs(both - red) < 0.01 * SEMI_MINOR_PX
 
 
 def test_a_saturated_colour_tells_no_texture() -> None:
     # Red is at full scale over the middle of the bell; green, in which it is measured, is not.
     image = bell()[..., None] * (2.2, 1.3, 1.1) + np.random.default_rng(4).normal(0, 3, (*SHAPE, 3))
-    frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    green = np.ascontiguousarray(frame[..., 1])
-    sizes = []
-    for seen in (frame, green):
-        spot, _ = measure(seen, TrackState(), SubpixelSettings())
-        assert spot
-        sizes.append(spot.semi_minor_px)
+    both, green = sizes_px(image, 1)
     # The background is a median of 8-bit levels: half of one moves the half level by 0.0012 of the
     # amplitude of 208, and a bell that falls by 0.7 of it a radius by 0.07 px in 40.
-    assert abs(sizes[0] - sizes[1]) < 0.07
+    assert abs(both - green) < 0.07
