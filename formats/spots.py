@@ -192,19 +192,9 @@ _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6
 
 _UPPER = np.triu_indices(5)
-_VALUES = (
-    "x_px",
-    "y_px",
-    "semi_major_px",
-    "semi_minor_px",
-    "angle_rad",
-    "sigma_semi_minor_px",
-    "edge_width_px",
-    "coverage",
-    "inlier_fraction",
-    "saturated",
-)
-_PLACE = _VALUES[:4]
+_ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+_QUALITY = ("edge_width_px", "coverage", "inlier_fraction", "saturated")
+_VALUES = (*_ELLIPSE, "sigma_semi_minor_px", *_QUALITY)
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
@@ -213,12 +203,7 @@ _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
 _LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
 COLUMNS = (
-    "frame",
-    "file_name",
-    "time_s",
-    "mode",
-    "status",
-    "reason",
+    *("frame", "file_name", "time_s", "mode", "status", "reason"),
     *_VALUES,
     *_DISTANCES,
     *_COVARIANCES,
@@ -227,7 +212,7 @@ COLUMNS = (
 )
 FIRST_COLUMNS = (
     *("frame", "file_name", "time_s", "distance_mm", *_INTERVAL),
-    *(*_VALUES[:5], "reason"),
+    *(*_ELLIPSE, "reason"),
 )
 """The columns that people look at, in front in `spots_table`."""
 _KINDS: dict[str, type] = {
@@ -498,13 +483,13 @@ def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
     if row["status"] != "spot":
         raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
     _check_ellipse(values)
-    measured = {name: values[name] for name in _VALUES if name != "sigma_semi_minor_px"}
+    measured = {name: values[name] for name in (*_ELLIPSE, *_QUALITY)}
     return Spot(covariance=_covariance(values, _COVARIANCES), **measured)
 
 
 def _check_ellipse(values: dict[str, float]) -> None:
     """Refuse an ellipse that no image has; what a mode does not measure is NaN."""
-    for name in _PLACE:
+    for name in _ELLIPSE[:4]:
         low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
         if not low < values[name] < _LARGEST_PX:
             raise InputError(

@@ -212,19 +212,12 @@ def slopes_of(
     The size e depends on the distance d and on each quantity q, so that at a measured size
     dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen. Axis and point O are (3,), mm.
     """
-    given = {
-        "k": float(eye.k[0]),
-        "b": float(eye.b[0]),
-        "scale": eye.scale,
-        "eye_radius": eye.eye_radius,
-        "inverse_working_distance": eye.inverse_working_distance,
-    }
-    steps = {name: _STEP * max(abs(value), _LEAST) for name, value in given.items()}
+    given = np.array([np.ravel(value)[0] for value in eye[:5]], float)
+    steps = _STEP * np.maximum(np.abs(given), _LEAST)
     # Rows: as it is, farther, x, y, two turns of the axis, then each quantity of the eye.
-    count = 6 + len(given)
-    grid = {name: np.full(count, value) for name, value in given.items()}
-    for row, name in enumerate(given, 6):
-        grid[name][row] += steps[name]
+    count = 6 + given.size
+    grid = np.tile(given, (count, 1))
+    grid[6:] += np.diag(steps)
     axes, distances = np.tile(axis, (count, 1)), np.full(count, distance)
     distances[1] += _STEP
     first, second = np.linalg.svd(axis[None])[2][1:]
@@ -234,7 +227,8 @@ def slopes_of(
     pixel = np.tile(np.array([point[0], -point[1]]) / (eye.scale * depth), (count, 1))
     pixel[2, 0] += 1.0
     pixel[3, 1] += 1.0
-    varied = ConeView(**grid, normal=eye.normal)
+    quantities: Any = dict(zip(eye._fields, grid.T, strict=False))  # all but the normal
+    varied = eye._replace(**quantities)
     seen = spot_image(varied, spot=varied.wall_point(pixel), axis=axes, distance=distances)
     size = seen.size(by_area=by_area)
     change = size - size[0]
@@ -245,5 +239,5 @@ def slopes_of(
         x=float(moved[2]),
         y=float(moved[3]),
         tilt=math.hypot(moved[4], moved[5]) / _STEP,
-        of={name: float(moved[row] / steps[name]) for row, name in enumerate(given, 6)},
+        of=dict(zip(quantities, (moved[6:] / steps).tolist(), strict=True)),
     )
