@@ -443,7 +443,7 @@ def samples(folder: Path) -> Path:
         for _ in range(4):
             video.write(image)
         video.release()
-    frames = [Frame(index=n, file_name="", time_s=1.0 + n, image=image) for n in range(2)]
+    frames = [Frame(index=n, time_s=1.0 + n, image=image) for n in range(2)]
     poses = [Pose(time_s=0.5 + n, position_mm=(0.0, 0.0, float(n))) for n in range(3)]
     write_bag(folder / "ros1.bag", frames=frames, poses=poses, ros=1)
     write_bag(folder / "ros2", frames=frames, poses=poses, ros=2)

@@ -36,7 +36,7 @@ def camera(unplugged: Path) -> Source:
             if unplugged.exists():
                 raise InputError("the camera stopped. Check its cable.")
             time.sleep(0.1)
-            yield Frame(index=index, file_name="", time_s=time.time(), image=image)
+            yield Frame(index=index, time_s=time.time(), image=image)
 
     return Source(name="camera", read=read, live=True)
 

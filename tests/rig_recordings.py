@@ -66,7 +66,7 @@ def frames_of(stack: Path, rounds: int = 1) -> list[Frame]:
     """The frames of a stack, again and again, at the camera's rate."""
     images = [frame.image for frame in open_source(stack)] * rounds
     return [
-        Frame(index=index, file_name="", time_s=START_S + index / RATE_HZ, image=image)
+        Frame(index=index, time_s=START_S + index / RATE_HZ, image=image)
         for index, image in enumerate(images)
     ]
 

@@ -186,7 +186,7 @@ class LoopCamera:
             rows = zip(times.tolist(), *(part.tolist() for part in pose(times)), strict=True)
             poses = PoseTrack(Pose.along(u, time_s=t, position_mm=tip) for t, tip, u in rows)
             reading = reader.read(image, time_s=taken_s, exposure_s=exposure_s, poses=poses)
-            frame = Frame(index=number, file_name="", time_s=taken_s, image=image)
+            frame = Frame(index=number, time_s=taken_s, image=image)
             self.seen.append((frame, record_of(frame, reading)))
             return math.nan if reading.doubt else reading.distance_mm
 

@@ -142,9 +142,7 @@ class Rig:
                 image, time_s=time_s, full_scale=full_scale, poses=poses, name=name
             )
             if self._show is not None:
-                frame = Frame(
-                    index=number, file_name="", time_s=time_s, image=image, full_scale=full_scale
-                )
+                frame = Frame(index=number, time_s=time_s, image=image, full_scale=full_scale)
                 self._show(frame, reading)
         except InputError as error:
             fault = f"{error}"

@@ -77,7 +77,6 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
             yield Frame(
                 index=index,
                 file_name=name,
-                time_s=math.nan,
                 image=found.image,
                 full_scale=found.full_scale,
             )
@@ -108,7 +107,6 @@ def open_tiff(path: Path) -> Source:
                 yield Frame(
                     index=index,
                     file_name=f"{in_utf8(path.name)}#{number}",
-                    time_s=math.nan,
                     image=found.image,
                     full_scale=found.full_scale,
                 )
@@ -211,7 +209,7 @@ def open_camera(digits: str) -> Source:
                 seen, image = capture.read()
                 if not seen:
                     raise InputError(f"camera {number} stopped at frame {index}. Check its cable.")
-                yield Frame(index=index, file_name="", time_s=time.time(), image=_rgb(image))
+                yield Frame(index=index, time_s=time.time(), image=_rgb(image))
                 index += 1
 
     rate = rate_hz if 0 < rate_hz < math.inf else None

@@ -54,7 +54,6 @@ def open_genicam(name: str) -> Source:
                 image, full_scale = frame_of_message(message)
                 yield Frame(
                     index=index,
-                    file_name="",
                     time_s=time.time(),
                     image=image,
                     full_scale=full_scale,

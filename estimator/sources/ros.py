@@ -125,7 +125,7 @@ def decoded_frame(message: Any, *, index: int, time_s: float) -> Frame:
         image, full_scale = frame_of_message(message)
     except InputError as error:
         return Frame.unreadable(index, time_s, f"{error}")
-    return Frame(index=index, file_name="", time_s=time_s, image=image, full_scale=full_scale)
+    return Frame(index=index, time_s=time_s, image=image, full_scale=full_scale)
 
 
 def encoding_of(image: np.ndarray) -> str:

@@ -43,9 +43,9 @@ class Frame:
     """
 
     index: int
-    file_name: str
-    time_s: float
     image: np.ndarray
+    file_name: str = ""
+    time_s: float = math.nan
     exposure_s: float = math.nan
     full_scale: float | None = None
     fault: str = ""

@@ -61,7 +61,7 @@ def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None =
     known = read_constants().get(name, {}) if constants is None else constants
     entry: Entry = KINDS[name].make(known, WEIGHTS)
     entry.begin(microscope(), beam(), (TRUTH.x, TRUTH.y))
-    result, _ = entry.read(Frame(index=0, file_name="", time_s=0.0, image=image))
+    result, _ = entry.read(Frame(index=0, time_s=0.0, image=image))
     return result
 
 

@@ -45,7 +45,6 @@ def frames() -> list[Frame]:
     return [
         Frame(
             index=k,
-            file_name="",
             time_s=EPOCH_S + k / 10,
             image=frame_of(Drawing(truth=truth), rng, (160, 200)),
         )
@@ -158,7 +157,7 @@ def test_frames_are_written_one_by_one(tmp_path):
 def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, encoding):
     shape = (6, 5) if channels == 1 else (6, 5, channels)
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
-    frame = Frame(index=0, file_name="", time_s=1.0, image=image)
+    frame = Frame(index=0, time_s=1.0, image=image)
     write_bag(tmp_path / "a.bag", frames=[frame], poses=[])
     (back,) = read_frames(tmp_path / "a.bag")
     assert back.image.dtype == dtype
@@ -345,7 +344,7 @@ def test_a_bag_is_not_written_over_and_takes_no_zero_time(tmp_path):
     with pytest.raises(ValueError, match="already exists"):
         write_bag(path, frames=[], poses=[])
     assert path.read_bytes() == before
-    at_zero = Frame(index=0, file_name="", time_s=0.0, image=RGB)
+    at_zero = Frame(index=0, time_s=0.0, image=RGB)
     with pytest.raises(ValueError, match=r"must be positive.*got 0\.0 s"):
         write_bag(tmp_path / "zero.bag", frames=[at_zero], poses=[])
     assert [entry.name for entry in tmp_path.iterdir()] == ["rig.bag"]

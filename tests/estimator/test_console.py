@@ -58,7 +58,7 @@ def recording(frames: int = 20) -> Source:
 
     def read() -> Iterator[Frame]:
         for n in range(frames):
-            yield Frame(index=n, file_name="", time_s=n / 50, image=disc(20 + n))
+            yield Frame(index=n, time_s=n / 50, image=disc(20 + n))
 
     return Source(name="discs", read=read, length=frames, rate_hz=50.0)
 
@@ -204,9 +204,7 @@ def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -
 
 def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
     # A frame of floats fits no ROS image.
-    frames = [
-        Frame(index=n, file_name="", time_s=n + 1.0, image=disc(30) / 255.0) for n in range(3)
-    ]
+    frames = [Frame(index=n, time_s=n + 1.0, image=disc(30) / 255.0) for n in range(3)]
     source = Source(name="floats", read=lambda: iter(frames), rate_hz=1e3, length=3)
     with session_of(lambda: source) as session:
         wait_until(lambda: session.at_end, "the end")
@@ -224,7 +222,7 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path)
     ("order", "number", "fault"), [((0, 1, 2), 2, ""), ((0, 2, 1), 1, "bag, frame 1: is empty")]
 )
 def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, fault) -> None:
-    good = [Frame(index=n, file_name="", time_s=float(n), image=disc(30)) for n in range(3)]
+    good = [Frame(index=n, time_s=float(n), image=disc(30)) for n in range(3)]
     frames = [good[0], Frame.unreadable(1, 1.0, "is empty"), good[2]]
     source = Source(name="bag", read=lambda: (frames[n] for n in order), rate_hz=1e3, length=3)
     with session_of(lambda: source) as session:
@@ -239,7 +237,7 @@ def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
     def read() -> Iterator[Frame]:
         while not lost:
             time.sleep(0.01)
-            yield Frame(index=0, file_name="", time_s=time.time(), image=disc(30))
+            yield Frame(index=0, time_s=time.time(), image=disc(30))
         raise InputError("camera 0 stopped. Check its cable.")
 
     with session_of(lambda: Source(name="camera 0", read=read, live=True)) as session:
@@ -254,7 +252,7 @@ def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
 def test_the_course_covers_the_last_thirty_seconds() -> None:
     def read() -> Iterator[Frame]:
         for n in range(50):
-            yield Frame(index=n, file_name="", time_s=float(n), image=disc(30))
+            yield Frame(index=n, time_s=float(n), image=disc(30))
 
     with session_of(lambda: Source(name="slow", read=read, rate_hz=1e3)) as session:
         wait_until(lambda: session.at_end, "the end")

@@ -114,18 +114,3 @@ def test_exposure_moves_the_literal_spot() -> None:
     expected = 4 * (quantile(190 / 210) - quantile(190 / 240))
     # The boundary is known to a pixel's step, averaged over the contour: 0.4 px.
     assert sizes[1] - sizes[0] == pytest.approx(expected, abs=0.4)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"order": "both"},
-        {"median_px": 4},
-        {"gaussian_px": 1},
-        {"patch_half_width_px": 0},
-        {"threshold": 255},
-    ],
-)
-def test_settings_that_cannot_work_are_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        LiteralSettings(**wrong)  # type: ignore[arg-type]

@@ -220,7 +220,7 @@ def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(
 def dark_frames(number: int) -> Source:
     def read() -> Iterator[Frame]:
         for index in range(number):
-            yield Frame(index=index, file_name="", time_s=math.nan, image=np.zeros((9, 9), "u1"))
+            yield Frame(index=index, image=np.zeros((9, 9), "u1"))
 
     return Source(name="darkness", read=read, length=number)
 
@@ -263,7 +263,7 @@ def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Pa
 
 def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images: list[np.ndarray]) -> None:
     def read() -> Iterator[Frame]:
-        yield Frame(index=0, file_name="", time_s=0.0, image=images[0])
+        yield Frame(index=0, time_s=0.0, image=images[0])
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from statistics import NormalDist
+from typing import Any
 
 import cv2
 import numpy as np
@@ -352,16 +353,21 @@ def test_both_modes_agree_where_the_threshold_is_the_half_level() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong",
+    ("settings", "name", "value"),
     [
-        {"min_semi_minor_px": 0},
-        {"max_axis_ratio": 1},
-        {"min_coverage": 0},
-        {"min_contrast": -1},
-        {"max_semi_major_px": 10},
-        {"max_growth": float("nan")},
+        (SubpixelSettings, "min_semi_minor_px", 0),
+        (SubpixelSettings, "max_axis_ratio", 1),
+        (SubpixelSettings, "min_coverage", 0),
+        (SubpixelSettings, "min_contrast", -1),
+        (SubpixelSettings, "max_semi_major_px", 10),
+        (SubpixelSettings, "max_growth", math.nan),
+        (LiteralSettings, "order", "both"),
+        (LiteralSettings, "median_px", 4),
+        (LiteralSettings, "gaussian_px", 1),
+        (LiteralSettings, "patch_half_width_px", 0),
+        (LiteralSettings, "threshold", 255),
     ],
 )
-def test_settings_that_cannot_work_are_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match=next(iter(wrong))):
-        SubpixelSettings(**wrong)  # type: ignore[arg-type]
+def test_settings_that_cannot_work_are_refused(settings: Any, name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name):
+        settings(**{name: value})

@@ -78,23 +78,17 @@ def test_after_a_loss_the_spot_is_found_again_within_two_frames() -> None:
     assert _near(results[4], elsewhere)
 
 
-def test_a_leap_beyond_the_limit_is_believed_only_when_seen_twice() -> None:
+@pytest.mark.parametrize("change", [{"x": 130, "y": 350}, {"semi_minor": 100, "semi_major": 110}])
+def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(
+    change: dict[str, float],
+) -> None:
     rng = np.random.default_rng(3)
-    elsewhere = replace(_TRUTH, x=130, y=350)
-    frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, elsewhere, elsewhere)]
+    changed = replace(_TRUTH, **change)
+    frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, changed, changed)]
     first, leap, after = track(frames, SubpixelSettings())
     assert _near(first, _TRUTH)
     assert leap == NoSpot(Reason.AMBIGUOUS)
-    assert _near(after, elsewhere)
-
-
-def test_a_sudden_growth_is_believed_only_when_seen_twice() -> None:
-    rng = np.random.default_rng(4)
-    grown = replace(_TRUTH, semi_minor=100, semi_major=110)
-    frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, grown, grown)]
-    _, leap, after = track(frames, SubpixelSettings())
-    assert leap == NoSpot(Reason.AMBIGUOUS)
-    assert _near(after, grown)
+    assert _near(after, changed)
 
 
 def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides() -> None:

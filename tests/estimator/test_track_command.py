@@ -259,8 +259,7 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
         askew, replace(old, values={**old.values, **beam}, covariance=np.zeros((4, 4)))
     )
     stamped = [
-        Frame(index=k, file_name="", time_s=1.0 + k / 10, image=image)
-        for k, image in enumerate(images[:2])
+        Frame(index=k, time_s=1.0 + k / 10, image=image) for k, image in enumerate(images[:2])
     ]
     rotation = tuple(tool.as_quat().tolist())
     pose = Pose(rotation=rotation, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
@@ -332,7 +331,7 @@ def test_the_overlay_of_a_distorting_lens_is_drawn_as_the_lens_sees_it(images):
     )
     assert isinstance(seen, Spot)
     assert isinstance(ideal, Spot)
-    frame = Frame(index=0, file_name="", time_s=0.0, image=images[0])
+    frame = Frame(index=0, time_s=0.0, image=images[0])
     record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=ideal)
     picture = annotated(frame, record, response=Response(), camera=CAMERA)
     off = on_the_contour(drawn_pixels(picture, images[0]), seen)
@@ -346,7 +345,7 @@ def test_the_overlay_of_a_distorting_lens_is_drawn_as_the_lens_sees_it(images):
 def test_an_overlay_is_as_bright_as_its_frame(dtype):
     full_scale = {"uint16": 4095, "float32": 1}[dtype]
     image = (np.full((40, 50), 0.5) * full_scale).astype(dtype)
-    frame = Frame(index=0, file_name="", time_s=math.nan, image=image)
+    frame = Frame(index=0, image=image)
     record = SpotRecord(frame=0, file_name="", time_s=math.nan, mode="", result=NOTHING)
     picture = annotated(frame, record, response=Response(full_scale=full_scale))
     assert picture[-1, -1].tolist() == pytest.approx([127.5] * 3, abs=0.6)
@@ -517,7 +516,7 @@ def test_ctrl_c_between_writing_and_counting_a_video_frame_is_no_fault(
     monkeypatch.setattr(cv2, "VideoWriter", Interrupted)
     video = tmp_path / "overlay.mp4"
     record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=NOTHING)
-    frame = Frame(index=0, file_name="", time_s=0.0, image=images[0])
+    frame = Frame(index=0, time_s=0.0, image=images[0])
     with overlay_writer(video, rate_hz=10.0, response=Response()) as draw:
         draw(frame, record)
         with suppress(KeyboardInterrupt):
