@@ -421,6 +421,17 @@ def covariance_and_lost(
     return covariance, sentences
 
 
+def propagated(
+    slopes: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
+) -> Float[np.ndarray, "n n"]:
+    """Covariance of values by their derivatives; infinite if they follow an undetermined one."""
+    lost = np.isinf(np.diag(covariance))
+    result = np.asarray(slopes @ np.where(np.isinf(covariance), 0.0, covariance) @ slopes.T)
+    hidden = slopes[:, lost].any(axis=1)
+    result[hidden, :] = result[:, hidden] = np.inf
+    return result
+
+
 def _sentence(
     direction: Float[np.ndarray, "p"], names: Sequence[str], signs: Float[np.ndarray, "p"]
 ) -> str:

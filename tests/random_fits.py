@@ -79,6 +79,8 @@ def _fitted(stack: Path, out: Path, **choices: Any) -> tuple[dict[str, Any], eye
     row = {"good": fit.good, "said": fit.verdict, "seconds": time.monotonic() - began}
     if fit.good:
         fit.save(out)
+    pixels = fit.fitted.pixels
+    row["over_bound"] = math.nan if pixels is None else pixels.over_bound
     return row | {"model": fit.model}, fit
 
 
@@ -185,6 +187,9 @@ def summary(rows: pd.DataFrame) -> str:
         z = z[np.isfinite(z)]
         shares = ", ".join(f"{np.mean(z < n):.1%} within {n:g}" for n in (1, 1.96, 3, 4, 5))
         lines.append(f"{name}: {z.size} errors, {shares} sigma; largest {z.max():.1f}")
+    if good.over_bound.notna().any():
+        over = good.over_bound.quantile([0.5, 0.9]).to_list()
+        lines.append("sigma over its bound: median {:.2f}, nine in ten below {:.2f}".format(*over))
     if "distances" in good:
         off = [np.array(pair, float)[:, 0] for pair in good.distances.dropna()]
         rms = [np.sqrt(np.nanmean(np.square(errors))) for errors in off]

@@ -24,6 +24,7 @@ from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from calibration.pixels.data import FREE, LENS, UNITS, read_footage
 from calibration.pixels.fit import ImageFit, fit_image
 from calibration.recordings import Recording
+from calibration.solvers import propagated
 from calibration.spots.cone_trials import JointPrior, Prior, phantom_wall, wandering_boresight
 from estimator.run.progress_bar import progress, say
 from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
@@ -39,7 +40,7 @@ deviate."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
 _REFINEMENTS = 6  # steps of a guess
-_DISTANCES, _RADII = 6, 65
+_DISTANCES, _RADII = 6, 32  # whole batches of quadrature
 _STARTS = 3  # lenses to start from
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 """Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
@@ -326,7 +327,7 @@ def _fitted(
     return Fitted(
         calibration_model="exact" if source == "cone" else "lens",
         values=values,
-        covariance=_propagated(follows, fit.covariance),
+        covariance=propagated(follows, fit.covariance),
         converged=fit.converged,
         failed=fit.failed,
         bounds=bounds_hit(values),
@@ -342,7 +343,7 @@ def _fitted(
             if name not in (*_CONE_IN_FILE, *LENS, *_EITHER_IN_FILE)
         ],
         notes=_notes(fit),
-        pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit),
+        pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit, fit.over_bound),
     )
 
 
@@ -355,6 +356,10 @@ def _notes(fit: ImageFit) -> list[str]:
         else "The wall is even: a texture would not explain the frames better than chance"
     )
     notes = [f"{cells:,} cells of {fit.side} x {fit.side} pixels were fitted. {wall}."]
+    notes.append(
+        f"The standard errors are up to {fit.over_bound:.2g} times those that the camera's noise "
+        "allows on a wall that nobody knows (Cramér-Rao bound)."
+    )
     if fit.misfit.share > 0:
         notes.append(
             f"The model misses {100 * fit.misfit.share:.2g} % of the light (RMS), such as texture "
@@ -399,15 +404,3 @@ def _single(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
     """
     known = np.isfinite(fit.residuals)
     return known, np.where(known, fit.residuals, 0.0) / fit.side
-
-
-def _propagated(
-    follows: Float[np.ndarray, "n p"], covariance: Float[np.ndarray, "p p"]
-) -> Float[np.ndarray, "n n"]:
-    """Covariance of derived values; infinite if they depend on an undetermined parameter."""
-    lost = np.isinf(np.diag(covariance))
-    known = np.where(np.isinf(covariance), 0.0, covariance)
-    result = np.asarray(follows @ known @ follows.T)
-    hidden = follows[:, lost].any(axis=1)
-    result[hidden, :] = result[:, hidden] = np.inf
-    return result

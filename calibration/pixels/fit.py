@@ -59,6 +59,8 @@ class ImageFit:
         failed: the criterion of convergence that the fit does not meet; None if it converged.
         numerical_inflation: largest factor by which numerical errors of the lens's light enlarge a
             standard error; contained in `covariance`.
+        over_bound: largest standard error of the beam's own parameters over its Cramér-Rao bound,
+            with the camera's noise, the priors, and a wall that nobody knows.
         textured: whether the wall's texture was learnt; otherwise the wall is even.
         states: standard deviations of what each frame has of its own, learnt from the frames: the
             logarithms of power and exposure, the tip's place, mm, and the image's shift, px.
@@ -78,6 +80,7 @@ class ImageFit:
     undetermined: tuple[str, ...]
     failed: Failure | None
     numerical_inflation: float
+    over_bound: float
     textured: bool
     states: dict[str, float]
     residuals: Float[np.ndarray, "frames h w"]
@@ -337,7 +340,8 @@ class _FitRun(NamedTuple):
             return _result(some, Failure(FitCriterion.FIRST_ROUND, why), None)
         solver = self.solver(some.point, first=False, every=True)
         solver.spread, solver.error = some.spread, some.error
-        self._tabulate(solver, coarse=False)
+        if self.lens is not None:
+            self.lens.follow(solver.point.values, learning=True)
         for number in range(_ROUNDS):
             solver.choose(guess=number == 0)
             solver.minimise(_TOLERANCE[False], follow=False)
@@ -446,6 +450,11 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
             slice(-cells.left, width - cells.left),
         )
         residuals[solver.numbers[k]] = whole[rows, columns]
+    solver.weigh_by_noise()
+    least, _ = covariance_and_lost(solver.effective()[0], names)
+    beam = [number for number, name in enumerate(names) if name in solver.light.own]
+    with np.errstate(invalid="ignore"):  # of what is not determined
+        over = np.array(errors)[beam] / (solver.sizes * np.sqrt(np.diag(least)))[beam]
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
@@ -461,5 +470,6 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
         states=solver.states,
         residuals=residuals,
         numerical_inflation=inflation,
+        over_bound=float(np.max(over, initial=0.0, where=np.isfinite(over))),
         side=side,
     )

@@ -58,6 +58,8 @@ lenses of small frames."""
 _FAR = 0.05
 """Relative change of a lens's parameter beyond which a table, linear in it, is computed anew while
 a fit is on its way. Its result is confirmed with a table that is much nearer."""
+_FIRST_ORDER = 0.01
+"""The same for the rounds that learn the noise: the light is right to the square, 1e-4."""
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
@@ -80,6 +82,7 @@ class LinearLensLight:
         self._coarse = True
         self._at: dict[str, float] = {}
         self._halvings: int | None = None
+        self.tables = 0  # that were computed
 
     def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
         """Compute the table at these values of all parameters, unless it is the last one."""
@@ -112,6 +115,7 @@ class LinearLensLight:
         )
         self._table = self._samples.table()
         self._at, self._coarse = at, coarse
+        self.tables += 1
 
     def at(self, values: Mapping[str, float]) -> LensTable:
         """The light of a lens near the table's."""
@@ -123,9 +127,9 @@ class LinearLensLight:
         grid = self._table.grid
         return float(np.asarray(grid.contact_radius) + np.asarray(grid.slope) * distance)
 
-    def follow(self, values: Mapping[str, float]) -> None:
+    def follow(self, values: Mapping[str, float], *, learning: bool = False) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
-        if self._is_beyond(_FAR, values):
+        if self._is_beyond(_FIRST_ORDER if learning else _FAR, values):
             self.tabulate(values, coarse=self._coarse)
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
@@ -248,6 +252,7 @@ class Light:
         self.own = tuple(name for name in names if name in beam_names(lens is not None))
         self.differences = [name for name in ("scale", "eye_radius") if name in names]
         self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
+        self._last: tuple[Any, list[FrameLight]] = None, []
 
     def view(self, values: Mapping[str, float]) -> _WallView:
         """The wall as the microscope sees it."""
@@ -266,8 +271,13 @@ class Light:
         Args:
             values: of all parameters.
             states: of all frames, see `STATES`.
-            slopes: whether to compute the derivatives, which are empty otherwise.
+            slopes: whether to compute the derivatives, which may be empty otherwise.
         """
+        # Fits choose cells, learn the noise and start anew where they were.
+        tables = 0 if self.lens is None else self.lens.tables
+        place = tuple(values.items()), states[list(numbers)].tobytes(), tuple(numbers), tables
+        if place == self._last[0]:
+            return self._last[1]
         found = self._frames(values, states, numbers, slopes)
         if found is None or not slopes:
             return found
@@ -282,6 +292,7 @@ class Light:
             at = self.names.index(name)
             for own, low, high in zip(found, *ends, strict=True):
                 own.slopes[at] = (high.light - low.light) / (2.0 * step)
+        self._last = place, found
         return found
 
     def _frames(

@@ -415,6 +415,12 @@ class BeamSolver:
         far = np.square(self.map[used] - 1.0) * self.now.information[used]
         return float(np.mean(far)) > _TEXTURED
 
+    def weigh_by_noise(self) -> None:
+        """Weigh the cells by the camera's noise alone, as if the model missed nothing."""
+        self.error, self.trust = 0.0, np.ones(self.seen.shape)
+        self._reweigh()
+        self.evaluate()
+
     def effective(self) -> tuple[Float[np.ndarray, "p p"], Callable[[int], np.ndarray]]:
         """Information of the parameters alone, and their derivatives in a frame.
 

@@ -17,6 +17,7 @@ from calibration.solvers import (
     covariance_and_lost,
     excess_variance,
     least_squares,
+    propagated,
     slow_waves,
 )
 from calibration.spots.cone_trials import (
@@ -241,24 +242,13 @@ def fit_cone(
         boresight=boresight,
         boresight_covariance=boresight_covariance,
         spot=np.asarray(spot)[in_order],
-        spot_covariance=_carried_on(covariance, slopes),
+        spot_covariance=np.stack([propagated(by, covariance) for by in slopes]),
         residuals=residuals,
         chi_squared=chi_squared,
         degrees_of_freedom=degrees,
         undetermined=undetermined,
         converged=bool(solution.converged),
     )
-
-
-def _carried_on(
-    covariance: Float[np.ndarray, "x x"], slopes: Float[np.ndarray, "trials 2 x"]
-) -> Float[np.ndarray, "trials 2 2"]:
-    """Covariance of values with these derivatives; infinite if an undetermined parameter enters."""
-    unknown = np.isinf(covariance).any(axis=0)
-    known = np.where(unknown | unknown[:, None], 0.0, covariance)
-    carried = slopes @ known @ slopes.swapaxes(1, 2)
-    carried[np.any(slopes[..., unknown], axis=(1, 2))] = np.inf
-    return carried
 
 
 def _by_trial(
