@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, Float, Int
 import optics
 from calibration.pixels.data import CONE, LENS, POSE, Footage, beam_names
 from calibration.spots.cone_trials import beam_directions, phantom_wall
-from estimator.pixels.beam import BeamAtWall, blurred, blurred_with_growth
+from estimator.pixels.beam import blurred, blurred_with_growth
 from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import (
@@ -35,7 +35,7 @@ from optics.wall_light.lens import (
 )
 from optics.wall_light.pose_light import (
     BeamFrame,
-    beam_meets,
+    beam_at_wall,
     irradiance_alone,
     irradiance_and_slopes,
     pixels_see,
@@ -345,8 +345,8 @@ class Light:
         slopes: bool,
     ) -> FrameLight | None:
         tip, axis = pose[:3] + state[TIP], pose[3:]
-        beam = BeamAtWall(*map(np.asarray, _beam(view.wall, jnp.asarray(tip), jnp.asarray(axis))))
-        if not beam.distance > 0:
+        beam = beam_at_wall(view.wall, tip, axis)
+        if beam is None:
             return None
         cells, shine = self._shine(values, view, source, beam, slopes)
         # The light by a change of the tip and of the axis, through the five numbers of a pose.
@@ -383,7 +383,7 @@ class Light:
         values: Mapping[str, float],
         view: _WallView,
         source: CellBeam,
-        beam: BeamAtWall,
+        beam: BeamFrame,
         slopes: bool,
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
@@ -400,7 +400,7 @@ class Light:
         own["spread"] = own["spread"].reshape(len(every), len(self.own))
         parts = []
         for tile in near:
-            given = view.lattice(*tile), source, BeamFrame(*beam)
+            given = view.lattice(*tile), source, beam
             if slopes:
                 value, change = irradiance_and_slopes(*given, **own)
                 parts.append(np.concatenate([np.asarray(value)[None], change]))
@@ -506,17 +506,8 @@ def _poses(
     return jax.vmap(lambda reading: (pose(at, reading), jax.jacfwd(pose)(at, reading)))(readings)
 
 
-@eqx.filter_jit
-def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> BeamFrame:
-    """A beam's frame; its distance is NaN if it meets no wall."""
-    point, normal, distance = beam_meets(wall, tip, axis)
-    met = jnp.where(jnp.isfinite(point).all(), distance, jnp.nan)
-    across = (*optics.perpendicular_frame(normal), *optics.perpendicular_frame(axis))
-    return BeamFrame(jnp.asarray(tip), jnp.asarray(axis), met, *across)
-
-
 def _through(
-    beam: BeamAtWall, turn: Float[np.ndarray, "6 8"], slopes: Float[np.ndarray, "5 n"]
+    beam: BeamFrame, turn: Float[np.ndarray, "6 8"], slopes: Float[np.ndarray, "5 n"]
 ) -> tuple[Float[np.ndarray, "8 n"], Float[np.ndarray, "3 n"]]:
     """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
     change = np.linalg.inv(beam.slopes)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,11 +19,16 @@ from scipy.special import j1
 from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from formats.camera import USUAL_CUT
 from formats.microscope import MicroscopeFile
-
-if TYPE_CHECKING:
-    from optics.wall_light.cells import Lattice
-    from optics.wall_light.pose_light import Steps
-
+from optics.wall_light.cells import Lattice
+from optics.wall_light.pose_light import (
+    BeamFrame,
+    Steps,
+    beam_at_wall,
+    irradiance_alone,
+    irradiance_and_slopes,
+    pixels_see,
+    square_lattice,
+)
 
 LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0
 """Of a disc and of an exponential exp(-r/L)."""
@@ -109,9 +114,6 @@ def _filtered(values: np.ndarray, waves: np.ndarray, transfer: np.ndarray) -> np
     return (waves @ (transfer * (waves.T @ grids @ waves)) @ waves.T).reshape(values.shape)
 
 
-POSE = 5
-"""Numbers of a pose's change, as `BeamFrame` has them: two shifts of the spot
-along the wall, mm; a growth of the distance, mm; and two turns of the beam about the spot, rad."""
 NODES = np.linspace(-0.5, 0.5, 17)
 """Times of a sweep's points, from the exposure's middle, over the exposure. A hand trembles ten
 times a second, and a dark retina may need a tenth of one."""
@@ -143,40 +145,6 @@ _NARROW = 0.25
 an edge reaches over two of them, and where in one it lies does not matter."""
 _LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
-
-
-class BeamAtWall(NamedTuple):
-    """A beam that meets the wall; `BeamFrame` of `optics` has the same fields."""
-
-    tip: Float[np.ndarray, "3"]
-    axis: Float[np.ndarray, "3"]
-    distance: Float[np.ndarray, ""]
-    right: Float[np.ndarray, "3"]
-    down: Float[np.ndarray, "3"]
-    first: Float[np.ndarray, "3"]
-    second: Float[np.ndarray, "3"]
-
-    @property
-    def spot(self) -> Float[np.ndarray, "3"]:
-        """O, where the beam meets the wall, mm."""
-        return self.tip + self.distance * self.axis
-
-    @property
-    def slopes(self) -> Float[np.ndarray, "5 5"]:
-        """Derivatives of the tip and of the axis's turns by a change."""
-        # The tip moves with the spot, along the axis, and with the turns about the spot.
-        across = np.stack([self.first, self.second])
-        slopes = np.zeros((POSE, POSE))
-        slopes[:3] = np.stack([self.right, self.down, -self.axis, *(-self.distance * across)], -1)
-        slopes[3, 3] = slopes[4, 4] = 1.0
-        return slopes
-
-    def moved(self, change: Float[np.ndarray, "5"]) -> tuple[np.ndarray, np.ndarray]:
-        """Tip and axis after a change."""
-        axis = self.axis + change[3] * self.first + change[4] * self.second
-        axis /= np.linalg.norm(axis)
-        spot = self.spot + change[0] * self.right + change[1] * self.down
-        return spot - (self.distance + change[2]) * axis, axis
 
 
 class Sweep(NamedTuple):
@@ -248,21 +216,12 @@ class BeamLight:
         self.scale_mm_px = microscope.scale_mm_px
         self._middle_px = 0.5 * np.array([microscope.width_px, microscope.height_px])
 
-    def pose(self, tip: np.ndarray, axis: np.ndarray) -> BeamAtWall | None:
+    def pose(self, tip: np.ndarray, axis: np.ndarray) -> BeamFrame | None:
         """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
-        from optics.wall_light.pose_light import beam_meets
-
-        point, normal, distance = map(np.asarray, beam_meets(self.wall, tip, axis))
-        if not (distance > 0 and np.isfinite(point).all()):
-            return None
-        right, down = _across(normal)
-        first, second = _across(np.asarray(axis))
-        return BeamAtWall(tip, axis, distance, right, down, first, second)
+        return beam_at_wall(self.wall, tip, axis)
 
     def wall_points(self, pixels: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
         """Wall points that pixels see, and the inward normals there, (n, 3)."""
-        from optics.wall_light.pose_light import pixels_see
-
         point, normal = pixels_see(self.camera, self.wall, np.asarray(pixels, float))
         return np.asarray(point), np.asarray(normal)
 
@@ -271,8 +230,6 @@ class BeamLight:
 
         Each side of a cell may be divided into some parts.
         """
-        from optics.wall_light.pose_light import square_lattice
-
         corner, right = (
             motion.image_px(window.corner_px),
             window.side / parts * motion.rotation[:, 0],
@@ -284,7 +241,7 @@ class BeamLight:
         self,
         window: CellWindow,
         motion: WallMotion,
-        pose: BeamAtWall,
+        pose: BeamFrame,
         own: Float[np.ndarray, "q"],
         *,
         sweep: Sweep | None = None,
@@ -299,8 +256,6 @@ class BeamLight:
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.
         """
-        from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes
-
         lattice = self.lattice(window, motion)
         swept_px = 0.0 if sweep is None else self.swept_px(pose, sweep)
         moved, few = None, None
@@ -311,7 +266,7 @@ class BeamLight:
             if swept_px > _SWEPT_SLOPES * window.side:
                 few = _steps(sweep, _POSITIONS, swept_px / (_SWEPT_SLOPES * window.side))
         both = irradiance_and_slopes(
-            lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=few
+            lattice, self.source, pose, own=own, spread=self.spread, steps=few
         )
         value, slopes = map(np.asarray, both)
         at_rest = value if few is None else self.irradiance_alone(lattice, pose, own)
@@ -352,8 +307,6 @@ class BeamLight:
 
     def _aside(self, moved: Steps | None, variance_px2: float) -> Steps:
         """Four places around each place of the light, which stand for a blur."""
-        from optics.wall_light.pose_light import Steps
-
         if moved is None:
             moved = Steps(np.zeros((1, 3)), np.zeros((1, 3)), np.ones(1))
         tips, axes, shares = map(np.asarray, moved)
@@ -387,15 +340,15 @@ class BeamLight:
                     blur_px2=blur_px2,
                 )
 
-    def swept_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
+    def swept_px(self, pose: BeamFrame, sweep: Sweep) -> float:
         """Way of the light during an exposure, px."""
         return self._length_px(pose, np.diff(sweep.tip + pose.distance * sweep.axis, axis=0))
 
-    def _aside_px(self, pose: BeamAtWall, sweep: Sweep) -> float:
+    def _aside_px(self, pose: BeamFrame, sweep: Sweep) -> float:
         """How far the light's mean place is from that in the middle of an exposure, px."""
         return self._length_px(pose, np.mean(sweep.tip + pose.distance * sweep.axis, axis=0)[None])
 
-    def _length_px(self, pose: BeamAtWall, steps: Float[np.ndarray, "n 3"]) -> float:
+    def _length_px(self, pose: BeamFrame, steps: Float[np.ndarray, "n 3"]) -> float:
         """Way of the light along steps of the spot, px."""
         along = steps @ pose.axis
         across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)
@@ -404,15 +357,13 @@ class BeamLight:
     def irradiance_alone(
         self,
         lattice: Lattice,
-        pose: BeamAtWall,
+        pose: BeamFrame,
         own: Float[np.ndarray, "q"],
         steps: Steps | None = None,
     ) -> Float[np.ndarray, "n"]:
         """Irradiance of the cells without derivatives; `steps` are the places of a moving tip."""
-        from optics.wall_light.pose_light import BeamFrame, irradiance_alone
-
         light = irradiance_alone(
-            lattice, self.source, BeamFrame(*pose), own=own, spread=self.spread, steps=steps
+            lattice, self.source, pose, own=own, spread=self.spread, steps=steps
         )
         return np.asarray(light)
 
@@ -424,8 +375,6 @@ def _whole(values: Float[np.ndarray, "m"], parts: int) -> Float[np.ndarray, "n"]
 
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
     """Places for a moving beam: the least of the counts that is as large as needed, or the last."""
-    from optics.wall_light.pose_light import Steps
-
     nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
     return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)
 
@@ -434,11 +383,3 @@ def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
 def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss's nodes between -1 and 1, and their weights."""
     return np.polynomial.legendre.leggauss(count)
-
-
-def _across(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Two unit vectors at right angles to a unit vector and to each other."""
-    least = np.eye(3)[np.argmin(np.abs(axis))]
-    first = np.cross(axis, least)
-    first /= np.linalg.norm(first)
-    return first, np.cross(axis, first)

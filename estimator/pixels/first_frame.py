@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from estimator.pixels.beam import BeamAtWall, BeamLight, Sweep
+from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
 from estimator.pixels.frame_fit import (
     STEPS,
@@ -42,6 +42,7 @@ from estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
 from estimator.pixels.solver import PoseSolution, PoseSolver
 from formats.camera import CameraNoise
 from formats.spots import Outline
+from optics.wall_light.pose_light import BeamFrame
 
 REACH = (2.0, 1.2)
 """Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out
@@ -225,7 +226,7 @@ exp(-r/L)."""
 
 def scanned_starts(
     solver: PoseSolver,
-    frame_at: Callable[[BeamAtWall], FrameState],
+    frame_at: Callable[[BeamFrame], FrameState],
     spot: Outline,
     own: np.ndarray,
     directions: list[np.ndarray],

@@ -34,8 +34,9 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
 
-from estimator.pixels.beam import POSE, BeamAtWall, BeamLight, Sweep, blurred
+from estimator.pixels.beam import BeamLight, Sweep, blurred
 from estimator.pixels.cells import COUNT, SHADES, CellLight, CellWindow, rolled
+from optics.wall_light.pose_light import POSE, BeamFrame
 
 _TURNED = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
@@ -93,7 +94,7 @@ class RobotMotion(NamedTuple):
 
 
 def motion_between(
-    first: tuple[BeamAtWall, RobotPose | None], later: tuple[BeamAtWall, RobotPose | None]
+    first: tuple[BeamFrame, RobotPose | None], later: tuple[BeamFrame, RobotPose | None]
 ) -> RobotMotion | None:
     """The motion between two frames with their poses; None if the robot says nothing of one."""
     (pose_0, robot_0), (pose, robot) = first, later
@@ -402,7 +403,7 @@ class FrameState:
     """
 
     cells: CellLight
-    pose: BeamAtWall
+    pose: BeamFrame
     log_gain: float
     log_ambient: float
     direction: Direction | None

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
-from estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, POSE, BeamLight
+from estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
 from estimator.pixels.cells import COUNT, CellWindow
 from estimator.pixels.frame_model import (
     AMBIENT,
@@ -42,6 +42,7 @@ from estimator.pixels.frame_model import (
     prior_cost,
     prior_of,
 )
+from optics.wall_light.pose_light import POSE
 
 
 @dataclass(frozen=True, eq=False)

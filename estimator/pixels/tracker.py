@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
+import optics
 from estimator.distance.cone import calibrated_view
 from estimator.distance.range import Range, WallMemory
-from estimator.pixels.beam import POSE, BeamLight, Sweep
+from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.first_frame import (
     Hypothesis,
     Observation,
@@ -36,6 +37,16 @@ from formats.microscope import MicroscopeFile
 from formats.spots import Outline, Reason
 from formats.stated import USUAL_SHAKE_PX
 from formats.whole_files import cache_file, kept_arrays
+from optics.wall_light.cone import UniformCone
+from optics.wall_light.lens import (
+    FLATTEST,
+    PARAMETERS,
+    LensTable,
+    halvings_for,
+    lens_parameters,
+    lens_table,
+)
+from optics.wall_light.pose_light import POSE
 
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
 
@@ -262,8 +273,6 @@ def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
     """The cone's light, and how its own parameters scatter."""
-    from optics.wall_light.cone import UniformCone
-
     values, names = calibration.values, list(calibration.values)
     first = "k" if "k" in values else "half_angle"
     angle = math.atan(1.0 / values["k"]) if first == "k" else values["half_angle"]
@@ -275,16 +284,6 @@ def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
 
 def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarray]:
     """The table of a lens's light, and how its own parameters scatter."""
-    import optics
-    from optics.wall_light.lens import (
-        FLATTEST,
-        PARAMETERS,
-        LensTable,
-        halvings_for,
-        lens_parameters,
-        lens_table,
-    )
-
     values, names = calibration.values, list(calibration.values)
     lens = optics.glue_lens(**{name: values[name] for name in LENS_PARAMETERS if name in values})
     parameters = lens_parameters(lens)

@@ -30,7 +30,6 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.distance.range import Range, TipPose, WallMemory
-from estimator.pixels.beam import POSE
 from estimator.pixels.cells import COUNT, SIDES, WallMotion
 from estimator.pixels.first_frame import Hypothesis
 from estimator.pixels.frame_model import (
@@ -44,6 +43,7 @@ from estimator.pixels.frame_model import (
 )
 from estimator.pixels.solver import PoseSolution, PoseSolver
 from formats.spots import Outline, Reason
+from optics.wall_light.pose_light import POSE
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(

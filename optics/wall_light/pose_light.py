@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 import optics
@@ -31,13 +32,35 @@ class BeamFrame(NamedTuple):
         second: unit vector across the axis, at right angles to `first`.
     """
 
-    tip: Float[ArrayLike, "3"]
-    axis: Float[ArrayLike, "3"]
-    distance: Float[ArrayLike, ""]
-    right: Float[ArrayLike, "3"]
-    down: Float[ArrayLike, "3"]
-    first: Float[ArrayLike, "3"]
-    second: Float[ArrayLike, "3"]
+    tip: Float[np.ndarray, "3"]
+    axis: Float[np.ndarray, "3"]
+    distance: Float[np.ndarray, ""]
+    right: Float[np.ndarray, "3"]
+    down: Float[np.ndarray, "3"]
+    first: Float[np.ndarray, "3"]
+    second: Float[np.ndarray, "3"]
+
+    @property
+    def spot(self) -> Float[np.ndarray, "3"]:
+        """O, where the beam meets the wall, mm."""
+        return self.tip + self.distance * self.axis
+
+    @property
+    def slopes(self) -> Float[np.ndarray, "5 5"]:
+        """Derivatives of the tip and of the axis's turns by a change."""
+        # The tip moves with the spot, along the axis, and with the turns about the spot.
+        across = np.stack([self.first, self.second])
+        slopes = np.zeros((POSE, POSE))
+        slopes[:3] = np.stack([self.right, self.down, -self.axis, *(-self.distance * across)], -1)
+        slopes[3, 3] = slopes[4, 4] = 1.0
+        return slopes
+
+    def moved(self, change: Float[np.ndarray, "5"]) -> tuple[np.ndarray, np.ndarray]:
+        """Tip and axis after a change."""
+        axis = self.axis + change[3] * self.first + change[4] * self.second
+        axis /= np.linalg.norm(axis)
+        spot = self.spot + change[0] * self.right + change[1] * self.down
+        return spot - (self.distance + change[2]) * axis, axis
 
 
 class Steps(NamedTuple):
@@ -54,14 +77,19 @@ class Steps(NamedTuple):
     shares: Float[ArrayLike, "k"]
 
 
-@eqx.filter_jit
-def beam_meets(
+def beam_at_wall(
     wall: optics.Surface, tip: Float[ArrayLike, "3"], axis: Float[ArrayLike, "3"]
-) -> tuple[Float[Array, "3"], Float[Array, "3"], Float[Array, ""]]:
-    """Where a beam meets the wall: the point, mm, the inward normal there, and the distance, mm."""
-    tip, axis = jnp.asarray(tip), jnp.asarray(axis)
+) -> BeamFrame | None:
+    """The beam from a tip along a unit vector; None if it meets no wall ahead of the tip."""
+    beam = BeamFrame(*map(np.asarray, _beam(wall, jnp.asarray(tip), jnp.asarray(axis))))
+    return beam if beam.distance > 0 and np.isfinite(beam.spot).all() else None
+
+
+@eqx.filter_jit
+def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"]) -> list[Array]:
     meeting = wall.intersect(tip, axis)
-    return meeting.point, meeting.normal, jnp.dot(meeting.point - tip, axis)
+    across = (*optics.perpendicular_frame(meeting.normal), *optics.perpendicular_frame(axis))
+    return [tip, axis, jnp.dot(meeting.point - tip, axis), *across]
 
 
 @eqx.filter_jit

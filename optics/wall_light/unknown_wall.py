@@ -24,7 +24,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 import optics
 from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
-from optics.wall_light.pose_light import BeamFrame, irradiance_and_slopes, square_lattice
+from optics.wall_light.pose_light import beam_at_wall, irradiance_and_slopes, square_lattice
 
 COUNT, REACH, BESIDE_PX = 26, 2.0, 6.0
 """Cells along a side of the window; half of its side over the half-maximum ellipse's, and beside
@@ -98,10 +98,9 @@ def spot_cells(
         half_maximum_mm: larger semi-axis of the half-maximum ellipse on the wall.
         size_px: width and height of the image.
     """
-    meeting = wall.intersect(jnp.asarray(tip), jnp.asarray(axis))
-    along, across = (optics.perpendicular_frame(v) for v in (meeting.normal, axis))
-    pose = BeamFrame(*map(np.asarray, (tip, axis, meeting.distance, *along, *across)))
-    middle, right = np.asarray(camera.project(jnp.stack([meeting.point, meeting.point + along[0]])))
+    beam = beam_at_wall(wall, tip, axis)
+    assert beam is not None, "the spot has a size on the wall"
+    middle, right = np.asarray(camera.project(jnp.stack([beam.spot, beam.spot + beam.right])))
     px_mm = float(np.linalg.norm(right - middle))
     lattices = np.array(LATTICES)
     sides = 2 * (REACH * half_maximum_mm * px_mm + BESIDE_PX) / COUNT + lattices[:, 0]
@@ -111,7 +110,7 @@ def spot_cells(
         lattice = square_lattice(camera, wall, corner=corner, right=step, count=COUNT)
         for part in parts:
             own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
-            both = irradiance_and_slopes(lattice, part, pose, own=jnp.zeros(0), spread=own)
+            both = irradiance_and_slopes(lattice, part, beam, own=jnp.zeros(0), spread=own)
             light.append(np.vstack([both[0], both[1]]))
         first = corner + side * np.arange(COUNT)[:, None]
         inside = np.all([first > -0.5, first + side < np.array(size_px) - 0.5], axis=0)

@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from estimator.pixels.beam import BeamAtWall
 from estimator.pixels.frame_model import RobotPose, _turn, motion_between
 from formats.poses import PoseTrack, read_poses
+from optics.wall_light.pose_light import BeamFrame
 from tests.pixel_stacks import assert_posed, readings_of
 
 
@@ -20,7 +20,7 @@ def _pose(tip, axis):
     first = np.cross(axis, [0.3, 0.8, 0.1])
     first /= np.linalg.norm(first)
     right, down = np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0])
-    return BeamAtWall(
+    return BeamFrame(
         np.array(tip), axis, np.asarray(2.0), right, down, first, np.cross(axis, first)
     )
 
