@@ -25,26 +25,11 @@ def attributes_of(owner: type) -> dict[str, str]:
         names, colon, meaning = " ".join(entry.split()).partition(": ")
         if colon:
             found |= dict.fromkeys(names.split(", "), meaning)
-    # "cone_*" explains every label that begins so.
-    fields = inspect.get_annotations(owner)
-    for pattern in [name for name in found if name.endswith("*")]:
-        meaning = found.pop(pattern)
-        found |= {name: meaning for name in fields if name.startswith(pattern[:-1])}
     return found
 
 
 COMMON = {"schema": "Version of the format.", "provenance": "Source of the numbers."}
 MEANINGS = {
-    "labels": {
-        "file_name": "Of the image, from the stack's folder.",
-        "mask_file_name": "Of the mask: 255 where the wall inside the contour is seen.",
-        "exposure_s": "Exposure time, s.",
-        "tip_mm": "S, eye frame, in the middle of the exposure.",
-        "axis": "Unit vector of the beam from the tip towards the wall.",
-        "spot_mm": "O, where the axis meets the wall, eye frame.",
-        "medium": "Between tip and wall.",
-        "seed": "Of the scene.",
-    },
     "kinematics": {
         "time_s": "On the robot's clock, s.",
         **{f"{x}_mm": f"{x.upper()} of the tip, eye frame, mm." for x in "xyz"},

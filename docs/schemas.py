@@ -56,7 +56,6 @@ KINDS = (
         "True values of one image. `eyespot render` writes it, `eyespot score` reads it; Hugging "
         "Face `datasets` reads the file as it is.",
         models=("formats.stack:FrameLabels",),
-        meanings=("formats.stack:FrameLabels",),
     ),
     FileKind(
         "kinematics",

@@ -80,98 +80,94 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]
 """A whole number that NumPy and HDF5 can have, too."""
 
 
+def _about(meaning: str) -> Any:
+    return Field(description=meaning)
+
+
+def _rare(meaning: str) -> Any:
+    """A label that only some scenes have; NaN, and not in the file, in the others."""
+    return Field(math.nan, description=meaning)
+
+
+_CONE = "Edge of the geometric cone"
+_HALF = "Half of the noise-free, unoccluded direct peak"
+_SPREAD_CONE = "In green, where half of a point's spread light comes from inside the cone's edge"
+_SPREAD_HALF = "Half of the green peak after the wall has spread the light"
+_SHIFT = "Where this colour shows O, against green, px; not for a pinhole."
+_REFLEX = "Brightest reflex of the microscope's lamp, px; if the scene shows one."
+_VIEW = "Shift of the image by drift and shake, which the ellipses contain, px; if the view moves."
+_TURN = "Rotation vector of the eyeball and its wall's picture, degrees; if the view moves."
+_BOUND = "Cramér-Rao bound: least standard deviation in this image, px; if the scene asks for it."
+
+
 class FrameLabels(Strict):
     """True values of one image; lengths mm, angles rad, eye frame; image quantities px.
 
-    Attributes:
-        frame: index of the moment; images of several exposures share it.
-        time_s: middle of the exposure, on the camera's clock; 0 where the motion begins.
-        exposure: "paper" or "metered".
-        d_mm: |SO|, tip to wall along the beam's axis.
-        nearest_mm: tip to the nearest wall point.
-        c_mm, azimuth_rad, phi_rad: of O; sin(phi) = c/r.
-        incidence_rad, incidence_azimuth_rad: of the beam at O.
-        cone_*: ellipse of the geometric cone's edge.
-        half_max_*: ellipse of half of the noise-free, unoccluded direct peak.
-        spread_cone_*, spread_half_max_*: the same two after the wall has spread the light, in
-            green: where half of the light of a point comes from inside the cone's edge, and half
-            of the spread light's peak. NaN, and not in the file, if the wall does not spread it.
-        red_shift_*, blue_shift_*: where red and blue show O, against green; NaN, and not in the
-            file, for a pinhole.
-        reflex_*: where the brightest reflex of the microscope's lamp shows the lamp's centre; NaN,
-            and not in the file, if the scene shows none.
-        view_*: shift of the image by drift and shake, which the ellipses contain; NaN, and not in
-            the file, if the view keeps still. So are the next two.
-        eye_turn_*: rotation vector of the eyeball, and with it of the wall's picture, degrees.
-        relative_power: power of the source, relative to its mean.
-        bound_*: Cramér-Rao bound: the least standard deviation with which an unbiased estimator can
-            measure the half-maximum ellipse in this image, and bound_d_mm the distance from it;
-            NaN, and not in the file, if the scene does not ask for it.
-        visible_fraction: part of the half-maximum contour that the camera sees.
-        speed_mm_s: of the tip in the middle of the exposure.
-        saturated_fraction: part of the mask's pixels with a channel at full scale.
+    Images of several exposures share `frame`. O is where the beam's axis meets the wall, S the tip.
+    The four ellipses have a centre, semi-axes, and the angle of the semi-major axis from right
+    towards down. What each label means stands beside it.
     """
 
     model_config = ConfigDict(allow_inf_nan=True)
 
-    file_name: str
-    mask_file_name: str
-    frame: Count
-    time_s: float
-    exposure: str
-    exposure_s: float
-    d_mm: float
-    nearest_mm: float
-    c_mm: float
-    azimuth_rad: float
-    phi_rad: float
-    incidence_rad: float
-    incidence_azimuth_rad: float
-    tip_mm: Vector
-    axis: Vector
-    spot_mm: Vector
-    cone_x_px: float
-    cone_y_px: float
-    cone_semi_major_px: float
-    cone_semi_minor_px: float
-    cone_angle_rad: float
-    half_max_x_px: float
-    half_max_y_px: float
-    half_max_semi_major_px: float
-    half_max_semi_minor_px: float
-    half_max_angle_rad: float
-    visible_fraction: float
-    saturated_fraction: float
-    speed_mm_s: float
-    medium: str
-    seed: Count
-    spread_cone_x_px: float = math.nan
-    spread_cone_y_px: float = math.nan
-    spread_cone_semi_major_px: float = math.nan
-    spread_cone_semi_minor_px: float = math.nan
-    spread_cone_angle_rad: float = math.nan
-    spread_half_max_x_px: float = math.nan
-    spread_half_max_y_px: float = math.nan
-    spread_half_max_semi_major_px: float = math.nan
-    spread_half_max_semi_minor_px: float = math.nan
-    spread_half_max_angle_rad: float = math.nan
-    red_shift_x_px: float = math.nan
-    red_shift_y_px: float = math.nan
-    blue_shift_x_px: float = math.nan
-    blue_shift_y_px: float = math.nan
-    reflex_x_px: float = math.nan
-    reflex_y_px: float = math.nan
-    view_x_px: float = math.nan
-    view_y_px: float = math.nan
-    eye_turn_x_deg: float = math.nan
-    eye_turn_y_deg: float = math.nan
-    eye_turn_z_deg: float = math.nan
-    relative_power: float = math.nan
-    bound_x_px: float = math.nan
-    bound_y_px: float = math.nan
-    bound_semi_major_px: float = math.nan
-    bound_semi_minor_px: float = math.nan
-    bound_d_mm: float = math.nan
+    file_name: str = _about("Path of the image, from the stack's folder.")
+    mask_file_name: str = _about("Path of the mask: 255 where the wall within the spot is seen.")
+    frame: Count = _about("Number of the moment within its stack.")
+    time_s: float = _about("Middle of the exposure, camera's clock, s; 0 where the motion begins.")
+    exposure: str = _about("How the exposure time was chosen: paper (fixed) or metered.")
+    exposure_s: float = _about("Exposure time, s.")
+    d_mm: float = _about("Distance from the tip to the wall along the beam, |SO|, mm.")
+    nearest_mm: float = _about("Distance from the tip to the nearest point of the wall, mm.")
+    c_mm: float = _about("Distance of O from the axis of the microscope, mm.")
+    azimuth_rad: float = _about("Azimuth of O around the axis of the microscope, rad.")
+    phi_rad: float = _about("Angle of O on the eyeball from the axis, rad: sin(phi) = c/r.")
+    incidence_rad: float = _about("Angle between the beam and the outward normal of the wall, rad.")
+    incidence_azimuth_rad: float = _about("Azimuth of the beam around that normal, rad.")
+    tip_mm: Vector = _about("S in the eye frame, in the middle of the exposure, mm.")
+    axis: Vector = _about("Unit vector along the beam, from the tip towards the wall.")
+    spot_mm: Vector = _about("O in the eye frame, where the beam's axis meets the wall, mm.")
+    cone_x_px: float = _about(f"{_CONE}: x of its centre, px.")
+    cone_y_px: float = _about(f"{_CONE}: y of its centre, px.")
+    cone_semi_major_px: float = _about(f"{_CONE}: semi-major axis, px.")
+    cone_semi_minor_px: float = _about(f"{_CONE}: semi-minor axis, px.")
+    cone_angle_rad: float = _about(f"{_CONE}: angle, rad.")
+    half_max_x_px: float = _about(f"{_HALF}: x of its centre, px.")
+    half_max_y_px: float = _about(f"{_HALF}: y of its centre, px.")
+    half_max_semi_major_px: float = _about(f"{_HALF}: semi-major axis, px.")
+    half_max_semi_minor_px: float = _about(f"{_HALF}: semi-minor axis, px.")
+    half_max_angle_rad: float = _about(f"{_HALF}: angle, rad.")
+    visible_fraction: float = _about("Part of the half-maximum contour that the camera sees.")
+    saturated_fraction: float = _about("Part of the mask's pixels with a channel at full scale.")
+    speed_mm_s: float = _about("Speed of the tip in the middle of the exposure, mm/s.")
+    medium: str = _about("Medium between tip and wall.")
+    seed: Count = _about("Random seed of the scene.")
+    spread_cone_x_px: float = _rare(f"{_SPREAD_CONE}: x of its centre, px.")
+    spread_cone_y_px: float = _rare(f"{_SPREAD_CONE}: y of its centre, px.")
+    spread_cone_semi_major_px: float = _rare(f"{_SPREAD_CONE}: semi-major axis, px.")
+    spread_cone_semi_minor_px: float = _rare(f"{_SPREAD_CONE}: semi-minor axis, px.")
+    spread_cone_angle_rad: float = _rare(f"{_SPREAD_CONE}: angle, rad.")
+    spread_half_max_x_px: float = _rare(f"{_SPREAD_HALF}: x of its centre, px.")
+    spread_half_max_y_px: float = _rare(f"{_SPREAD_HALF}: y of its centre, px.")
+    spread_half_max_semi_major_px: float = _rare(f"{_SPREAD_HALF}: semi-major axis, px.")
+    spread_half_max_semi_minor_px: float = _rare(f"{_SPREAD_HALF}: semi-minor axis, px.")
+    spread_half_max_angle_rad: float = _rare(f"{_SPREAD_HALF}: angle, rad.")
+    red_shift_x_px: float = _rare(_SHIFT)
+    red_shift_y_px: float = _rare(_SHIFT)
+    blue_shift_x_px: float = _rare(_SHIFT)
+    blue_shift_y_px: float = _rare(_SHIFT)
+    reflex_x_px: float = _rare(_REFLEX)
+    reflex_y_px: float = _rare(_REFLEX)
+    view_x_px: float = _rare(_VIEW)
+    view_y_px: float = _rare(_VIEW)
+    eye_turn_x_deg: float = _rare(_TURN)
+    eye_turn_y_deg: float = _rare(_TURN)
+    eye_turn_z_deg: float = _rare(_TURN)
+    relative_power: float = _rare("Power of the light source, relative to its mean.")
+    bound_x_px: float = _rare(_BOUND)
+    bound_y_px: float = _rare(_BOUND)
+    bound_semi_major_px: float = _rare(_BOUND)
+    bound_semi_minor_px: float = _rare(_BOUND)
+    bound_d_mm: float = _rare("The same of the distance from it, with the beam known, mm.")
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""
