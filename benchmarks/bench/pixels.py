@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 import tempfile
 import time
-from collections.abc import Callable
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,6 @@ import pandas as pd
 from scipy.stats import chi2
 
 import optics
-from benchmarks.bench import tracks
 from benchmarks.bench.load import memory_mb
 from benchmarks.paper import largest, rms
 from benchmarks.sets.read import own_reader, true_beam
@@ -245,46 +243,29 @@ _WRONG = 1e-4
 """Over the number of frames: probability of a chi squared that no honest pose has."""
 
 
-def _of_posed(summary: Callable[[pd.DataFrame], float]) -> Callable[..., float]:
-    """A number of a row's frames with a pose."""
-    return lambda read, *row: float(summary(read.posed(*row)))
-
-
-@tracks(
-    frames=lambda read, *row: len(read.select(*row)),
-    with_a_pose=lambda read, *row: len(read.posed(*row)),
-    # Poses whose chi squared no honest estimator has in so many frames.
-    silently_wrong=lambda read, frames, *which: int(
-        (read.posed(frames, *which).pose_chi_squared > chi2.isf(_WRONG / len(frames), 5)).sum()
-    ),
-    median_ms=lambda read, *row: float(1e3 * read.select(*row).seconds.median()),
-    d_um=_of_posed(lambda posed: 1e3 * rms(posed.distance_mm)),
-    d_stated_um=_of_posed(lambda posed: 1e3 * rms(posed.sigma_mm)),
-    d_largest_um=_of_posed(lambda posed: 1e3 * largest(posed.distance_mm)),
-    tip_um=_of_posed(lambda posed: 1e3 * rms(posed.tip_mm)),
-    axis_deg=_of_posed(lambda posed: rms(posed.axis_deg)),
-    axis_stated_deg=_of_posed(lambda posed: rms(posed.sigma_axis_deg)),
-    # Semi-minor axes: of the half-maximum ellipse at the pose, and as sub-pixel mode measures it.
-    half_maximum_px=_of_posed(lambda posed: rms(posed.half_maximum_px)),
-    subpixel_px=_of_posed(lambda posed: rms(posed.subpixel_px)),
-    chi_squared_over_5=_of_posed(lambda posed: posed.pose_chi_squared.mean() / 5),
-    largest_chi_squared=_of_posed(lambda posed: posed.pose_chi_squared.max()),
-)
-class _Read:
-    """What selected frames show; errors are RMS over the frames with a pose without a doubt."""
-
-    full = False
-
-    def select(self, frames: pd.DataFrame, *which: Any) -> pd.DataFrame:
-        """The frames of a row of the table: those whose columns have these values."""
-        for name, value in zip(self.param_names, which, strict=True):  # type: ignore[attr-defined]
-            frames = frames[(frames[name] == value) | (value == "all")]
-        return frames
-
-    def posed(self, *row: Any) -> pd.DataFrame:
-        """Those of them with a pose."""
-        some = self.select(*row)
-        return some[some.posed]
+def _of_frames(frames: pd.DataFrame) -> pd.Series:
+    """What frames show; errors are RMS over the frames with a pose without a doubt."""
+    posed = frames[frames.posed]
+    return pd.Series(
+        {
+            "frames": len(frames),
+            "with_a_pose": len(posed),
+            # Poses whose chi squared no honest estimator has in so many frames.
+            "silently_wrong": (posed.pose_chi_squared > chi2.isf(_WRONG / len(frames), 5)).sum(),
+            "median_ms": 1e3 * frames.seconds.median(),
+            "d_um": 1e3 * rms(posed.distance_mm),
+            "d_stated_um": 1e3 * rms(posed.sigma_mm),
+            "d_largest_um": 1e3 * largest(posed.distance_mm),
+            "tip_um": 1e3 * rms(posed.tip_mm),
+            "axis_deg": rms(posed.axis_deg),
+            "axis_stated_deg": rms(posed.sigma_axis_deg),
+            # Semi-minor axes: of half maximum at the pose, and as sub-pixel mode measures it.
+            "half_maximum_px": rms(posed.half_maximum_px),
+            "subpixel_px": rms(posed.subpixel_px),
+            "chi_squared_over_5": posed.pose_chi_squared.mean() / 5,
+            "largest_chi_squared": posed.pose_chi_squared.max(),
+        }
+    )
 
 
 def _drawn(rng: np.random.Generator, alone_every: int = 0, **what: Any) -> pd.DataFrame:
@@ -295,55 +276,51 @@ def _drawn(rng: np.random.Generator, alone_every: int = 0, **what: Any) -> pd.Da
         return frames.assign(twofold=_twofold(stack)) if alone_every else frames
 
 
-class PixelPoses(_Read):
-    """First frames, and those from the fifth on, which use what the earlier ones showed."""
+def pixel_poses(full: bool = False) -> pd.DataFrame:
+    """First frames, and those from the fifth on, which use what the earlier ones showed.
 
-    params = ([*BEAMS], [*WALLS], ["first", "5th on"])
-    param_names = ("beam", "wall", "of_stack")
-
-    def setup_cache(self) -> pd.DataFrame:
-        """One stack of twelve frames for each beam and wall (full: four)."""
-        prepare()
-        rng = np.random.default_rng(20261123)
-        frames = pd.concat(
-            _drawn(rng, beam=beam, wall=wall, motion=motion, frames=12).assign(beam=beam, wall=wall)
-            for motion in ("withdrawal", "hand", "withdrawal", "hand")[: 4 if self.full else 1]
-            for beam in BEAMS
-            for wall in WALLS
-        )
-        place = np.select([frames.frame == 0, frames.frame >= 4], ["first", "5th on"], "between")
-        return frames.assign(of_stack=place)
+    One stack of twelve frames for each beam and wall (full: four).
+    """
+    prepare()
+    rng = np.random.default_rng(20261123)
+    frames = pd.concat(
+        _drawn(rng, beam=beam, wall=wall, motion=motion, frames=12).assign(beam=beam, wall=wall)
+        for motion in ("withdrawal", "hand", "withdrawal", "hand")[: 4 if full else 1]
+        for beam in BEAMS
+        for wall in WALLS
+    )
+    frames = frames.assign(of_stack=np.where(frames.frame == 0, "first", "5th on"))
+    shown = frames[(frames.frame == 0) | (frames.frame >= 4)]
+    return shown.groupby(["beam", "wall", "of_stack"], sort=False)[[*frames]].apply(_of_frames)
 
 
 _COMPARED_MM = np.arange(0.25, 9.0, 0.125)  # distances that the mode looks at
 
 
-@tracks(
-    twofold=lambda read, *row: int(read.select(*row).twofold.sum()),
-    # Nearer branches hardly differ in their radius.
-    wrong_branch=_of_posed(lambda posed: (posed.distance_mm.abs() > 0.1).sum()),
-)
-class Branches(_Read):
+def branches(full: bool = False) -> pd.DataFrame:
     """Distances whose radius another has too, over 0.3 to 6 mm on an even wall.
 
-    Each fifth frame is read as a first one, because later ones follow a distance that is known.
+    Each fifth frame is read as a first one, because later ones follow a distance that is known. Ten
+    stacks of twenty frames (full: a hundred).
     """
+    prepare()
+    rng, found = np.random.default_rng(20261125), []
+    for number in range(100 if full else 10):
+        beam, moves = ("dome, vitreous", "candidate, air")[number % 2], number // 2 % 2
+        motion, end_mm = ("hand", 6.0) if moves else ("withdrawal", 6.0 - 20 * MM_PER_FRAME)
+        what = {"beam": beam, "wall": "uniform", "motion": motion, "frames": 20}
+        read = _drawn(rng, alone_every=5, between_mm=(0.3, end_mm), **what)
+        first = np.where(read.frame % 5 == 0, "first", "later")
+        found.append(read.assign(beam=beam, read_as=first))
+    frames = pd.concat(found)
 
-    params = (["dome, vitreous", "candidate, air"], ["first", "later"])
-    param_names = ("beam", "read_as")
+    def numbers(some: pd.DataFrame) -> pd.Series:
+        # Nearer branches hardly differ in their radius.
+        wrong = (some.distance_mm[some.posed].abs() > 0.1).sum()
+        own = pd.Series({"twofold": some.twofold.sum(), "wrong_branch": wrong})
+        return pd.concat([_of_frames(some), own])
 
-    def setup_cache(self) -> pd.DataFrame:
-        """Ten stacks of twenty frames (full: a hundred)."""
-        prepare()
-        rng, found = np.random.default_rng(20261125), []
-        for number in range(100 if self.full else 10):
-            beam, moves = self.params[0][number % 2], number // 2 % 2
-            motion, end_mm = ("hand", 6.0) if moves else ("withdrawal", 6.0 - 20 * MM_PER_FRAME)
-            what = {"beam": beam, "wall": "uniform", "motion": motion, "frames": 20}
-            read = _drawn(rng, alone_every=5, between_mm=(0.3, end_mm), **what)
-            first = np.where(read.frame % 5 == 0, "first", "later")
-            found.append(read.assign(beam=beam, read_as=first))
-        return pd.concat(found)
+    return frames.groupby(["beam", "read_as"], sort=False)[[*frames]].apply(numbers)
 
 
 def _twofold(stack: Stack) -> np.ndarray:
@@ -362,112 +339,92 @@ def share_a_radius(distances: np.ndarray, grid: np.ndarray, radii: np.ndarray) -
     return np.asarray(crossings > 1)
 
 
-def _inside(part: str, numbers: int, level: float) -> Callable[..., float]:
-    """Share of squares of Mahalanobis distances in the region of a level."""
-    most = chi2.ppf(level, numbers)
-    return _of_posed(lambda posed: (posed[f"{part}_chi_squared"] < most).mean())
+def coverage(full: bool = False) -> pd.DataFrame:
+    """Stated errors of single frames, one a stack: shares in the 68 % and 95 % regions.
+
+    Ten stacks on each wall (full: 163).
+    """
+    prepare()
+    found = []
+    for number in range(163 if full else 10):
+        beam, motion = [*BEAMS][number % 3], "hand" if number % 2 else "withdrawal"
+        for k, wall in enumerate(WALLS):
+            rng = np.random.default_rng([20261212, k, number])
+            read = _drawn(rng, beam=beam, wall=wall, motion=motion, frames=1)
+            found.append(read.assign(wall=wall))
+    frames = pd.concat(found, ignore_index=True)
+    posed = frames[frames.posed]
+    inside = pd.DataFrame(
+        {
+            f"{name}_in_{100 * level:.0f}": posed[f"{name}_chi_squared"] < chi2.ppf(level, numbers)
+            for name, numbers in (("d", 1), ("tip", 3), ("axis", 2), ("pose", 5))
+            for level in (0.68, 0.95)
+        }
+    )
+    shown = frames.groupby("wall", sort=False)[[*frames]].apply(_of_frames)
+    return shown.join(inside.groupby(posed.wall).mean())
 
 
-@tracks(
-    **{
-        f"{name}_in_{100 * level:.0f}": _inside(name, numbers, level)
-        for name, numbers in (("d", 1), ("tip", 3), ("axis", 2), ("pose", 5))
-        for level in (0.68, 0.95)
-    }
-)
-class Coverage(_Read):
-    """Stated errors of single frames, one a stack: shares in the 68 % and 95 % regions."""
+def adverse_set(full: bool = False) -> pd.DataFrame:
+    """The stacks of the set adverse-v2 with a seed of its own; the mode knows each true beam.
 
-    params = ([*WALLS],)
-    param_names = ("wall",)
-
-    def setup_cache(self) -> pd.DataFrame:
-        """Ten stacks on each wall (full: 163)."""
-        prepare()
-        found = []
-        for number in range(163 if self.full else 10):
-            beam, motion = [*BEAMS][number % 3], "hand" if number % 2 else "withdrawal"
-            for k, wall in enumerate(WALLS):
-                rng = np.random.default_rng([20261212, k, number])
-                read = _drawn(rng, beam=beam, wall=wall, motion=motion, frames=1)
-                found.append(read.assign(wall=wall))
-        return pd.concat(found)
-
-
-_CONDITIONS = "occlusion shadow glints saturation blur defocus clipped unrest spread camera".split()
-
-
-def _missed(read: _Read, *row: Any) -> pd.DataFrame:
-    """Frames that sub-pixel mode misses though their ellipse would tell d to 50 um."""
-    some = read.select(*row)
-    return some[some.subpixel_px.isna() & (some.bound_mm < 0.05)]
-
-
-@tracks(
-    missed_though_well_bound=lambda read, *row: len(_missed(read, *row)),
-    of_those_with_a_pose=lambda read, *row: int(_missed(read, *row).posed.sum()),
-)
-class AdverseSet(_Read):
-    """The stacks of the set adverse-v2 with a seed of its own; the mode knows each true beam."""
-
-    params = ([*_CONDITIONS, "unseen", "all"],)
-    param_names = ("condition",)
-
-    def setup_cache(self) -> pd.DataFrame:
-        """One stack a condition (full: three)."""
-        prepare()
-        spec = load_spec("adverse-v2").model_dump(by_alias=True)
-        for split in ("adverse", "unseen"):
-            spec[split]["stacks"] = 3 if self.full else 1
-        found = []
-        for planned in plan(SetSpec.model_validate(spec | {"seed": 20261211})):
-            rng = np.random.default_rng([20261211, planned.scene.seed])
-            with tempfile.TemporaryDirectory() as folder:
-                stack = render_stack(planned.scene, Path(folder) / planned.name)
-                read = frame_errors(stack, rng)
-            found.append(read.assign(condition=planned.condition or planned.split))
-        return pd.concat(found)
-
-
-@tracks(
-    with_a_pose=lambda memory: memory.with_pose,
-    reader_starts_s=lambda memory: memory.start,
-    first_frame_s=lambda memory: float(memory.seconds[0]),
-    # Frames while the wall's texture is learnt, then later ones.
-    slow_while_learning=lambda memory: int((memory.seconds[1 : memory.warm] > 0.15).sum()),
-    median_ms=lambda memory: float(1e3 * np.median(memory.seconds[memory.warm :])),
-    slowest_ms=lambda memory: float(1e3 * memory.seconds[memory.warm :].max()),
-    start_mb=lambda memory: memory.memory[0],
-    most_mb=lambda memory: max(memory.memory),
-)
-class Memory:
-    """A reader of one hand's motion, forwards and backwards without jumps (full: 10,000 frames)."""
-
-    full = False
-    distinct = 60
-    warm = 2 * distinct - 2  # once forwards and backwards, while programs are compiled
-
-    def setup(self) -> None:
-        """Read."""
-        prepare()
-        rng, number = np.random.default_rng(20261126), 10_000 if self.full else 300
-        self.seconds, self.memory, self.with_pose = np.empty(self.warm + number), [], 0
+    One stack a condition (full: three).
+    """
+    prepare()
+    spec = load_spec("adverse-v2").model_dump(by_alias=True)
+    for split in ("adverse", "unseen"):
+        spec[split]["stacks"] = 3 if full else 1
+    found = []
+    for planned in plan(SetSpec.model_validate(spec | {"seed": 20261211})):
+        rng = np.random.default_rng([20261211, planned.scene.seed])
         with tempfile.TemporaryDirectory() as folder:
-            hand: dict[str, Any] = {"motion": "hand", "frames": self.distinct}
-            hand |= {"beam": "dome, vitreous", "wall": "photograph"}
-            stack = drawn_stack(Path(folder) / "stack", rng, **hand)
-            frames = list(open_source(stack.folder))
-            began = time.perf_counter()
-            reader = robot_reader(stack)
-            self.start = time.perf_counter() - began
-            poses = told_poses(stack, rng)
-        camera = islice(cycle(frames + frames[-2:0:-1]), self.warm + number)
-        for k, frame in enumerate(camera):
-            began = time.perf_counter()
-            read = reader.read(
-                frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-            )
-            self.seconds[k] = time.perf_counter() - began
-            if k >= self.warm:
-                self.with_pose += bool(read.range and read.range.poses)
-                self.memory.append(memory_mb())
+            stack = render_stack(planned.scene, Path(folder) / planned.name)
+            read = frame_errors(stack, rng)
+        found.append(read.assign(condition=planned.condition or planned.split))
+    frames = pd.concat(found)
+
+    def numbers(some: pd.DataFrame) -> pd.Series:
+        # Frames that sub-pixel mode misses though their ellipse would tell d to 50 um.
+        missed = some[some.subpixel_px.isna() & (some.bound_mm < 0.05)]
+        own = {"missed_though_well_bound": len(missed), "of_those_with_a_pose": missed.posed.sum()}
+        return pd.concat([_of_frames(some), pd.Series(own)])
+
+    every = pd.concat([frames, frames.assign(condition="all")])
+    return every.groupby("condition", sort=False)[[*every]].apply(numbers)
+
+
+def memory(full: bool = False) -> pd.DataFrame:
+    """A reader of one hand's motion, forwards and backwards without jumps (full: 10,000 frames)."""
+    prepare()
+    rng, number, distinct = np.random.default_rng(20261126), 10_000 if full else 300, 60
+    warm = 2 * distinct - 2  # once forwards and backwards, while programs are compiled
+    seconds, used_mb, posed = np.empty(warm + number), [], 0
+    with tempfile.TemporaryDirectory() as folder:
+        hand = {"motion": "hand", "beam": "dome, vitreous", "wall": "photograph"}
+        stack = drawn_stack(Path(folder) / "stack", rng, frames=distinct, **hand)
+        frames = list(open_source(stack.folder))
+        began = time.perf_counter()
+        reader = robot_reader(stack)
+        start_s = time.perf_counter() - began
+        poses = told_poses(stack, rng)
+    for k, frame in enumerate(islice(cycle(frames + frames[-2:0:-1]), warm + number)):
+        began = time.perf_counter()
+        read = reader.read(
+            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
+        )
+        seconds[k] = time.perf_counter() - began
+        if k >= warm:
+            posed += bool(read.range and read.range.poses)
+            used_mb.append(memory_mb())
+    row = {
+        "with_a_pose": posed,
+        "reader_starts_s": start_s,
+        "first_frame_s": seconds[0],
+        # Frames while the wall's texture is learnt, then later ones.
+        "slow_while_learning": (seconds[1:warm] > 0.15).sum(),
+        "median_ms": 1e3 * np.median(seconds[warm:]),
+        "slowest_ms": 1e3 * seconds[warm:].max(),
+        "start_mb": used_mb[0],
+        "most_mb": max(used_mb),
+    }
+    return pd.DataFrame([row])

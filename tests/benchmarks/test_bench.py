@@ -2,60 +2,40 @@
 
 from __future__ import annotations
 
-import inspect
-
 import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.bench.__main__ import LONG, benchmarks, main, table
+from benchmarks.bench import __main__ as bench
 from benchmarks.bench.pixels import doubt_of_pose, share_a_radius
 from estimator import Range, Reading
 from formats.spots import NoSpot, Reason
 
 
-class Counted:
-    """A benchmark of two parameters."""
-
-    params = ([1, 2], ["a", "b"])
-    param_names = ("number", "letter")
-
-    def setup_cache(self) -> int:
-        return 10
-
-    def setup(self, cached: int, number: int, letter: str) -> None:
-        self.letters = letter * number
-
-    def track_sum(self, cached: int, number: int, letter: str) -> int:
-        return cached + len(self.letters)
-
-    def time_nothing(self, cached: int, number: int, letter: str) -> None:
-        pass
+def test_every_file_has_benchmarks_and_those_named_long_exist():
+    every = [name.split(".") for name in bench.benchmarks()]
+    assert {file for file, _ in every} == set(bench.FILES)
+    assert {name for _, name in every} >= bench.LONG
 
 
-def test_every_combination_of_parameters_is_a_row_and_every_method_a_column():
-    found = table(Counted)
-    shown = found[["number", "letter", "sum"]].values.tolist()
-    assert shown == [[1, "a", 11], [1, "b", 11], [2, "a", 12], [2, "b", 12]]
-    assert (found.nothing_ms >= 0).all()
-    assert isinstance(found, pd.DataFrame)
+def test_a_benchmark_is_run_by_its_name_and_its_table_is_shown(monkeypatch, capsys):
+    def counted(full: bool = False) -> pd.DataFrame:
+        """Counts.
 
+        And more.
+        """
+        return pd.DataFrame({"sum": [11, 12]}, index=["a", "b"]) * (10 if full else 1)
 
-def test_every_benchmark_takes_its_parameters():
-    """`setup` and the measuring methods take what asv passes: the cache, then the parameters."""
-    every = benchmarks()
-    assert LONG <= {name.partition(".")[2] for name in every}
-    for name, kind in every.items():
-        values = [None] * hasattr(kind, "setup_cache") + [p[0] for p in getattr(kind, "params", ())]
-        assert len(getattr(kind, "params", ())) == len(getattr(kind, "param_names", ())), name
-        for method in dir(kind):
-            if method == "setup" or method.startswith(("time_", "track_")):
-                inspect.signature(getattr(kind, method)).bind(None, *values)
+    monkeypatch.setattr(bench, "benchmarks", lambda: {"fits.counted": counted})
+    bench.main("fits.counted", full=True)
+    title, names, sums = capsys.readouterr().out.strip().splitlines()[:3]
+    assert title == "== fits.counted: Counts."
+    assert (names.split(), sums.split()) == (["a", "b"], ["sum", "110", "120"])
 
 
 def test_an_unknown_bench_is_refused():
-    with pytest.raises(SystemExit, match=r"no benchmark ConeFti; .*fits\.ConeWithdrawals"):
-        main("ConeFti")
+    with pytest.raises(SystemExit, match=r"no benchmark cone_fti; .*fits\.cone_withdrawals"):
+        bench.main("cone_fti")
 
 
 def test_a_radius_that_falls_and_grows_belongs_to_two_distances():
