@@ -87,19 +87,14 @@ _MIRRORED_DEG = 2.0
 _FIBRE_MM, _SPLAY_DEG = 0.5, 10.0
 
 
-def one_spot(half_angle: float, apex_offset: float) -> Tool:
-    """A cone (rad, mm) along the tool's axis."""
-    return Tool(half_angle, apex_offset, 1, 0.0, 0.0)
-
-
-def three_spots(half_angle: float, apex_offset: float) -> Tool:
-    """Three fibres that touch each other, splayed, with equal cones (rad, mm).
+def tools_of(half_angle: float, apex_offset: float) -> tuple[Tool, Tool]:
+    """A cone (rad, mm) along the tool's axis; and three fibres that touch each other, splayed.
 
     The tool of Zhou et al. (2023) has three spotlights; more of it is not published. Here they are
     lit one after the other, so that spots neither overlap nor are confused.
     """
-    circle = _FIBRE_MM / math.sqrt(3.0)
-    return Tool(half_angle, apex_offset, 3, circle, math.radians(_SPLAY_DEG))
+    cone, circle = (half_angle, apex_offset), _FIBRE_MM / math.sqrt(3.0)
+    return Tool(*cone, 1, 0.0, 0.0), Tool(*cone, 3, circle, math.radians(_SPLAY_DEG))
 
 
 class Place(NamedTuple):
@@ -231,7 +226,7 @@ def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
 def errors(
     tool: Tool, every: list[Place], wall: optics.Sphere, view: optics.Microscope, *, seed: int
 ) -> list[dict[str, Any]]:
-    """Errors of the poses from a noisy contour at each place, with each kind of prior.
+    """Rows of pose_error.csv from a noisy contour at each place, with each kind of prior.
 
     One spot is solved by `optics.pose_from_contour`, several by `fit_tool` from the
     ellipses of the same noisy contours.
@@ -245,9 +240,23 @@ def errors(
     truth = np.stack([np.asarray(place.pose.axis) for place in every])
     height = float(view.pinhole_height)
     rows = []
+    if tool.cones > 1:
+        ellipses, spreads = _ellipses(noisy)
     for prior in AxisPrior:
         axes, covariances = (truth, known) if prior == AxisPrior.KNOWN else (drawn, bounds)
-        found = _solved(tool, noisy, axes, prior, wall, view)
+        sigma = SIGMA_RAD[prior]
+        if tool.cones == 1:
+            cone = tool.half_angle, tool.apex_offset
+            best = _one_by_contour(noisy[:, 0], axes, np.asarray(sigma), wall, view, *cone)
+            columns = best.tip, best.axis, best.distance, best.distance_error
+            found: list[Estimate] = list(zip(*map(np.asarray, columns), strict=True))
+        else:
+            found = [
+                by_ellipses(
+                    tool, jax.tree.map(itemgetter(i), ellipses), spreads[i], wall, view, axis, sigma
+                )
+                for i, axis in enumerate(axes)
+            ]
         about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
         for place, one, covariance in zip(every, found, covariances, strict=True):
             row = pose_error(place, one, covariance=covariance, noise_px=NOISE_PX, **about)
@@ -255,30 +264,19 @@ def errors(
     return rows
 
 
-def _solved(
+def by_ellipses(
     tool: Tool,
-    noisy: np.ndarray,
-    axes: np.ndarray,
-    prior: AxisPrior,
+    ellipses: optics.Ellipse,
+    covariances: Any,
     wall: optics.Sphere,
     view: optics.Microscope,
-) -> list[Estimate]:
-    """Estimates at all places; the distance's sigma is NaN for several spots."""
-    sigma = SIGMA_RAD[prior]
-    if tool.cones == 1:
-        best = _one_by_contour(
-            noisy[:, 0], axes, np.asarray(sigma), wall, view, tool.half_angle, tool.apex_offset
-        )
-        columns = (best.tip, best.axis, best.distance, best.distance_error)
-        return list(zip(*map(np.asarray, columns), strict=True))
-    ellipses, covariances = _ellipses(noisy)
-    found = []
-    for i, axis in enumerate(axes):
-        own = jax.tree.map(itemgetter(i), ellipses)
-        led = optics.DirectionPrior(jnp.asarray(axis), sigma)
-        fit = fit_tool(tool, own, covariances[i], wall, view, led)
-        found.append((np.asarray(fit.best.tip), np.asarray(fit.best.axis), fit.distance, math.nan))
-    return found
+    axis: np.ndarray,
+    sigma_rad: float,
+) -> Estimate:
+    """The pose by `fit_tool` with a prior of the axis; the distance's sigma is NaN."""
+    prior = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
+    fit = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
+    return np.asarray(fit.best.tip), np.asarray(fit.best.axis), fit.distance, math.nan
 
 
 @partial(jax.jit, static_argnums=0)
@@ -360,8 +358,7 @@ def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
 
 def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[dict[str, Any]]:
     """Render, track and solve with one spot and with three, at each eccentricity (mm)."""
-    given = World(study.scene).cone
-    tools = (one_spot(*given), three_spots(*given))
+    tools = tools_of(*World(study.scene).cone)
     trials, every = {}, {}
     for c in eccentricities:
         name = f"c-{c:g}"
@@ -442,14 +439,12 @@ def _errors(
             x, y, *columns = jnp.array([spot.ellipse for spot in seen]).T
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
-            covariances = np.asarray(_mismatch_covariances(ellipses, spread))
-            led = optics.DirectionPrior(jnp.asarray(axis), SIGMA_RAD[kind])
-            fit = fit_tool(tool, ellipses, covariances, surface, view, led)
-            # A shift of the tip along the wall does not change the distance, to first order.
-            per_mm = place.outward / float(place.outward @ true)
-            sigma_distance = math.sqrt(per_mm @ covariance @ per_mm) if known else math.nan
-            tip, towards = np.asarray(fit.best.tip), np.asarray(fit.best.axis)
-            found = tip, towards, fit.distance, sigma_distance
+            spread = _mismatch_covariances(ellipses, spread)
+            found = by_ellipses(tool, ellipses, spread, surface, view, axis, SIGMA_RAD[kind])
+            if known:
+                # A shift of the tip along the wall does not change the distance, to first order.
+                per_mm = place.outward / float(place.outward @ true)
+                found = *found[:3], math.sqrt(per_mm @ covariance @ per_mm)
         height = microscope.pinhole_height_mm
         about = {"source": "rendered", "spots": tool.cones, "prior": kind, "z_f_mm": height}
         rows.append(pose_error(place, found, noise_px=sigma, covariance=covariance, **about))
@@ -481,20 +476,18 @@ def check(scene: Scene) -> None:
 
 def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
     """Errors on exact contours, with the scene's pinhole and with a microscope's."""
-    scene = study.scene
-    surface = World(scene).wall
-    assert isinstance(surface, optics.Sphere)  # by `check`
-    given = World(scene).cone
-    rows = []
-    for height in dict.fromkeys((scene.microscope.pinhole_height_mm, MICROSCOPE_MM)):
+    world, microscope, rows = World(study.scene), study.scene.microscope, []
+    wall, tools = world.wall, tools_of(*world.cone)
+    assert isinstance(wall, optics.Sphere)  # by `check`
+    for height in dict.fromkeys((microscope.pinhole_height_mm, MICROSCOPE_MM)):
         view = optics.microscope(
-            scale=scene.microscope.scale_mm_px,
+            scale=microscope.scale_mm_px,
             pinhole_height=height,
-            eye_radius=scene.phantom.radius_mm,
+            eye_radius=study.scene.phantom.radius_mm,
         )
-        for tool, count in ((one_spot(*given), one), (three_spots(*given), three)):
-            every = places(surface, count=count, seed=study.seed)
-            rows += errors(tool, every, surface, view, seed=study.seed)
+        for tool, count in zip(tools, (one, three), strict=True):
+            every = places(wall, count=count, seed=study.seed)
+            rows += errors(tool, every, wall, view, seed=study.seed)
     return rows
 
 

@@ -14,7 +14,7 @@ import scenes
 from benchmarks.paper import rms
 from benchmarks.reporting import where
 from benchmarks.studies import pose
-from benchmarks.studies.pose import AxisPrior, one_spot, scatter, three_spots
+from benchmarks.studies.pose import AxisPrior, scatter, tools_of
 from calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -28,7 +28,7 @@ from scenes.world.world import Cone, World
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 CONE = Cone(math.atan(1 / 20), -5.117)
-ONE, THREE = one_spot(*CONE), three_spots(*CONE)
+ONE, THREE = tools_of(*CONE)
 WALL = optics.Sphere(11.5)
 VIEW = optics.microscope(scale=0.0065, pinhole_height=11.5, eye_radius=11.5)
 SIGMA_PX = 0.05
