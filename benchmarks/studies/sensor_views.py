@@ -7,7 +7,6 @@ give the same quantity: d, the distance from the tip to the wall along the axis.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from enum import StrEnum
 from typing import Any, NamedTuple
 
@@ -121,9 +120,13 @@ def beam_of(one: InstrumentPlace) -> optics.Beam:
 
 def views(path: str) -> Views:
     """The microscopes that look through a path."""
-    lens = PATHS[path]
-    inverted = lens is not None and isinstance(load_viewing_lens(lens), ThinLens)
-    return _views(_through(lens), bare=lens is None, inverted=inverted)
+    if (name := PATHS[path]) is None:
+        bare = bare_path(eye_radius=RADIUS_MM, pinhole_height=PINHOLE_HEIGHT_MM)
+        return _views(bare, bare=True, inverted=False)
+    eye, lens = load_eye(EYE, wavelength_nm=WAVELENGTH_NM), load_viewing_lens(name)
+    cornea = float(eye.axial_length) - RADIUS_MM
+    seen = viewing_path(eye, lens, pinhole_distance=PINHOLE_HEIGHT_MM - cornea)
+    return _views(seen, bare=False, inverted=isinstance(lens, ThinLens))
 
 
 @eqx.filter_jit
@@ -140,9 +143,9 @@ def _views(seen: ViewingPath, *, bare: bool, inverted: bool) -> Views:
         # A stereo inverter turns both images, and exchanges them; else near would look far.
         for x in ((half, -half) if inverted else (-half, half))
     )
+    down = jnp.array([0.0, 0.0, 1.0])
     every = centre, left, right
-    poles = [jnp.stack([jnp.zeros(()), jnp.zeros(()), camera.pole_height]) for camera in every]
-    return Views(*(centred(of, pole, (0.0, 0.0)) for of, pole in zip(every, poles, strict=True)))
+    return Views(*(centred(camera, camera.pole_height * down, (0.0, 0.0)) for camera in every))
 
 
 project = eqx.filter_jit(lambda camera, points: camera.project(points))
@@ -157,14 +160,6 @@ def centred(
     """The camera that shows a point at a pixel, by default in the middle of its window."""
     shift = jnp.array(at) - project(camera, point[None])[0]
     return eqx.tree_at(lambda c: c.principal_point, camera, camera.principal_point + shift)
-
-
-def _through(lens: str | None) -> ViewingPath:
-    if lens is None:
-        return bare_path(eye_radius=RADIUS_MM, pinhole_height=PINHOLE_HEIGHT_MM)
-    eye = load_eye(EYE, wavelength_nm=WAVELENGTH_NM)
-    cornea = float(eye.axial_length) - RADIUS_MM
-    return viewing_path(eye, load_viewing_lens(lens), pinhole_distance=PINHOLE_HEIGHT_MM - cornea)
 
 
 def _trocar(azimuth_deg: float) -> np.ndarray:
@@ -203,14 +198,11 @@ _LEAST_CORRELATION = 0.3
 _FEWEST = 100  # points of the wall that both images must show
 
 
-class OutlinePart(NamedTuple):
-    """Part of an outline, px: points and outward unit normals, n x 2."""
-
-    points: np.ndarray
-    normals: np.ndarray
+Outline = tuple[np.ndarray, np.ndarray]
+"""Part of an outline, px: points and outward unit normals, n x 2."""
 
 
-def outline(one: InstrumentPlace, camera: optics.Camera, *, shadow: bool = False) -> OutlinePart:
+def outline(one: InstrumentPlace, camera: optics.Camera, *, shadow: bool = False) -> Outline:
     """Outline of the instrument's end in the image, or of its shadow."""
     front, back = (_rim(one, behind) for behind in (0.0, _BACK_MM))
     if shadow:
@@ -226,29 +218,39 @@ def outline(one: InstrumentPlace, camera: optics.Camera, *, shadow: bool = False
     normals = np.repeat(outward / np.linalg.norm(edges, axis=1, keepdims=True), counts, axis=0)
     along = ends[0].mean(axis=0) - ends[1].mean(axis=0)
     kept = (points - ends[1].mean(axis=0)) @ along > _BACK_LEFT_OUT * (along @ along)
-    return OutlinePart(points[kept], normals[kept])
+    return points[kept], normals[kept]
 
 
-def found_shift(image: np.ndarray, outline: OutlinePart, *, dark: bool) -> np.ndarray:
+def found_shift(image: np.ndarray, outline: Outline, *, dark: bool) -> np.ndarray:
     """Shift of an outline at which the grey image, H x W, is steepest across it, px.
 
     Args:
         outline: where the labels say that it is.
         dark: whether the inside is known to be darker than the outside.
     """
-    smooth = gaussian_filter(image, _SMOOTH_PX)
-    down, right = np.gradient(smooth)
+    points, normals = outline
+    down, right = np.gradient(gaussian_filter(image, _SMOOTH_PX))
 
     def steepness(shift: np.ndarray) -> float:
-        columns, rows = (outline.points + shift).T
-        across = (
-            map_coordinates(right, [rows, columns], order=1, mode="nearest") * outline.normals[:, 0]
-            + map_coordinates(down, [rows, columns], order=1, mode="nearest")
-            * outline.normals[:, 1]
+        at = (points + shift).T[::-1]
+        along_x, along_y = (
+            map_coordinates(slope, at, order=1, mode="nearest") for slope in (right, down)
         )
+        across = along_x * normals[:, 0] + along_y * normals[:, 1]
         return float(np.mean(across if dark else np.abs(across)))
 
-    return _highest(steepness)
+    # On a coarse grid, then on a fine one, then by parabolas.
+    found = np.zeros(2)
+    for reach, step in ((REACH_PX, _COARSE_STEP_PX), (_COARSE_STEP_PX, _STEP_PX)):
+        steps = np.arange(-reach, reach + step / 2, step)
+        scores = np.array([[steepness(found + np.array([x, y])) for x in steps] for y in steps])
+        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
+        found = found + np.array([steps[column], steps[row]])
+    if 0 < column < len(steps) - 1:
+        found[0] += _STEP_PX * _vertex(*scores[row, column - 1 : column + 2])
+    if 0 < row < len(steps) - 1:
+        found[1] += _STEP_PX * _vertex(*scores[row - 1 : row + 2, column])
+    return found
 
 
 def wall_height(
@@ -268,14 +270,19 @@ def wall_height(
     a, b = (grid.ravel()[:, None] for grid in np.meshgrid(side, side))
     towards = one.spot + a * first + b * second
     towards = towards / np.linalg.norm(towards, axis=1, keepdims=True)
-    shafts = [_shaft(one, camera) for camera in seen[1:]]
+    # Corners of the instrument's whole outline, with a margin; the iris's edge has one, too.
+    margin = _MARGIN_PX * SCALE_MM_PX
+    ends = np.concatenate([_rim(one, behind, margin=margin) for behind in (-margin, _SHAFT_MM)])
+    shafts = [_hull(np.asarray(project(camera, ends))) for camera in seen[1:]]
+    beside = _MARGIN_PX * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])[:, None]
     correlations = []
     for height in _HEIGHTS_MM:
         pixels = [
             np.asarray(project(camera, (RADIUS_MM - height) * towards)) for camera in seen[1:]
         ]
         bare = [
-            ~points_in_poly(places, shaft) & _within_the_iris(camera, places)
+            ~points_in_poly(places, shaft)
+            & np.all(np.asarray(_transmittance(camera, places[None] + beside)) > 0, axis=0)
             for places, shaft, camera in zip(pixels, shafts, seen[1:], strict=True)
         ]
         values = [
@@ -298,41 +305,12 @@ def _rim(one: InstrumentPlace, behind: float, *, margin: float = 0.0) -> np.ndar
     return one.tip - behind * one.axis + (TOOL_RADIUS_MM + margin) * circle
 
 
-def _shaft(one: InstrumentPlace, camera: optics.Camera) -> np.ndarray:
-    """Corners of the instrument's whole outline, with a margin, px."""
-    margin = _MARGIN_PX * SCALE_MM_PX
-    rims = [_rim(one, behind, margin=margin) for behind in (-margin, _SHAFT_MM)]
-    return _hull(np.asarray(project(camera, np.concatenate(rims))))
-
-
-def _within_the_iris(camera: Any, pixels: np.ndarray) -> np.ndarray:
-    """Whether pixels are so far from the iris's edge that the edge is no part of their texture."""
-    shifts = _MARGIN_PX * np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
-    passed = _transmittance(camera, pixels[None] + shifts[:, None])
-    return np.all(np.asarray(passed) > 0, axis=0)
-
-
 _transmittance = eqx.filter_jit(lambda camera, pixels: camera.transmittance(pixels))
 
 
 def _hull(points: np.ndarray) -> np.ndarray:
     """Corners of the convex hull, counter-clockwise in x and y."""
     return points[ConvexHull(points).vertices]
-
-
-def _highest(score: Callable[[np.ndarray], float]) -> np.ndarray:
-    """The shift with the highest score: on a coarse grid, then on a fine one, then by parabolas."""
-    found = np.zeros(2)
-    for reach, step in ((REACH_PX, _COARSE_STEP_PX), (_COARSE_STEP_PX, _STEP_PX)):
-        steps = np.arange(-reach, reach + step / 2, step)
-        scores = np.array([[score(found + np.array([x, y])) for x in steps] for y in steps])
-        row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
-        found = found + np.array([steps[column], steps[row]])
-    if 0 < column < len(steps) - 1:
-        found[0] += _STEP_PX * _vertex(*scores[row, column - 1 : column + 2])
-    if 0 < row < len(steps) - 1:
-        found[1] += _STEP_PX * _vertex(*scores[row - 1 : row + 2, column])
-    return found
 
 
 def _vertex(before: float, middle: float, after: float) -> float:
@@ -405,7 +383,13 @@ def pictures(scene: Scene, one: InstrumentPlace, seen: Views) -> Pictures:
     world = World(lit)
     images = images_of(world, variant="llvm_ad_rgb")
     own = Views(*(centred(camera, one.spot) for camera in seen))
-    shots = [images.at(tip=lamp, axis=one.lamp_axis, seed=0)[0] for lamp in _lamp_points(one)]
+    # Points evenly spread over the light guide's end (Vogel's spiral).
+    first, second = map(np.asarray, optics.perpendicular_frame(one.lamp_axis))
+    shots = []
+    for number in range(_LAMP_POINTS):
+        r, a = LAMP_RADIUS_MM * math.sqrt((number + 0.5) / _LAMP_POINTS), _GOLDEN_RAD * number
+        lamp = one.lamp + r * (math.cos(a) * first + math.sin(a) * second)
+        shots.append(images.at(tip=lamp, axis=one.lamp_axis, seed=0)[0])
     images.at(tip=one.lamp, axis=one.lamp_axis, seed=0)
     pair = [_by_other(world, images.mitsuba_scene, camera) for camera in own[1:]]
     everything = np.ones((HEIGHT_PX, WIDTH_PX), bool)
@@ -421,17 +405,6 @@ def pictures(scene: Scene, one: InstrumentPlace, seen: Views) -> Pictures:
 def grey(photograph: np.ndarray) -> np.ndarray:
     """Brightness, H x W."""
     return photograph @ _GREY
-
-
-def _lamp_points(one: InstrumentPlace) -> list[np.ndarray]:
-    """Points evenly spread over the light guide's end (Vogel's spiral)."""
-    first, second = map(np.asarray, optics.perpendicular_frame(one.lamp_axis))
-    numbers = np.arange(_LAMP_POINTS)
-    radii = LAMP_RADIUS_MM * np.sqrt((numbers + 0.5) / _LAMP_POINTS)
-    return [
-        one.lamp + r * (math.cos(a) * first + math.sin(a) * second)
-        for r, a in zip(radii, _GOLDEN_RAD * numbers, strict=True)
-    ]
 
 
 def _by_other(world: World, mitsuba_scene: Any, camera: optics.Camera) -> np.ndarray:

@@ -42,7 +42,6 @@ from benchmarks.studies.sensor_views import (
     InstrumentPlace,
     Known,
     Marks,
-    Numbers,
     Pictures,
     ReadingOutcome,
     Sensor,
@@ -72,14 +71,6 @@ _DIRECTIONS = 4  # in which something is displaced
 _AFFECTED = {Wrong.LAMP: (Sensor.SHADOW,)}
 
 
-class Assumed(NamedTuple):
-    """What is assumed: the light guide's end, the axis, by how much r is taken too large, mm."""
-
-    lamp: Numbers
-    axis: Numbers
-    lower: Numbers
-
-
 def expected(
     path: str, seen: Views, pinholes: Views, *, draws: int, seed: int
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
@@ -97,24 +88,23 @@ def expected(
     true, outcomes = _marks(places, seen), outcomes_at(places, seen)
     rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
     noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
-    right = Assumed(places.lamp, places.axis, np.zeros(places.distance.size))
+    right = Known(seen, np.asarray(RADIUS_MM), places.lamp, places.axis)
     noisy = [
-        _read(jax.tree.map(add, true, jax.tree.map(itemgetter(k), noise)), right, seen)
+        _read(jax.tree.map(add, true, jax.tree.map(itemgetter(k), noise)), right)
         for k in range(draws)
     ]
     off = math.tan(math.radians(_AXIS_OFF_DEG))
     turned = [places.axis + aside for aside in _aside(places.axis, off)]
     lamps = [places.lamp + aside for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)]
     assumed = {
+        Wrong.PATH: [] if path == "pinhole" else [right._replace(views=pinholes)],
         Wrong.LAMP: [right._replace(lamp=lamp) for lamp in lamps],
         Wrong.AXIS: [
             right._replace(axis=axis / np.linalg.norm(axis, axis=-1, keepdims=True))
             for axis in turned
         ],
-        Wrong.RADIUS: [right._replace(lower=right.lower + _RADIUS_OFF_MM)],
+        Wrong.RADIUS: [_in_larger_sphere(right, _RADIUS_OFF_MM)],
     }
-    read = {} if path == "pinhole" else {Wrong.PATH: [_read(true, right, pinholes)]}
-    read |= {wrong: [_read(true, one, seen) for one in ones] for wrong, ones in assumed.items()}
     where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
     done = {sensor: np.array(outcomes[sensor]) == ReadingOutcome.READ for sensor in Sensor}
     sigmas = [
@@ -124,9 +114,10 @@ def expected(
         for sensor in Sensor
     ]
     biases = []
-    for wrong, found in read.items():
-        for sensor in _AFFECTED.get(wrong, tuple(Sensor)):
-            error = np.array([one[sensor] for one in found]) - places.distance
+    for wrong, ones in assumed.items():
+        read = [_read(true, one) for one in ones]
+        for sensor in _AFFECTED.get(wrong, tuple(Sensor)) if ones else ():
+            error = np.array([one[sensor] for one in read]) - places.distance
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
             rows = pd.DataFrame({"sensor": sensor, **where, "wrong": wrong, "error_mm": size})
@@ -146,32 +137,33 @@ def _marks(places: InstrumentPlace, seen: Views) -> Marks:
     return jax.vmap(lambda one: marks_of(one, seen, points=_POINTS))(places)
 
 
-@eqx.filter_jit
-def _read(marks: Marks, assumed: Assumed, seen: Views) -> dict[Sensor, Any]:
-    """Readings of marks at all places, as assumed."""
+def _in_larger_sphere(known: Known, by: float) -> Known:
+    """What is known, in the frame of a larger sphere through the same pole; mm.
 
-    def one(own: Marks, given: Assumed) -> dict[Sensor, Any]:
-        # The cameras in the frame of a larger sphere, whose pole lies lower; they stay in place.
-        lowered = Views(
-            *(
-                eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - given.lower)
-                for camera in seen
-            )
-        )
-        known = Known(
-            views=lowered,
-            radius=RADIUS_MM + given.lower,
-            # The centre of a larger sphere lies higher above the pole.
-            lamp=given.lamp - given.lower * jnp.array([0.0, 0.0, 1.0]),
-            axis=given.axis,
-        )
+    Its centre lies higher above the pole, so that the cameras and the lamp, which stay in place,
+    lie lower in its frame.
+    """
+    lowered = [
+        eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - by)
+        for camera in known.views
+    ]
+    lamp = known.lamp - by * np.array([0.0, 0.0, 1.0])
+    return Known(Views(*lowered), known.radius + by, lamp, known.axis)
+
+
+@eqx.filter_jit
+def _read(marks: Marks, known: Known) -> dict[Sensor, Any]:
+    """Readings of marks at all places, each with a lamp and an axis."""
+
+    def one(own: Marks, lamp: Any, axis: Any) -> dict[Sensor, Any]:
+        here = known._replace(lamp=lamp, axis=axis)
         return {
-            Sensor.SPOT: by_spot(optics.ellipse_of_contour(own.contour), known),
-            Sensor.SHADOW: by_shadow(own.tip, own.shadow, known),
-            Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, known),
+            Sensor.SPOT: by_spot(optics.ellipse_of_contour(own.contour), here),
+            Sensor.SHADOW: by_shadow(own.tip, own.shadow, here),
+            Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, here),
         }
 
-    return jax.vmap(one)(marks, assumed)
+    return jax.vmap(one)(marks, known.lamp, known.axis)
 
 
 def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:

@@ -48,11 +48,9 @@ _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # of the parts of the range that are tried
 class ValidateFindings:
     """All results of a run.
 
-    Attributes:
-        spots: of every trial in every way (columns trial, source, kind, group, way, and those of
-            `paper.spots_of`).
-        planes, spheres: content of table_1.csv and table_2.csv.
-        analytic, rendered: the models' errors on exact contours, and on spots of the ideal cone.
+    `spots` are those of every trial in every way (columns trial, source, kind, group, way, and
+    those of `paper.spots_of`); `planes` and `spheres` the content of table_1.csv and table_2.csv;
+    `analytic` and `rendered` the models' errors on exact contours and on spots of the ideal cone.
     """
 
     stacks: Path
@@ -94,7 +92,8 @@ def fit_tables(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Tables I and II for every source and way with enough spots, beside the paper's values.
 
-    `c_expected_mm` is the c whose factor cos(phi) equals the correct factor of the true c.
+    `c_expected_mm` is the c whose factor cos(phi) equals the correct first-order factor of the true
+    c, or 0 if that is above 1.
     """
     scenes, planes, spheres = {(t.source, t.group): t.scene for t in trials}, [], []
     for source, way in product(("lens", "cone"), paper.WAYS):
@@ -112,6 +111,7 @@ def fit_tables(
             planes.append((source, way.name, trial, *fitted, line.spots, line.converged))
         for trial, rows in grouped(where(enough, kind="sphere"), "group"):
             scene, printed = scenes[source, trial], paper.TABLE_II[trial]
+            c, r = scene.spot.eccentricity_mm, scene.phantom.radius_mm
             e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
             fit = fit_eccentricity(
                 semi_minor_px=e,
@@ -119,25 +119,20 @@ def fit_tables(
                 delta_k=line.delta_k,
                 b=line.b,
                 scale=scene.microscope.scale_mm_px,
-                eye_radius=scene.phantom.radius_mm,
+                eye_radius=r,
             )
-            c = scene.spot.eccentricity_mm, fit.c, fit.c_error, _expected_eccentricity(scene)
+            kappa = 1.0 / (scene.microscope.pinhole_height_mm + r)
+            right = float(
+                optics.corrected_factor(
+                    eccentricity=c, eye_radius=r, inverse_working_distance=kappa
+                )
+            )
+            places = c, fit.c, fit.c_error, r * math.sqrt(max(0.0, 1.0 - right**2))
             sizes = "standard_deviation", "mean_absolute_error", "max_error"
             beside = [getattr(of, size) for size in sizes for of in (fit, printed)]
             about = fit.spots, fit.converged, fit.at_bound
-            spheres.append((source, way.name, trial, *c, *beside, *about))
+            spheres.append((source, way.name, trial, *places, *beside, *about))
     return pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
-
-
-def _expected_eccentricity(scene: Scene) -> float:
-    """c' with cos(phi') = the right first-order factor at c, or 0 if that is above 1, mm."""
-    r = scene.phantom.radius_mm
-    factor = optics.corrected_factor(
-        eccentricity=scene.spot.eccentricity_mm,
-        eye_radius=r,
-        inverse_working_distance=1.0 / (scene.microscope.pinhole_height_mm + r),
-    )
-    return r * math.sqrt(max(0.0, 1.0 - float(factor) ** 2))
 
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
@@ -172,15 +167,16 @@ def rendered_errors(trials: Sequence[paper.StaticTrial], spots: pd.DataFrame) ->
 
 
 def nearest_reproduction(
-    findings: ValidateFindings, *, source: str, way: paper.Way
+    findings: ValidateFindings, source: str
 ) -> tuple[float, float, dict[paper.Criterion, page.Claim]] | None:
-    """The widest of those parts of the range that meet most criteria of Table I.
+    """The widest of those parts of the range that meet most criteria of Table I, in literal mode.
 
     The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
     begin and end at multiples of 0.5 mm. The result is the first and the last reading (mm) and the
     criteria, None if no part has three spots of each trial.
     """
-    planes = where(findings.spots, used=True, source=source, way=way.name, kind="plane")
+    way = paper.LITERAL.name
+    planes = where(findings.spots, used=True, source=source, way=way, kind="plane")
     ends = np.arange(0.0, max(planes.d_r_mm, default=0.0) + 1e-6, _STEP_MM)
     parts = []
     for low, high in product(ends.tolist(), repeat=2):
@@ -394,7 +390,7 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
     yield from _half_maximum(findings)
     for source in findings.sources:
         fits, trial = findings.lines(source, paper.LITERAL), findings.on_plane(source)
-        part = nearest_reproduction(findings, source=source, way=paper.LITERAL)
+        part = nearest_reproduction(findings, source)
         if len(fits) < 2 or trial is None:
             continue
         light = f"lens {trial.scene.source.lens}" if source == "lens" else "ideal cone"
@@ -601,7 +597,7 @@ def _sentences(findings: ValidateFindings) -> Iterator[str]:
             "determine the distance there."
         )
     source = findings.sources[0]
-    if part := nearest_reproduction(findings, source=source, way=paper.LITERAL):
+    if part := nearest_reproduction(findings, source):
         low, high, criteria = part
         yield (
             f"The {source} read from {low:g} to {high:g} mm by the paper's fixed threshold meets "

@@ -381,7 +381,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
         return (min(travel, 4.0) + 0.07 * (-1) ** frame - B) / (K * SCALE)
 
     bent(findings, "lens", axis_px)
-    part = validate.nearest_reproduction(findings, source="lens", way=LITERAL)
+    part = validate.nearest_reproduction(findings, "lens")
     assert part is not None
     low, high, criteria = part
     assert all(claim.holds for claim in criteria.values())

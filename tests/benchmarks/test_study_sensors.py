@@ -122,7 +122,7 @@ def bar(shift, *, inside, shape=(200, 240)):
         ]
     )
     normals = np.repeat([[0.0, -1.0], [0.0, 1.0], [-1.0, 0.0]], [70, 70, 37], axis=0)
-    return gaussian_filter(image, 1.0), sensor_views.OutlinePart(points, normals)
+    return gaussian_filter(image, 1.0), (points, normals)
 
 
 @pytest.mark.parametrize("inside, dark", [(40.0, True), (200.0, False)])
