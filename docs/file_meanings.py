@@ -77,12 +77,6 @@ MEANINGS = {
         "sigma_distance_mm": "Standard deviation of `distance_mm`.",
     },
     "budget": {"cause": "One of the [causes](messages.md).", "unit": "Of the quantity."},
-    "plan": {
-        "quantities": "Names of the columns of the tables.",
-        "low": "Begin of the 95 % intervals, a row a frame.",
-        "high": "End of the 95 % intervals.",
-        "sha256": "Of everything else in the file.",
-    },
     "glue-lens": {"lens": "The drop."},
     "viewing-lens": {
         "lens": "The lens.",

@@ -112,7 +112,6 @@ KINDS = (
         "Predictions of an experiment. `eyespot preregister` writes it, `eyespot adjudicate` reads "
         "it.",
         models=("benchmarks.predictions.plan:Plan",),
-        meanings=("benchmarks.predictions.plan:Plan",),
     ),
     FileKind(
         "spec",

@@ -63,39 +63,34 @@ _Table = list[list[float | None]]
 class Plan(Strict):
     """Predictions of n frames, as their file has them; null where nothing is predicted.
 
-    Attributes:
-        software: that made the plan.
-        scene: the planned experiment, as the text of a scene file.
-        exposure: kind of the images, as in the scene.
-        calibration: content of the calibration file for `distance_mm`; None without distances.
-        model: of the distance.
-        microscope: content of the microscope file.
-        uncertain: keys of the scene, each with its value there and its standard uncertainty.
-        times_s: of the frames, (n,).
-        expected: of `QUANTITIES`, (n, 6).
-        noise: standard deviations of the measurement, (n, 6).
-        moved: by each uncertain key, for one standard uncertainty of it, (keys, n, 6).
-        sha256: of all else; publish it, and nobody can say later that the plan was another one.
+    Tables are (n, 6), with a column for each of `QUANTITIES`; `moved` has a table for each
+    uncertain key. Publish the SHA-256, and nobody can say later that the plan was another one.
     """
 
     model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
 
     schema_: Annotated[int, Field(alias="schema")]
-    software: str
-    scene: str
-    exposure: str
-    calibration: dict[str, Any] | None
-    model: str | None
-    microscope: dict[str, Any]
-    uncertain: dict[str, Annotated[tuple[float, _Positive], StrictType(False)]]
-    quantities: list[str]
-    times_s: list[float]
-    expected: _Table
-    low: _Table
-    high: _Table
-    noise: _Table
-    moved: list[_Table]
-    sha256: str
+    software: str = Field(description="What made the plan.")
+    scene: str = Field(description="The planned experiment, as the text of a scene file.")
+    exposure: str = Field(description="Kind of the images, as in the scene.")
+    calibration: dict[str, Any] | None = Field(
+        description="Content of the calibration file for `distance_mm`; null without distances."
+    )
+    model: str | None = Field(description="Of the distance.")
+    microscope: dict[str, Any] = Field(description="Content of the microscope file.")
+    uncertain: dict[str, Annotated[tuple[float, _Positive], StrictType(False)]] = Field(
+        description="Keys of the scene, each with its value there and its standard uncertainty."
+    )
+    quantities: list[str] = Field(description="Names of the columns of the tables.")
+    times_s: list[float] = Field(description="Of the frames.")
+    expected: _Table = Field(description="The quantities, a row a frame.")
+    low: _Table = Field(description="Begin of the 95 % intervals, a row a frame.")
+    high: _Table = Field(description="End of the 95 % intervals.")
+    noise: _Table = Field(description="Standard deviations of the measurement.")
+    moved: list[_Table] = Field(
+        description="By each uncertain key, for one standard uncertainty of it."
+    )
+    sha256: str = Field(description="Of everything else in the file.")
 
     def array(self, name: str) -> np.ndarray:
         """A table of the plan, NaN for null."""

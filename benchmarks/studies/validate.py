@@ -33,7 +33,7 @@ from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.study import LightSource, OutputFolder, Quick, Study
 from calibration import fit_eccentricity, fit_lines, fit_plane
 from formats.stack import Stack, read_stack
-from scenes import Scene, World
+from scenes import World
 
 # The fits of Tables I and II, and the models' errors.
 
