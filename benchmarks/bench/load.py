@@ -24,7 +24,7 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
-from benchmarks.sets.make import Shard, local_workers, make_set, versions
+from benchmarks.sets.make import local_workers, make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from estimator import SubpixelMode, SubpixelSettings
@@ -152,7 +152,7 @@ def books(full: bool = False) -> pd.DataFrame:
             began = time.perf_counter()
             planned = plan(spec)
             planning = time.perf_counter() - began
-            none_of_them = Shard(stacks + 1, stacks + 1)
+            none_of_them = stacks + 1, stacks + 1
             make_set(spec, out, workers=nullcontext(), shard=none_of_them)  # type: ignore[arg-type]
             for stack in planned:
                 shutil.copytree(template, out / stack.split / stack.name)

@@ -14,7 +14,7 @@ from formats.inputs import InputError, in_file, shortened
 from scenes.commands import Changes
 
 if TYPE_CHECKING:
-    from benchmarks.sets.make import CostEstimate, Shard
+    from benchmarks.sets.make import CostEstimate
 
 
 def make(
@@ -46,9 +46,14 @@ def make(
     from benchmarks.sets.spec import load_spec, plan
     from scenes import check_scene
 
-    settings, part = load_spec(spec, changes), _shard(shard)
+    settings, part, parts = load_spec(spec, changes), 1, 1
+    if shard is not None:
+        match = re.fullmatch(r"(\d+)/(\d+)", shard)
+        part, parts = map(int, match.groups()) if match else (0, 0)
+        if not 1 <= part <= parts:
+            raise InputError(f"--shard must be I/N, with I from 1 to N; got {shard!r}.")
     with in_file(shortened(spec)[1:-1]):
-        planned = part.of(plan(settings, check_scene) if dry_run else plan(settings))
+        planned = (plan(settings, check_scene) if dry_run else plan(settings))[part - 1 :: parts]
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
@@ -63,9 +68,9 @@ def make(
     hired = (
         cluster.running_scheduler(scheduler)
         if scheduler is not None
-        else cluster.local_workers(count, first_core=(part.part - 1) * count)
+        else cluster.local_workers(count, first_core=(part - 1) * count)
     )
-    labelled = make_set(settings, out, workers=hired, shard=part)
+    labelled = make_set(settings, out, workers=hired, shard=(part, parts))
     if labelled.missing:
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
@@ -103,18 +108,6 @@ def push(
     from benchmarks.sets.make import push_set
 
     print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
-
-
-def _shard(text: str | None) -> Shard:
-    from benchmarks.sets.make import WHOLE, Shard
-
-    if text is None:
-        return WHOLE
-    if match := re.fullmatch(r"(\d+)/(\d+)", text):
-        shard = Shard(int(match[1]), int(match[2]))
-        if 1 <= shard.part <= shard.parts:
-            return shard
-    raise InputError(f"--shard must be I/N, with I from 1 to N; got {text!r}.")
 
 
 def _print(found: CostEstimate, *, workers: int) -> None:

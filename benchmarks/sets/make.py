@@ -312,19 +312,6 @@ def push_set(
     return str(commit.commit_url)
 
 
-class Shard(NamedTuple):
-    """One of several equal parts of a set; the first is 1."""
-
-    part: int
-    parts: int
-
-    def of(self, planned: Sequence[PlannedStack]) -> Sequence[PlannedStack]:
-        """The stacks that this part renders."""
-        return planned[self.part - 1 :: self.parts]
-
-
-WHOLE = Shard(1, 1)
-
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 _BETWEEN_TRIES_S = 1.0
 
@@ -334,7 +321,7 @@ def make_set(
     out: Path,
     *,
     workers: AbstractContextManager[Client],
-    shard: Shard = WHOLE,
+    shard: tuple[int, int] = (1, 1),
 ) -> LabelledSet:
     """Render the missing stacks of a set; the run that renders the last stack completes the set.
 
@@ -343,7 +330,8 @@ def make_set(
     Args:
         out: the set's folder: new, empty, or with a part of this set.
         workers: `local_workers` or `running_scheduler`; started only if a stack is missing.
-        shard: part of the set to render; others may run at the same time on any machine.
+        shard: which of how many parts of the set to render, the first is 1; others may run at the
+            same time on any machine.
 
     Returns:
         The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
@@ -358,7 +346,7 @@ def make_set(
     planned = plan(spec, scenes.check_scene)
     if redrawn := sum(stack.redrawn > 0 for stack in planned):
         say(f"{redrawn} of {len(planned)} stacks are drawn again; their scenes were impossible.")
-    share = shard.of(planned)
+    share = planned[shard[0] - 1 :: shard[1]]
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
     _claim(out, spec, planned)
     with bar("Rendering stacks", total=len(share)) as advance:

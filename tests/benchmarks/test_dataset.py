@@ -19,7 +19,6 @@ from distributed import Client
 
 from benchmarks.sets import make
 from benchmarks.sets.make import (
-    Shard,
     estimate,
     local_workers,
     make_set,
@@ -169,12 +168,12 @@ def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_s
     spec, whole, tmp_path
 ):
     out = tmp_path / "set"
-    first = make_set(spec, out, workers=here(), shard=Shard(2, 2))
+    first = make_set(spec, out, workers=here(), shard=(2, 2))
     assert [f"{stack.split}/{stack.name}" for stack in first.missing] == STACKS[::2]
     with pytest.raises(SetError, match="stack train/0000 is missing"):
         verify_set(out)
     before = (out / "train" / "0001" / "manifest.json").stat().st_mtime_ns
-    assert not make_set(spec, out, workers=here(), shard=Shard(1, 2)).missing
+    assert not make_set(spec, out, workers=here(), shard=(1, 2)).missing
     assert (out / "train" / "0001" / "manifest.json").stat().st_mtime_ns == before
     assert digests(out) == digests(whole)
 
