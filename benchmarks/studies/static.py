@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import dataclass
+from functools import partial
 from itertools import product
 from typing import Any
 
@@ -139,49 +139,47 @@ def drawn(shape: tuple[int, int], *, textures: int, seed: int) -> dict[str, np.n
     }
 
 
-@dataclass(frozen=True, kw_only=True)
-class Bench:
-    """Photographs and measures rendered withdrawals; the pool's workers measure."""
+def measured(
+    photographers: Mapping[str, paper.Photographer],
+    draws: Mapping[str, np.ndarray],
+    pool: Executor,
+    causes: Collection[str],
+    *,
+    way: paper.Way = paper.LITERAL,
+    wall: str = "plane",
+) -> Measured:
+    """Photograph and measure all runs and trials with some causes, by the pool's workers.
 
-    photographers: Mapping[str, paper.Photographer]
-    draws: Mapping[str, np.ndarray]
-    pool: Executor
-
-    def measured(
-        self, causes: Collection[str], *, way: paper.Way = paper.LITERAL, wall: str = "plane"
-    ) -> Measured:
-        """Measure all runs and trials with some causes; none of them is measured twice.
-
-        Metered frames have no threshold and no exposure that could be wrong, and the eyeballs have
-        one wall and no tilt.
-        """
-        if way is not paper.LITERAL:
-            causes = set(causes) - {"exposure", "threshold"}
-        shape = self.draws["noise"].shape
-        of = {
-            cause: np.broadcast_to(self.draws[cause] if cause in causes else without, shape)
-            for cause, without in _WITHOUT.items()
-        }
-        tasks = []
-        for run, trial in np.ndindex(shape):
-            own = {cause: values[run, trial].item() for cause, values in of.items()}
-            name = on_plane(trial, own["texture"], own["tilt"])
-            photographer = self.photographers[name if wall == "plane" else f"sphere-{trial + 1}"]
-            light = {"light": own["exposure"], "threshold": own["threshold"]}
-            tasks.append((photographer, paper.Shot(own["noise"] or None, **light)))
-        shots: dict[paper.Photographer, dict[paper.Shot, None]] = {}
-        for photographer, shot in tasks:
-            shots.setdefault(photographer, {})[shot] = None
-        spots = self.pool.map(lambda of: of[0].measure(way, list(of[1])), shots.items())
-        found = {
-            (photographer, shot): semi_minor
-            for (photographer, asked), measured in zip(shots.items(), spots, strict=True)
-            for shot, semi_minor in zip(asked, measured, strict=True)
-        }
-        semi_minor = np.reshape([found[task] for task in tasks], (*shape, -1))
-        readings = np.reshape([photographer.readings for photographer, _ in tasks], (*shape, -1))
-        seen = np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan)
-        return seen, readings - of["touch"][..., None]
+    No photograph is measured twice. Metered frames have no threshold and no exposure that could be
+    wrong, and the eyeballs have one wall and no tilt.
+    """
+    if way is not paper.LITERAL:
+        causes = set(causes) - {"exposure", "threshold"}
+    shape = draws["noise"].shape
+    of = {
+        cause: np.broadcast_to(draws[cause] if cause in causes else without, shape)
+        for cause, without in _WITHOUT.items()
+    }
+    tasks = []
+    for run, trial in np.ndindex(shape):
+        own = {cause: values[run, trial].item() for cause, values in of.items()}
+        name = on_plane(trial, own["texture"], own["tilt"])
+        light = {"light": own["exposure"], "threshold": own["threshold"]}
+        shot = paper.Shot(own["noise"] or None, **light)
+        tasks.append((photographers[name if wall == "plane" else f"sphere-{trial + 1}"], shot))
+    shots: dict[paper.Photographer, dict[paper.Shot, None]] = {}
+    for photographer, shot in tasks:
+        shots.setdefault(photographer, {})[shot] = None
+    spots = pool.map(lambda of: of[0].measure(way, list(of[1])), shots.items())
+    found = {
+        (photographer, shot): semi_minor
+        for (photographer, asked), measured in zip(shots.items(), spots, strict=True)
+        for shot, semi_minor in zip(asked, measured, strict=True)
+    }
+    semi_minor = np.reshape([found[task] for task in tasks], (*shape, -1))
+    readings = np.reshape([photographer.readings for photographer, _ in tasks], (*shape, -1))
+    seen = np.where(readings > FROM_MM - 1e-6, semi_minor, np.nan)
+    return seen, readings - of["touch"][..., None]
 
 
 # Table I's R² and RMSE imply trials of 3.0, 3.5 and 3.7 mm (`eyespot study table-one`).
@@ -498,15 +496,15 @@ def static(
         photographers = rendered(study, textures=textures, frames=frames)
     draws = drawn((runs, len(paper.TABLE_II)), textures=textures, seed=study.seed)
     with study.timed("photograph and measure"), ThreadPoolExecutor(max_workers=2) as pool:
-        bench = Bench(photographers=photographers, draws=draws, pool=pool)
-        variants = {cause: bench.measured([cause]) for cause in CAUSES}
-        variants |= {NONE: bench.measured([]), ALL: bench.measured(CAUSES)}
+        measure = partial(measured, photographers, draws, pool)
+        variants = {cause: measure([cause]) for cause in CAUSES}
+        variants |= {NONE: measure([]), ALL: measure(CAUSES)}
         spots = {
             ("plane", paper.LITERAL.name): variants[ALL],
-            ("plane", paper.SUBPIXEL.name): bench.measured(CAUSES, way=paper.SUBPIXEL),
+            ("plane", paper.SUBPIXEL.name): measure(CAUSES, way=paper.SUBPIXEL),
         }
         for way in (paper.LITERAL, paper.SUBPIXEL):
-            spots["sphere", way.name] = bench.measured(CAUSES, way=way, wall="sphere")
+            spots["sphere", way.name] = measure(CAUSES, way=way, wall="sphere")
     with study.timed("fit"):
         tables = pd.concat([_tables(way, spots, study.scene) for way in _WAYS], ignore_index=True)
         causes = parts(variants, texture=draws["texture"][:, 0])
