@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -60,43 +60,31 @@ def geometry_of(scene: Scene) -> Geometry:
     )
 
 
-def analytic_errors(
-    geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray
+def exact_spots(
+    geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray, medium: str = "air"
 ) -> pd.DataFrame:
-    """Errors of the models on the exact contour, at each c and d (mm)."""
+    """Spots for `model_errors` at each c and d (mm), of the size of the exact contour."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
     seen = semi_minor(geometry, c=c, d=d)
-    return model_errors(geometry, source="analytic", medium="air", c=c, d=d, semi_minor_px=seen)
-
-
-def measured_errors(
-    geometry: Geometry, spots: pd.DataFrame, *, models: Sequence[str] = COMPARED
-) -> pd.DataFrame:
-    """Errors of the models on measured spots whose truth is known (`spots_of`, those used)."""
-    return model_errors(
-        geometry,
-        source="rendered",
-        medium=spots.medium.iloc[0],
-        c=spots.c_mm.to_numpy(),
-        d=spots.d_mm.to_numpy(),
-        semi_minor_px=spots.semi_minor_px.to_numpy(),
-        models=models,
-    )
+    return pd.DataFrame({"c_mm": c, "d_mm": d, "semi_minor_px": seen, "medium": medium})
 
 
 def model_errors(
     geometry: Geometry,
+    spots: pd.DataFrame,
     *,
-    source: str,
-    medium: str,
-    c: np.ndarray,
-    d: np.ndarray,
-    semi_minor_px: np.ndarray,
+    source: Literal["analytic", "rendered"],
     models: Sequence[str] = COMPARED,
 ) -> pd.DataFrame:
-    """Errors of the models on spots of known size, at c and d (mm), which they are given."""
-    found = estimates(geometry, c=c, semi_minor_px=semi_minor_px)
-    about = {"source": source, "refit": False, "medium": medium, **place(geometry, c=c, d=d)}
+    """Errors of the models on spots whose truth is known, and whose c they are given.
+
+    Args:
+        spots: columns c_mm, d_mm, semi_minor_px and medium: `exact_spots`, or those of
+            `paper.spots_of` that are used.
+    """
+    c, d, e = spots[["c_mm", "d_mm", "semi_minor_px"]].to_numpy(float).T
+    found, where = estimates(geometry, c=c, semi_minor_px=e), place(geometry, c=c, d=d)
+    about = {"source": source, "refit": False, "medium": spots.medium.iloc[0], **where}
     tables = [
         pd.DataFrame({"model": m, **about, "estimate_mm": found[m], "error_mm": found[m] - d})
         for m in models

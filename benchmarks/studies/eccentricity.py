@@ -146,13 +146,12 @@ def withdrawals(
         Errors of all models with the true c, then of small_plane with the fitted one; and a fit for
         each c, see `refitted`.
     """
-    c, d = (a.ravel() for a in np.meshgrid(eccentricities, DISTANCES_MM, indexing="ij"))
-    seen = model_error.semi_minor(geometry, c=c, d=d)
-    spots: dict[str, Any] = {"source": "analytic", "medium": medium, "c": c, "d": d}
-    errors = model_error.model_errors(geometry, **spots, semi_minor_px=seen, models=optics.MODELS)
+    grid = {"eccentricities": eccentricities, "distances": np.array(DISTANCES_MM)}
+    spots = model_error.exact_spots(geometry, **grid, medium=medium)
+    errors = model_error.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
     found = [
-        refitted(geometry, errors[errors.c_mm == value], seen[c == value])
-        for value in eccentricities.tolist()
+        refitted(geometry, errors[errors.c_mm == c], own.semi_minor_px.to_numpy())
+        for c, own in grouped(spots, "c_mm")
     ]
     tables, refits = zip(*found, strict=True)
     return pd.concat([errors, *tables], ignore_index=True), pd.DataFrame(refits)
@@ -266,7 +265,9 @@ def measure(
         seen, geometry = tracked[name], model_error.geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
-            errors.append(model_error.measured_errors(geometry, spots, models=optics.MODELS))
+            errors.append(
+                model_error.model_errors(geometry, spots, source="rendered", models=optics.MODELS)
+            )
         if len(spots) >= _FEWEST_SPOTS:
             rows, refit = refitted(geometry, errors[-1], spots.semi_minor_px.to_numpy())
             errors.append(rows)

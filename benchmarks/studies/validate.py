@@ -139,19 +139,14 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
     geometry = model_error.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
     tilts = [(0.0, 0.0), *((geometry.incidence, azimuth) for azimuth in paper.TILT_AZIMUTHS_DEG)]
-    tables = [
-        model_error.analytic_errors(
-            geometry._replace(
-                pinhole_height=height,
-                incidence=incidence,
-                incidence_azimuth=math.radians(azimuth_deg),
-            ),
-            eccentricities=np.linspace(0.0, 7.0, 8 if quick else 29),
-            distances=np.arange(0.5, 6.01, 0.5),
-        )
-        for height in _ANALYTIC_HEIGHTS_MM
-        for incidence, azimuth_deg in tilts
-    ]
+    grid = {"eccentricities": np.linspace(0.0, 7.0, 8 if quick else 29)}
+    grid["distances"] = np.arange(0.5, 6.01, 0.5)
+    tables = []
+    for height, (incidence, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
+        tilt = {"incidence": incidence, "incidence_azimuth": math.radians(azimuth)}
+        own = geometry._replace(pinhole_height=height, **tilt)
+        spots = model_error.exact_spots(own, **grid)
+        tables.append(model_error.model_errors(own, spots, source="analytic"))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -162,7 +157,7 @@ def rendered_errors(trials: Sequence[paper.StaticTrial], spots: pd.DataFrame) ->
     tables = []
     for geometry in dict.fromkeys(geometries.values()):
         own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-        tables.append(model_error.measured_errors(geometry, used[own]))
+        tables.append(model_error.model_errors(geometry, used[own], source="rendered"))
     return pd.concat(tables, ignore_index=True)
 
 

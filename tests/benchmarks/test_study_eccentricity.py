@@ -300,14 +300,9 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
     scene = scenes.load_scene(None, ("source.kind=cone",))
     file = tmp_path / "model_error.csv"
     told = geometry(z_f=math.inf, incidence_deg=30.0)
-    row = model_error.model_errors(
-        told,
-        source="rendered",
-        medium="air",
-        c=np.full(GRID, 3.0),
-        d=np.full(GRID, 2.0),
-        semi_minor_px=np.full(GRID, 55.0),
-    )[:1]
+    spots = pd.DataFrame({"c_mm": np.full(GRID, 3.0), "d_mm": 2.0, "semi_minor_px": 55.0})
+    spots["medium"] = "air"
+    row = model_error.model_errors(told, spots, source="rendered")[:1]
     filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=row)
     rows = pd.read_csv(file)
     assert list(rows) == MODEL_ERROR
