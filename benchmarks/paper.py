@@ -309,15 +309,12 @@ USED = "used"
 class Way:
     """An estimator and the exposure that it is given.
 
-    Attributes:
-        name: of the way, in tables and file names.
-        exposure: "paper" or "metered".
-        settings: of the estimator; their type is the mode.
-        clicked: started by a click on the spot, as the paper's operator does.
+    The type of the settings is the mode. `clicked`: started by a click on the spot, as the paper's
+    operator does.
     """
 
     name: str
-    exposure: str
+    exposure: Literal["paper", "metered"]
     settings: LiteralSettings | SubpixelSettings
     clicked: bool
 
@@ -325,6 +322,10 @@ class Way:
     def slug(self) -> str:
         """The name for use in file names."""
         return self.name.replace(",", "").replace(" ", "-")
+
+    def click(self, labels: Sequence[FrameLabels]) -> tuple[float, float] | None:
+        """Where the operator clicks in the first frame, px; None if nobody does."""
+        return (labels[0].half_max_x_px, labels[0].half_max_y_px) if self.clicked else None
 
     def reader(self, ranger: Ranger | None = None, **more: Any) -> LiteralMode | SubpixelMode:
         """A reader with these settings."""
@@ -373,10 +374,9 @@ def spots_of(labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot]) ->
 def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> pd.DataFrame:
     """Measure every frame of a stack in one way and write the spots file; see `spots_of`."""
     labels = stack.exposed(way.exposure)
-    start = (labels[0].half_max_x_px, labels[0].half_max_y_px) if way.clicked else None
-    results = tuple(track(stack.images(way.exposure), way.settings, start=start))
-    mode = way.reader().mode
-    write_results(spots_file, labels, results, mode=mode)
+    found = track(stack.images(way.exposure), way.settings, start=way.click(labels))
+    results = tuple(found)
+    write_results(spots_file, labels, results, mode=way.reader().mode)
     return spots_of(labels, results)
 
 
@@ -433,8 +433,7 @@ class Photographer:
         rows, settings = self.stack.exposed(way.exposure), way.settings
         if isinstance(settings, LiteralSettings):
             settings = replace(settings, threshold=shot.threshold)
-        start = (rows[0].half_max_x_px, rows[0].half_max_y_px) if way.clicked else None
-        found = track(self._images(way, shot, light), settings, start=start)
+        found = track(self._images(way, shot, light), settings, start=way.click(rows))
         return np.array(
             [
                 spot.semi_minor_px

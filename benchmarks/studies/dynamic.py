@@ -146,9 +146,9 @@ PARTS = ("rest", "blur", "stamps", "latency")
 def parts(
     *, estimate: float, frozen: float, d: float, stamped: float, late: float
 ) -> dict[str, float]:
-    """The error and its `PARTS`, from d', d'_0, d, d_s and d_l; mm."""
-    split = (frozen - d, estimate - frozen, d - stamped, stamped - late)
-    return {"error": estimate - late, **dict(zip(PARTS, split, strict=True))}
+    """Columns of the error and its `PARTS`, from d', d'_0, d, d_s and d_l; mm."""
+    split = estimate - late, frozen - d, estimate - frozen, d - stamped, stamped - late
+    return dict(zip((f"{name}_mm" for name in ("error", *PARTS)), split, strict=True))
 
 
 def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
@@ -184,38 +184,27 @@ def ranger(rest: Stack, scene: Scene, way: paper.Way, *, spots_file: Path) -> Ra
     if way is not paper.LITERAL:
         return Ranger(true_calibration(scene), microscope)
     spots = paper.track_stack(rest, way, spots_file=spots_file)
-    used = spots[spots.used]
-    values = small_plane_line(
-        semi_minor_px=used.semi_minor_px.to_numpy(),
-        phi=used.phi_rad.to_numpy(),
-        distance=used.d_mm.to_numpy(),
-        microscope=microscope,
-    )
-    found = study_calibration(
-        "small_plane", values, medium=scene.source.medium, fitted_on=rest.folder.name
-    )
-    return Ranger(found, microscope)
+    values = small_plane_line(spots[spots.used], microscope)
+    about = {"medium": scene.source.medium, "fitted_on": rest.folder.name}
+    return Ranger(study_calibration("small_plane", values, **about), microscope)
 
 
-def small_plane_line(
-    *, semi_minor_px: np.ndarray, phi: np.ndarray, distance: np.ndarray, microscope: MicroscopeFile
-) -> dict[str, float]:
+def small_plane_line(spots: pd.DataFrame, microscope: MicroscopeFile) -> dict[str, float]:
     """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
 
     d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 10).
 
     Args:
-        semi_minor_px: e1', px.
-        phi: asin(c/r) of the spots, rad.
-        distance: d, mm.
+        spots: columns semi_minor_px (e1'), phi_rad (asin(c/r)) and d_mm.
 
     Raises:
         InputError: fewer than 3 spots, or all of one size.
     """
     scale, r = microscope.scale_mm_px, microscope.eye_radius_mm
-    seen = semi_minor_px * np.cos(phi)
+    e, phi, d = spots[["semi_minor_px", "phi_rad", "d_mm"]].to_numpy(float).T
+    seen = e * np.cos(phi)
     sagitta = r - np.sqrt(r**2 - (scale * seen) ** 2)
-    line = fit_plane(semi_minor_px=seen, distance=distance - sagitta)
+    line = fit_plane(semi_minor_px=seen, distance=d - sagitta)
     return {"k": line.delta_k / scale, "b": line.b}
 
 
@@ -248,22 +237,18 @@ def errors(
             "run": trial.run,
             **{name: getattr(row, name) for name in _OF_LABELS},
         }
+        known = {"estimate": estimate, "d": row.d_mm}
+        known["frozen"] = math.nan if rest_doubt else still[n].distance_mm
+        known["stamped"] = reading(poses, row.time_s, wall)
         for latency_s in LATENCIES_S:
             late = reading(poses, row.time_s + latency_s, wall)
-            found = parts(
-                estimate=estimate,
-                frozen=math.nan if rest_doubt else still[n].distance_mm,
-                d=row.d_mm,
-                stamped=reading(poses, row.time_s, wall),
-                late=late,
-            )
             yield about | {
                 "latency_s": latency_s,
                 "doubt": doubt,
                 "rest_doubt": rest_doubt,
                 "estimate_mm": estimate,
                 "reading_mm": late,
-                **{f"{name}_mm": value for name, value in found.items()},
+                **parts(**known, late=late),
             }
 
 
@@ -272,9 +257,7 @@ _OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
 
 def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> Iterator[Reading]:
     labels = stack.exposed(way.exposure)
-    first = labels[0]
-    start = (first.half_max_x_px, first.half_max_y_px) if way.clicked else None
-    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=start)
+    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=way.click(labels))
     for row, image in zip(labels, stack.images(way.exposure), strict=True):
         yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)
 

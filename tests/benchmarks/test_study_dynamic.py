@@ -62,11 +62,11 @@ def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, late
     d = 2.0 + speed * time
     found = dynamic.parts(estimate=d, frozen=d, d=d, stamped=stamped, late=late)
     # Rounding of numbers near 10 mm.
-    assert found["latency"] == pytest.approx(-speed * latency, abs=1e-12)
+    assert found["latency_mm"] == pytest.approx(-speed * latency, abs=1e-12)
     # The latest pose of a 200 Hz track is 2.5 ms old there.
-    assert found["stamps"] == pytest.approx(speed * 0.0025, abs=1e-12)
-    assert found["rest"] == found["blur"] == 0.0
-    assert found["error"] == pytest.approx(found["stamps"] + found["latency"], abs=1e-12)
+    assert found["stamps_mm"] == pytest.approx(speed * 0.0025, abs=1e-12)
+    assert found["rest_mm"] == found["blur_mm"] == 0.0
+    assert found["error_mm"] == pytest.approx(found["stamps_mm"] + found["latency_mm"], abs=1e-12)
 
 
 def test_the_robot_reads_the_distance_along_its_beam():
@@ -157,9 +157,8 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
     d = optics.small_plane_distance(
         semi_minor_px=seen, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=R
     )
-    found = dynamic.small_plane_line(
-        semi_minor_px=seen, phi=np.arcsin(c / R), distance=np.asarray(d), microscope=microscope
-    )
+    spots = pd.DataFrame({"semi_minor_px": seen, "phi_rad": np.arcsin(c / R), "d_mm": d})
+    found = dynamic.small_plane_line(spots, microscope)
     # Rounding of numbers near 5 mm, times the leverage of b.
     assert (found["k"], found["b"]) == pytest.approx((20.0, -5.117), rel=1e-10)
 
