@@ -149,6 +149,7 @@ _STEP_MM = 0.1
 _STARTS_MM = np.arange(0.0, 5.1, 0.5)
 _SPANS_MM = (3.0, 3.5, 4.0, 5.0, 6.0)
 
+_LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
 AT_SCALE, ANYWHERE = "from contact, at the scene's scale", "at any distance and scale"
 """Which of the paper's unknown conditions are free for a lens."""
 
@@ -178,7 +179,7 @@ def misses(lines: Lines, *, scale: float | np.ndarray) -> np.ndarray:
     return np.nan_to_num(np.max(parts, axis=0), nan=np.inf)
 
 
-def best_choices(isophotes: Isophotes, *, scale: float) -> list[dict[str, Any]]:
+def best_choices(isophotes: Isophotes, *, scale: float) -> pd.DataFrame:
     """The threshold and range at which a lens comes nearest to Table I, by each way of asking.
 
     Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; `miss` is the worst
@@ -191,37 +192,29 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> list[dict[str, Any]]:
     settings, px = LiteralSettings(), radius / scale
     small = math.pi * px**2 <= settings.min_component_px
     radius = np.where(small | (2 * px >= settings.max_minor_axis_px), np.nan, radius)
-    ranges = [(a, a + span) for a in _STARTS_MM for span in _SPANS_MM if a + span <= FARTHEST_MM]
-    found: dict[str, dict[str, Any]] = {}
-    for low, high in ranges:
+    lens = {"numerical_aperture": isophotes.family.numerical_aperture}
+    lens["sag_mm"] = isophotes.family.sag
+    tables = []
+    for low, high in ((a, a + span) for a in _STARTS_MM for span in _SPANS_MM):
+        if high > FARTHEST_MM:
+            continue
         inside = (every >= low - 1e-6) & (every <= high + 1e-6)
         lines = fit_lines(radius[:, inside], every[inside])
         whole = np.isfinite(radius[:, inside]).all(axis=1)
         lines = Lines(*(np.where(whole, value, np.nan) for value in lines))
         with np.errstate(divide="ignore"):
             own = np.clip(paper.TABLE_I[paper.ALL_PLANES].delta_k / lines.delta_k, *SCALES_MM_PX)
-        asked = {ANYWHERE: own}
-        if low <= NEAR_CONTACT_MM:
-            asked[AT_SCALE] = np.full(LEVELS.size, scale)
+        asked = {ANYWHERE: own} | ({AT_SCALE: scale} if low <= NEAR_CONTACT_MM else {})
         for way, scales in asked.items():
+            tried = {"asked": way, "level": LEVELS, "from_mm": low, "to_mm": high}
+            line = lines._replace(delta_k=lines.delta_k * scales)._asdict()
+            found = dict(zip(_LINE, (line[name] for name in paper.PlaneRow._fields), strict=True))
             miss = misses(lines, scale=scales)
-            n = int(np.argmin(miss))
-            if way not in found or miss[n] < found[way]["miss"]:
-                found[way] = {
-                    "numerical_aperture": isophotes.family.numerical_aperture,
-                    "sag_mm": isophotes.family.sag,
-                    "asked": way,
-                    "level": float(LEVELS[n]),
-                    "from_mm": float(low),
-                    "to_mm": float(high),
-                    "scale_mm_px": float(scales[n]),
-                    "delta_k_mm_px": float(lines.delta_k[n] * scales[n]),
-                    "b_mm": float(lines.b[n]),
-                    "r_squared": float(lines.r_squared[n]),
-                    "rmse_mm": float(lines.rmse[n]),
-                    "miss": float(miss[n]),
-                }
-    return [found[way] for way in (AT_SCALE, ANYWHERE)]
+            tables.append(
+                pd.DataFrame(lens | tried | {"scale_mm_px": scales} | found).assign(miss=miss)
+            )
+    choices = pd.concat(tables, ignore_index=True)
+    return choices.loc[choices.groupby("asked").miss.idxmin()[[AT_SCALE, ANYWHERE]]]
 
 
 def family_of(choice: Any) -> Family:
@@ -234,7 +227,6 @@ def family_of(choice: Any) -> Family:
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
 """Factors on the fixed exposure: a place of the picture reflects more or less than the mean."""
 _CHOICE = ["numerical_aperture", "sag_mm", "level", "from_mm", "to_mm", "scale_mm_px"]
-_LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -658,8 +650,8 @@ def table_one(
         found = pool.map(lambda family: Isophotes.of(family, base), wanted)
         isophotes = dict(zip(wanted, found, strict=True))
         scale = base.microscope.scale_mm_px
-        rows = [row for one in isophotes.values() for row in best_choices(one, scale=scale)]
-        scan = pd.DataFrame(rows)
+        rows = [best_choices(one, scale=scale) for one in isophotes.values()]
+        scan = pd.concat(rows, ignore_index=True)
     with study.timed("render and measure"):
         confirmed = sorted(
             confirm(study, to_render(scan, quick=quick), frames=7 if quick else 31),

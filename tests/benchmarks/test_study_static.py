@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -11,6 +11,7 @@ import pytest
 import optics
 import scenes
 from benchmarks.paper import TABLE_I, PlaneRow, paper_trials
+from benchmarks.reporting import rows_of, where
 from benchmarks.studies import static, table_one
 from benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
 from benchmarks.studies.table_one import AT_SCALE, Family, Isophotes
@@ -27,9 +28,9 @@ def flat() -> dict[float, Isophotes]:
     return {na: Isophotes.of(Family(na, 0.0), PLANE) for na in (0.08, 0.10, 0.20)}
 
 
-def best(isophotes: Isophotes) -> SimpleNamespace:
+def best(isophotes: Isophotes) -> Any:
     choices = table_one.best_choices(isophotes, scale=PLANE.microscope.scale_mm_px)
-    return next(SimpleNamespace(**row) for row in choices if row["asked"] == AT_SCALE)
+    return rows_of(where(choices, asked=AT_SCALE))[0]
 
 
 # Parts of the error.
