@@ -8,6 +8,7 @@ DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
@@ -25,7 +26,7 @@ from matplotlib.figure import Figure
 import optics
 from benchmarks import reporting as page
 from benchmarks.model_error import ECCENTRICITY
-from benchmarks.paper import coalitions, shapley_values
+from benchmarks.paper import coalitions, first_reached, shapley_values
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import eye_paths
 from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
@@ -84,9 +85,8 @@ def path_errors(
     )
 
     def closed_form(model: str, pinhole: Pinhole) -> np.ndarray:
-        return eye_paths.distance_by_closed_form(
-            model, minor, spots, pinhole=jax.tree.map(np.asarray, pinhole)
-        )
+        known = jax.tree.map(np.asarray, pinhole)
+        return eye_paths.distance_by_closed_form(model, minor, spots, pinhole=known)
 
     def by_area(pinhole: Pinhole) -> np.ndarray:
         each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
@@ -127,7 +127,9 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
-    return eye_paths.in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+    in_one = jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))
+    of_batch = eqx.filter_jit(lambda eyes: in_one(*eyes))
+    return eye_paths.in_batches(of_batch, (every, axes), size=_EYES_AT_ONCE)
 
 
 @eqx.filter_jit
@@ -157,18 +159,12 @@ def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> Pat
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
 
 
-@eqx.filter_jit
-def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
-    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
-
-
 def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5"]:
     """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
-    shape = (*eye_paths.withdrawals().distance.shape, 5)
-    if seed is None:
-        return np.zeros((count, *shape))
-    drawn = [np.random.default_rng([seed, eye]).standard_normal(shape) for eye in range(count)]
-    return np.stack([np.zeros(shape), *drawn[1:]])
+    noise = np.zeros((count, *eye_paths.withdrawals().distance.shape, 5))
+    for eye in range(1, count) if seed is not None else ():
+        noise[eye] = np.random.default_rng([seed, eye]).standard_normal(noise[eye].shape)
+    return noise
 
 
 def together(*groups: Eye) -> Eye:
@@ -307,17 +303,14 @@ def tables_of(
 
 
 def crossing(c: np.ndarray, error: np.ndarray, limit: float) -> float:
-    """Last c before the error first exceeds a limit; NaN if it does at once."""
-    beyond = ~(error <= limit)
-    if not beyond.any():
-        return float(c[-1])
-    first = int(np.argmax(beyond))
+    """Last c before the error first exceeds a limit, linear; NaN if it does at once."""
+    beyond = np.flatnonzero(~(error <= limit))
+    first = int(beyond[0]) if beyond.size else len(c)
     if first == 0:
-        return float("nan")
-    if np.isnan(error[first]):
+        return math.nan
+    if first == len(c) or np.isnan(error[first]):
         return float(c[first - 1])
-    share = (limit - error[first - 1]) / (error[first] - error[first - 1])
-    return float(c[first - 1] + share * (c[first] - c[first - 1]))
+    return first_reached(c, error, limit)
 
 
 Tables = Mapping[str, pd.DataFrame]

@@ -54,7 +54,7 @@ class Method(StrEnum):
 
 
 class Regression(NamedTuple):
-    """Row of medium_cones.csv: the cone d = kR + b that a lens makes in a medium.
+    """Row of medium_cones.csv: the cone d = kR + b of a light in a medium (Zhou et al. 2020).
 
     Between the two ambiguous distances one radius has more than one solution.
     """
@@ -63,13 +63,9 @@ class Regression(NamedTuple):
     medium: str
     k: float
     b_mm: float
-    r_squared: float
-    ambiguous_from_mm: float
-    ambiguous_to_mm: float
-
-    def distance(self, radius: float) -> float:
-        """d = kR + b, mm (Zhou et al. 2020, eq. 1)."""
-        return self.k * radius + self.b_mm
+    r_squared: float = 1.0
+    ambiguous_from_mm: float = math.nan
+    ambiguous_to_mm: float = math.nan
 
 
 class Curve(NamedTuple):
@@ -78,14 +74,6 @@ class Curve(NamedTuple):
     distance: np.ndarray
     radius: np.ndarray
     cone: Regression
-
-    def distances_of(self, radius: float) -> np.ndarray:
-        """All distances at which the light has this radius, mm; there may be none or several."""
-        over = self.radius - radius
-        before, after = over[:-1], over[1:]
-        step = np.flatnonzero((before < 0) != (after < 0))
-        share = before[step] / (before[step] - after[step])
-        return self.distance[step] + share * np.diff(self.distance)[step]
 
 
 _LOOKED_UP_MM = np.linspace(0.05, 8.0, 1600)  # distances whose radii are compared with a given one
@@ -105,10 +93,9 @@ def lens_curve(lens: str, medium: str) -> Curve:
 
 def cone_curve(cone: Cone, medium: str) -> Curve:
     """The curve of the ideal cone, which is the same in every medium."""
-    k = 1.0 / np.tan(cone.half_angle)
+    k = float(1.0 / np.tan(cone.half_angle))
     radius = (_LOOKED_UP_MM - cone.apex_offset) / k
-    regression = Regression(CONE, medium, float(k), cone.apex_offset, 1.0, np.nan, np.nan)
-    return Curve(_LOOKED_UP_MM, radius, regression)
+    return Curve(_LOOKED_UP_MM, radius, Regression(CONE, medium, k, cone.apex_offset))
 
 
 COLUMNS = "source light medium method d_mm radius_mm estimate_mm error_mm ambiguous".split()
@@ -129,12 +116,16 @@ def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.D
     rows = []
     for d in distances.tolist():
         radius = float(np.interp(d, medium.distance, medium.radius))
-        solutions = medium.distances_of(radius)
+        # All distances at which the light has this radius.
+        before, after = (medium.radius - radius)[:-1], (medium.radius - radius)[1:]
+        step = np.flatnonzero((before < 0) != (after < 0))
+        share = before[step] / (before[step] - after[step])
+        solutions = medium.distance[step] + share * np.diff(medium.distance)[step]
         solutions = solutions[(solutions >= NEAREST_MM) & (solutions <= FARTHEST_MM)]
         farthest = solutions[np.argmax(np.abs(solutions - d))] if solutions.size else d
         for method, estimate, ambiguous in (
-            (Method.AIR_CONE, air.cone.distance(radius), False),
-            (Method.LENS_CONE, medium.cone.distance(radius), False),
+            (Method.AIR_CONE, air.cone.k * radius + air.cone.b_mm, False),
+            (Method.LENS_CONE, medium.cone.k * radius + medium.cone.b_mm, False),
             (Method.LENS, float(farthest), solutions.size > 1),
         ):
             light = ("analytic", medium.cone.light, medium.cone.medium, method)
@@ -171,12 +162,10 @@ def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve
 
     `curves` are what the lens model says without another fit, by light and medium.
     """
-    lights = list(dict.fromkeys(light for light, _ in curves))
-    every = trials(study.scene, lights=lights, frames=frames)
-
+    every = trials(study.scene, lights=_lights(curves), frames=frames)
     tracked = study.tracked(every)
     errors = []
-    for light in lights:
+    for light in _lights(curves):
         seen = tracked[f"{_slug(light)}-{AIR}-plane"]
         used = seen[seen.used]
         # The robot's reading since the first frame, whose distance is known here.
@@ -294,9 +283,17 @@ def _report(
     summary = by_method.error_mm.agg(spots="size", mean_mm=mean, rms_mm=rms, largest_mm=largest)
     summary = summary.join(by_method.ambiguous.mean()).reset_index()
     indices = ", ".join(f"{medium} {float(optics.MEDIA[medium]):g}" for medium in (AIR, VITREOUS))
+    own = where(errors, light=scene.source.lens, medium=VITREOUS)
+    computed = where(own, source="analytic", method=Method.AIR_CONE)
+    rendered = where(own, source="rendered")
+    median = rendered.error_mm.abs().groupby(rendered.method).median()
     return page.Report(
         title="How large is the error of a calibration in air when it is used in vitreous?",
-        answer=_answer(scene, errors),
+        answer="Calibrated as a cone in air, a distance in vitreous is off by up to "
+        f"{number(largest(computed.error_mm), 2)} mm; on rendered spots the median error is "
+        f"{number(median.get(Method.AIR_CONE, math.nan), 2)} mm by that cone and "
+        f"{number(median.get(Method.LENS, math.nan), 3)} mm by the lens model, which needs "
+        "only the medium's name.",
         lead="The cone fitted to a glue lens in air is used in vitreous, and compared with the "
         "lens model for the same spots, which needs no other fit. The control is an ideal cone, "
         "whose light no medium refracts.",
@@ -347,20 +344,6 @@ def _report(
             "medium_summary.csv": summary,
             "medium_cones.csv": cones,
         },
-    )
-
-
-def _answer(scene: Scene, errors: pd.DataFrame) -> str:
-    own = where(errors, light=scene.source.lens, medium=VITREOUS)
-    computed = where(own, source="analytic", method=Method.AIR_CONE)
-    rendered = where(own, source="rendered")
-    median = rendered.error_mm.abs().groupby(rendered.method).median()
-    return (
-        "Calibrated as a cone in air, a distance in vitreous is off by up to "
-        f"{number(largest(computed.error_mm), 2)} mm; on rendered spots the median error is "
-        f"{number(median.get(Method.AIR_CONE, math.nan), 2)} mm by that cone and "
-        f"{number(median.get(Method.LENS, math.nan), 3)} mm by the lens model, which needs "
-        "only the medium's name."
     )
 
 

@@ -346,7 +346,9 @@ def _report(
     tables: pd.DataFrame,
     causes: pd.DataFrame,
 ) -> page.Report:
-    spreads = _spreads(tables)
+    spreads, rmse = _spreads(tables), causes.set_index(["scope", "cause"]).rmse_mm
+    alone = where(causes, scope=POOLED).set_index("cause").part_mm2
+    most = alone[[cause for cause in CAUSES if cause in alone]].idxmax()
     first_run = [
         (trial, way, d, e)
         for (wall, way), (semi_minor, readings) in spots.items()
@@ -355,7 +357,9 @@ def _report(
     ]
     return page.Report(
         title="How much do the paper's Tables I and II scatter, and what causes their error?",
-        answer=_answer(causes),
+        answer=f"With all assumed causes a trial's RMSE is {number(rmse[OWN, ALL], 3)} mm and that "
+        f"of all planes together {number(rmse[POOLED, ALL], 3)} mm (the paper's: "
+        f"{paper.TABLE_I[paper.ALL_PLANES].rmse:.3f} mm); {most} adds most.",
         lead=f"The paper's static experiment was rendered, photographed and fitted {runs} "
         "times. Each run has its own noise, wall, touch, tilt, exposure and threshold. "
         f"The fits use readings from {FROM_MM:g} mm on, because nearer to contact the fibre hides "
@@ -409,17 +413,6 @@ def _report(
                 first_run, columns=["trial", "way", "d_r_mm", "semi_minor_px"]
             ),
         },
-    )
-
-
-def _answer(causes: pd.DataFrame) -> str:
-    rmse = causes.set_index(["scope", "cause"]).rmse_mm
-    alone = causes[(causes.scope == POOLED) & causes.cause.isin(CAUSES)]
-    most = alone.loc[[alone.part_mm2.idxmax()]].cause.iloc[0]
-    return (
-        f"With all assumed causes a trial's RMSE is {number(rmse[OWN, ALL], 3)} mm and that of all "
-        f"planes together {number(rmse[POOLED, ALL], 3)} mm (the paper's: "
-        f"{paper.TABLE_I[paper.ALL_PLANES].rmse:.3f} mm); {most} adds most."
     )
 
 
