@@ -188,13 +188,8 @@ def _is_sane(model: EllipseModel, side: int) -> bool:
 class Pupil(Entry):
     """The 2D detector of pupil-detectors, on the negative of the frame, made smaller.
 
-    Other constants are the package's own.
-
-    Args:
-        smaller: factor by which the frame is made smaller.
-        intensity_range: grey values above the darkest that count as pupil.
-        blur_size: px, of its median filter.
-        largest: diameter, px of the smaller frame.
+    `largest` is a diameter, px of the smaller frame. `intensity_range` (grey values above the
+    darkest that count as pupil) and `blur_size` (px, of its median filter) are the package's.
     """
 
     def __init__(self, smaller: int, largest: int, **constants: int) -> None:
@@ -221,14 +216,10 @@ class Pupil(Entry):
 
 
 class EyespotMode(Entry):
-    """A mode of eyespot, which follows the spot from frame to frame.
+    """A mode of eyespot, which follows the spot from frame to frame (`own_reader`).
 
     The mode pixels gets the beam. The literal mode starts at a click on the spot, as the paper's
     operator does. No mode gets the robot's poses.
-
-    Args:
-        constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
-            product's.
     """
 
     def __init__(self, mode: Mode, constants: Mapping[str, Any]) -> None:

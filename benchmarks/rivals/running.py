@@ -15,14 +15,16 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from itertools import chain
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from distributed import Client
 
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.entries import KINDS, Entry, unavailable
+from benchmarks.rivals.pupil import PACKAGE
 from benchmarks.sets.make import local_workers
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from benchmarks.study import versions, write_json
@@ -37,13 +39,8 @@ from formats.whole_files import require_space, written_whole
 _LEAST_BYTES = 2**20  # of the spots files
 
 
-class Answers(NamedTuple):
-    """The answers of an entry on one exposure of a stack, and its times (s)."""
-
-    entry: str
-    exposure: str
-    records: list[SpotRecord]
-    seconds: list[float]
+Answers = tuple[str, str, list[SpotRecord], list[float]]
+"""The answers of an entry on an exposure of a stack: the two's names, records, and times (s)."""
 
 
 def run_entries(
@@ -86,12 +83,12 @@ def run_entries(
         tasks = [(stack, able, known, weights) for stack in stacks]
         for stack, future in zip(stacks, client.map(_answers, tasks, pure=False), strict=True):
             several = len(exposures_of(stack.open())) > 1
-            for sequence in future.result():
-                suffix = f".{sequence.exposure}" if several else ""
-                file = whole / sequence.entry / f"{qualified_name(stack)}{suffix}.csv"
+            for name, exposure, records, times in future.result():
+                suffix = f".{exposure}" if several else ""
+                file = whole / name / f"{qualified_name(stack)}{suffix}.csv"
                 file.parent.mkdir(parents=True, exist_ok=True)
-                write_spots(file, sequence.records)
-                seconds[sequence.entry] += sequence.seconds
+                write_spots(file, records)
+                seconds[name] += times
             advance()
         for name in able:
             write_json(whole / name / "entry.json", _about(name, known, seconds[name]))
@@ -104,15 +101,13 @@ def measure_stack(
     made: Entry,
     *,
     distances: bool = True,
-    frames: Callable[[Path, str], Iterable[Frame]] = lambda folder, exposure: open_source(
-        folder, exposure=exposure
-    ),
+    frames: Callable[..., Iterable[Frame]] = open_source,
 ) -> Iterable[Answers]:
     """The answers of an entry on a stack, one sequence for each exposure.
 
     Args:
         distances: whether ellipses are turned into distances, too.
-        frames: reads the frames of a stack's folder and an exposure.
+        frames: reads the frames of a stack's folder, and an `exposure`.
     """
     microscope = read_microscope(stack.folder / "microscope.json")
     opened = stack.open()
@@ -122,7 +117,7 @@ def measure_stack(
         first = opened.exposed(exposure)[0]
         made.begin(microscope, beam, (first.half_max_x_px, first.half_max_y_px))
         records, seconds = [], []
-        for frame in frames(stack.folder, exposure):
+        for frame in frames(stack.folder, exposure=exposure):
             began = time.process_time() + made.seconds_elsewhere
             result, found = made.read(frame)
             seconds.append(time.process_time() + made.seconds_elsewhere - began)
@@ -139,7 +134,7 @@ def measure_stack(
                     sigma_distance_mm=found.sigma_mm if found else math.nan,
                 )
             )
-        yield Answers(name, exposure, records, seconds)
+        yield name, exposure, records, seconds
 
 
 _made: dict[str, Entry] = {}
@@ -164,8 +159,6 @@ def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
     kind = KINDS[name]
     own = {package: importlib.metadata.version(package) for package in kind.packages}
     if name == "pupil-detectors":
-        from benchmarks.rivals.pupil import PACKAGE
-
         package, _, version = PACKAGE.partition("==")
         own[package] = version
     return {
@@ -272,32 +265,27 @@ def _chosen(name: str, stacks: Sequence[SetStack], client: Client) -> dict[str, 
     return {"constants": now, "cost_px": round(cost(now), 4), "tried": len(costs)}
 
 
-@functools.lru_cache(_KEPT_STACKS)
-def _kept_frames(folder: Path, exposure: str) -> list[Frame]:
-    return list(open_source(folder, exposure=exposure))
-
-
-def _kept_entry(name: str, constants: dict[str, Any]) -> Entry:
-    """The entry of the last call, or a new one: some start a process of their own."""
-    global _last
-    if _last is None or _last[:2] != (name, constants):
-        if _last is not None:
-            _last[2].close()
-        _last = name, constants, KINDS[name].make(constants, Path())
-    return _last[2]
+_kept_frames = functools.lru_cache(_KEPT_STACKS)(
+    lambda folder, exposure: list(open_source(folder, exposure=exposure))
+)
 
 
 def stack_costs(task: tuple[str, dict[str, Any], SetStack]) -> list[float]:
     """Cost of each frame of a stack whose spot is visible, px."""
+    global _last
     name, constants, stack = task
-    entry = _kept_entry(name, constants)
+    # The entry of the last call is kept: some start a process of their own.
+    if _last is None or _last[:2] != (name, constants):
+        if _last is not None:
+            _last[2].close()
+        _last = name, constants, KINDS[name].make(constants, Path())
     truth = {labels.file_name: labels for labels in stack.open().labels}
     costs = []
-    for answers in measure_stack(stack, name, entry, distances=False, frames=_kept_frames):
-        for record in answers.records:
-            labels, spot = truth[record.file_name], record.result
-            if labels.visible_fraction >= VISIBLE_ENOUGH:
-                size = spot.semi_minor_px if isinstance(spot, Spot) else math.inf
-                # `fmin` takes the most for NaN, too.
-                costs.append(float(np.fmin(abs(size - labels.half_max_semi_minor_px), _MOST_PX)))
+    answers = measure_stack(stack, name, _last[2], distances=False, frames=_kept_frames)
+    for record in chain.from_iterable(records for _, _, records, _ in answers):
+        labels, spot = truth[record.file_name], record.result
+        if labels.visible_fraction >= VISIBLE_ENOUGH:
+            size = spot.semi_minor_px if isinstance(spot, Spot) else math.inf
+            # `fmin` takes the most for NaN, too.
+            costs.append(float(np.fmin(abs(size - labels.half_max_semi_minor_px), _MOST_PX)))
     return costs
