@@ -121,50 +121,26 @@ _FIELD_MM, _HEIGHT_MM = 3.0, 200.0  # bring the place to the order of 1
 def targets_of(labels: FrameLabels, window: PixelSquare) -> Float[np.ndarray, "6"]:
     """The true numbers of a window."""
     a, b = labels.half_max_semi_major_px, labels.half_max_semi_minor_px
-    x, y = window.centre
+    (x, y), half = window.centre, window.half
     q, turn = math.log(a / b), 2 * labels.half_max_angle_rad
-    return np.array(
-        [
-            (labels.half_max_x_px - x) / window.half,
-            (labels.half_max_y_px - y) / window.half,
-            math.log(REACH * math.sqrt(a * b) / window.half),
-            q * math.cos(turn),
-            q * math.sin(turn),
-            math.log(labels.d_mm),
-        ]
-    )
+    place = (labels.half_max_x_px - x) / half, (labels.half_max_y_px - y) / half
+    size = math.log(REACH * math.sqrt(a * b) / half)
+    return np.array([*place, size, q * math.cos(turn), q * math.sin(turn), math.log(labels.d_mm)])
 
 
 def place_of(window: PixelSquare, microscope: MicroscopeFile) -> Float[np.ndarray, "4"]:
     """Where and how large a window is on the retina, and how high the pinhole is."""
-    scale = microscope.scale_mm_px
-    u, v = microscope.principal_point_px
-    x, y = window.centre
-    return np.array(
-        [
-            math.log(scale * window.half),
-            scale * (x - u) / _FIELD_MM,
-            scale * (y - v) / _FIELD_MM,
-            microscope.pinhole_height_mm / _HEIGHT_MM,
-        ]
-    )
+    scale, height = microscope.scale_mm_px, microscope.pinhole_height_mm
+    x, y = scale * (np.array(window.centre) - microscope.principal_point_px) / _FIELD_MM
+    return np.array([math.log(scale * window.half), x, y, height / _HEIGHT_MM])
 
 
 def ellipse_of(numbers: np.ndarray, window: PixelSquare) -> np.ndarray:
     """(x, y, semi-major, semi-minor, angle) in px and rad, of the first five numbers."""
-    x, y = window.centre
+    x, y = np.array(window.centre) + window.half * numbers[:2]
     radius = window.half / REACH * math.exp(numbers[2])
-    q = math.hypot(numbers[3], numbers[4])
-    angle = math.atan2(numbers[4], numbers[3]) / 2
-    return np.array(
-        [
-            x + window.half * numbers[0],
-            y + window.half * numbers[1],
-            radius * math.exp(q / 2),
-            radius * math.exp(-q / 2),
-            angle,
-        ]
-    )
+    q, angle = math.hypot(numbers[3], numbers[4]), math.atan2(numbers[4], numbers[3]) / 2
+    return np.array([x, y, radius * math.exp(q / 2), radius * math.exp(-q / 2), angle])
 
 
 def covariance_of(
@@ -292,13 +268,10 @@ _PASSES = 2  # the first window is the blob's, the second the first ellipse's
 
 
 class Learned(NamedTuple):
-    """What the estimator says about a frame; lengths px and mm.
+    """What the estimator says about a frame; px, rad and mm.
 
-    Attributes:
-        ellipse: x, y, semi-major, semi-minor, angle.
-        covariance: 5 x 5.
-        distance_mm: tip to wall along the beam.
-        presence: logit of a spot in the last window.
+    The ellipse (x, y, semi-major, semi-minor, angle) with its covariance (5 x 5), d, and the logit
+    of a spot in the last window.
     """
 
     ellipse: np.ndarray

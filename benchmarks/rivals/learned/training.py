@@ -65,12 +65,6 @@ the split `validation`, the RMS error of the logarithm of the spot's mean radius
 of its windows that is rightly called empty or not."""
 
 
-class _TrainingState(NamedTuple):
-    network: SpotNetwork
-    optimiser: Any
-    epoch: jax.Array
-
-
 def train(
     samples: Samples,
     validation: Samples,
@@ -89,9 +83,8 @@ def train(
     """
     with jax.enable_x64(False):
         frames = len(samples.present)
-        steps = epochs * math.ceil((frames + frames // _EMPTY) / BATCH)
-        rule = _rule(steps)
-        state = _state(out, rule, seed)
+        rule = _rule(epochs * math.ceil((frames + frames // _EMPTY) / BATCH))
+        network, optimiser, done = _state(out, rule, seed)
 
         @eqx.filter_jit
         def step(network: SpotNetwork, optimiser: Any, batch: tuple[np.ndarray, ...]) -> Any:
@@ -99,22 +92,21 @@ def train(
             changes, optimiser = rule.update(slopes, optimiser, eqx.filter(network, eqx.is_array))
             return eqx.apply_updates(network, changes), optimiser, lost
 
-        curve = read_curve(out / CURVE)[: int(state.epoch)].to_dict("records")
-        for epoch in range(int(state.epoch), epochs):
-            network, optimiser, losses = state.network, state.optimiser, []
+        curve = read_curve(out / CURVE)[: int(done)].to_dict("records")
+        for epoch in range(int(done), epochs):
+            losses = []
             for batch in _batches(samples, epoch, seed):
                 network, optimiser, lost = step(network, optimiser, batch)
                 losses.append(lost)
-            state = _TrainingState(network, optimiser, jnp.asarray(epoch + 1))
             found = epoch + 1, float(np.mean(losses)), *_judged(network, validation)
             curve.append(dict(zip(COLUMNS, found, strict=True)))
             with written_whole(out / CURVE, replace=True) as partial:
                 pd.DataFrame(curve).to_csv(partial, index=False, lineterminator="\n")
             # The last to be written: a curve with an epoch too many is cut when the run goes on.
             with written_whole(out / _KEPT, replace=True) as partial:
-                eqx.tree_serialise_leaves(partial, state)
+                eqx.tree_serialise_leaves(partial, (network, optimiser, jnp.asarray(epoch + 1)))
             show(curve[-1])
-        return state.network
+        return network
 
 
 def _rule(steps: int) -> Any:
@@ -122,10 +114,10 @@ def _rule(steps: int) -> Any:
     return optax.chain(optax.clip_by_global_norm(_STEEPEST), optax.adamw(rate, weight_decay=_DECAY))
 
 
-def _state(out: Path, rule: Any, seed: int) -> _TrainingState:
-    """The state after the last epoch, or that before the first one."""
+def _state(out: Path, rule: Any, seed: int) -> tuple[SpotNetwork, Any, jax.Array]:
+    """Network, optimiser and number of epochs: of the last epoch, or before the first one."""
     network = SpotNetwork(key=jax.random.key(seed))
-    state = _TrainingState(network, rule.init(eqx.filter(network, eqx.is_array)), jnp.asarray(0))
+    state = network, rule.init(eqx.filter(network, eqx.is_array)), jnp.asarray(0)
     kept = out / _KEPT
     return eqx.tree_deserialise_leaves(kept, state) if kept.is_file() else state
 
@@ -179,14 +171,10 @@ _TRIES = 100
 
 
 class Samples(NamedTuple):
-    """Windows of n frames; `present` is 1 for frames with at least half of the contour in view.
+    """Windows of n frames, as `cut` gives them; arrays begin with (n, WINDOWS + 1).
 
-    Attributes:
-        windows: (n, WINDOWS + 1, 3, 64, 64), as `cut` gives them; the last one of each frame
-            lies where the spot's centre is not.
-        places: (n, WINDOWS + 1, 4).
-        targets: (n, WINDOWS + 1, 6); 0 where there is no spot.
-        present: (n, WINDOWS + 1), 0 or 1.
+    The last window of each frame lies where the spot's centre is not. `present` is 1 where at
+    least half of the contour is in view, else 0; `targets` are 0 where there is no spot.
     """
 
     windows: np.ndarray
@@ -264,11 +252,7 @@ _LIBRARIES = ("equinox", "jax", "optax", "opencv-python-headless")
 def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
     """Train, or go on with a training that was stopped, and write weights.eqx and weights.json.
 
-    Args:
-        folder: a complete set with the splits train and validation.
-        out: folder for the weights, the checkpoint and the curve; made if it is missing.
-        epochs: along which the learning rate falls to 0.
-        seed: of the weights and of the order of the frames.
+    The arguments are those of `eyespot rivals train`.
 
     Raises:
         InputError: the set is incomplete or lacks a split, or `out` holds another training.
@@ -291,9 +275,8 @@ def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
     }
     claim(out, asked, command="eyespot rivals train")
     with jax.enable_x64(False):
-        state = _state(out, _rule(1), seed=0)
-    network, done = state.network, int(state.epoch)
-    if done < epochs:
+        network, _, done = _state(out, _rule(1), seed=0)
+    if int(done) < epochs:
         with progress("Reading", total=sum(map(len, splits.values()))) as advance:
             samples, validation = (
                 samples_of(stacks, seed, progress=advance) for stacks in splits.values()
