@@ -17,7 +17,6 @@ from benchmarks.sets.read import SetStack, image_name, qualified_name
 from formats.inputs import InputError
 from formats.microscope import read_microscope
 from formats.spots import Spot, SpotRecord
-from formats.stack import Stack
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 
@@ -36,12 +35,14 @@ def images_of(stacks: Iterable[SetStack]) -> pd.DataFrame:
     first = "first" if any(entry.pair for entry in stacks) else ""
     for entry in stacks:
         stack = entry.open()
+        viewing = stack.description["scene"].get("viewing", {})  # not in stacks of eyespot 0.1
+        bare = viewing.get("eye", "none") == "none"
         about = {
             "stack": qualified_name(entry),
             "split": entry.split,
             "adverse": entry.condition or "",
             "pair": entry.pair or first,
-            "viewing": _viewing_path(stack),
+            "viewing": "" if bare else f"{viewing['lens']}, {viewing['form']}",
             "scale_mm_px": read_microscope(entry.folder / "microscope.json").scale_mm_px,
             "source": stack.described("scene.source.kind", str),
             "wall": stack.described("scene.phantom.wall", str),
@@ -57,13 +58,6 @@ def with_derived(images: pd.DataFrame) -> pd.DataFrame:
         incidence_deg=np.degrees(images.incidence_rad),
         blur_px=images.speed_mm_s * images.exposure_s / images.scale_mm_px,
     )
-
-
-def _viewing_path(stack: Stack) -> str:
-    viewing = stack.description["scene"].get("viewing", {})  # not in stacks of eyespot 0.1
-    if viewing.get("eye", "none") == "none":
-        return ""
-    return f"{viewing['lens']}, {viewing['form']}"
 
 
 _ORDER = ("train", "validation", "test", "adverse", "unseen", "first")
