@@ -64,3 +64,10 @@ def call(words: Sequence[str]) -> Called:
         except BaseException as error:
             code, caught = 1, error
     return Called(code, out.getvalue(), err.getvalue(), caught)
+
+
+def printed(*words: object) -> str:
+    """What a command prints, which must end well."""
+    done = call([str(word) for word in words])
+    assert done.exit_code == 0, done.output
+    return done.stdout

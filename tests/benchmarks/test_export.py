@@ -32,7 +32,7 @@ from formats.inputs import InputError
 from formats.manifest import write_manifest
 from formats.poses import read_poses
 from formats.stack import FrameLabels, read_stack
-from tests.command_line import call
+from tests.command_line import printed
 from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, labels_of, write_set, write_stack
 
 NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]
@@ -334,9 +334,7 @@ def test_a_missing_library_names_the_extra(
 
 def test_the_command_exports_a_stack_by_itself(drawn: Path, tmp_path: Path) -> None:
     out = tmp_path / "shards"
-    command = ["export", str(drawn / "train" / "a"), "--to", "webdataset", "--out", str(out)]
-    done = call(command)
-    assert done.exit_code == 0, done.output
+    printed("export", drawn / "train" / "a", "--to", "webdataset", "--out", out)
     assert [path.name for path in out.glob("*.tar")] == ["a-000000.tar"]
 
 

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.predictions.plan import SURE, Judgement, Plan, predicted, read_plan
 from formats.inputs import InputError
 from scenes import Scene, changed, render_stack, scene_toml
-from tests.command_line import call
+from tests.command_line import printed
 from tests.prediction_coverage import drawn, plan_of, planned_scene, verdict
 
 
@@ -130,24 +130,17 @@ def test_an_uncertain_key_that_is_none_is_bad_input(key, word):
 def test_the_commands_write_a_plan_and_judge_a_stack(planned, tmp_path):
     (tmp_path / "scene.toml").write_text(scene_toml(planned.scene))
     plan, stack = tmp_path / "plan.json", tmp_path / "stack"
-    made = call(
-        [
-            *("preregister", str(tmp_path / "scene.toml"), "--out", str(plan)),
-            *("--uncertain", "clocks.kinematics_offset_s=0.005"),
-        ],
-    )
-    assert made.exit_code == 0, made.output
+    uncertain = "clocks.kinematics_offset_s=0.005"
+    said = printed("preregister", tmp_path / "scene.toml", "--out", plan, "--uncertain", uncertain)
     sha256 = read_plan(plan).sha256
-    assert sha256 in made.output
+    assert sha256 in said
     render_stack(changed(planned.scene, {"clocks.kinematics_offset_s": 0.05}), stack)
-    done = call(["adjudicate", str(plan), str(stack), "--json"])
-    assert done.exit_code == 0, done.output
-    content = json.loads(done.stdout)
+    content = json.loads(printed("adjudicate", plan, stack, "--json"))
     assert content["plan_sha256"] == sha256
     (clock,) = content["keys"]
     assert clock["contradicts"]
     assert clock["found"] == pytest.approx(0.05, abs=1e-3)
-    text = call(["adjudicate", str(plan), str(stack)]).output
+    text = printed("adjudicate", plan, stack)
     assert "Contradicted: clocks.kinematics_offset_s" in text
     assert "robot_mm" in text
 

@@ -25,7 +25,7 @@ from benchmarks.sets.score.pages import leaderboard, tables
 from benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
 from estimator import Source, track_whole_source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
-from tests.command_line import call
+from tests.command_line import call, printed
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
 from tests.pixel_stacks import calibration_in, cone_stack
 
@@ -287,7 +287,7 @@ def test_images_that_are_no_sequence_are_measured_each_by_itself(
 
     def follows(words: list[str]) -> set[bool]:
         followed.clear()
-        assert call(["score", str(folder), "--mode", "subpixel", *words]).exit_code == 0
+        printed("score", folder, "--mode", "subpixel", *words)
         return set(followed)
 
     assert follows([]) == {True}
@@ -308,9 +308,8 @@ def per_stack(drawn: Path, folder: Path) -> Path:
         for name in names:
             for exposure in ("paper", "metered") if name == "b" else ("",):
                 out = folder / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
-                command = ["track", str(drawn / split / name), "--out", str(out)]
                 chosen = ["--exposure", exposure] if exposure else []
-                assert call(command + chosen).exit_code == 0
+                printed("track", drawn / split / name, "--out", out, *chosen)
     return folder
 
 
@@ -318,9 +317,7 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
     drawn: Path, tmp_path: Path
 ) -> None:
     tracked = per_stack(drawn, tmp_path / "tracked")
-    command = ["score", str(drawn), str(tracked), "--mode", "subpixel"]
-    done = call([*command, "--out", str(tmp_path / "score")])
-    assert done.exit_code == 0, done.output
+    printed("score", drawn, tracked, "--mode", "subpixel", "--out", tmp_path / "score")
     rows = pd.read_csv(tmp_path / "score" / "score.csv")
     read, run = (
         where(rows, estimator=name).drop(columns="estimator").reset_index(drop=True)
@@ -351,11 +348,9 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
 def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path: Path) -> None:
     stack = cone_stack(tmp_path / "stack").folder
     rmse = []
-    for given in ([], ["--calibration", str(calibration_in(tmp_path))]):
+    for given in ([], ["--calibration", calibration_in(tmp_path)]):
         out = tmp_path / f"score{len(given)}"
-        command = ["score", str(stack), "--mode", "pixels", *given, "--out", str(out)]
-        done = call(command)
-        assert done.exit_code == 0, done.output
+        printed("score", stack, "--mode", "pixels", *given, "--out", out)
         rows = pd.read_csv(out / "score.csv")
         (total,) = rows_of(where(rows, condition="all", quantity="distance_mm"))
         assert total.n == 6

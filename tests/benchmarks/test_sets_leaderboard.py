@@ -17,7 +17,7 @@ from benchmarks.sets.read import stacks_of
 from benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
 from benchmarks.sets.score.spots import entries_in, read_any_spots
 from formats.inputs import InputError
-from tests.command_line import call
+from tests.command_line import call, printed
 from tests.drawn_sets import image_row, labels_of
 
 E1 = "semi_minor_px"
@@ -167,9 +167,7 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
     about = {"name": "a network", "command": "predict.py", "versions": {"torch": "2"}, "seed": 7}
     (entries / "network" / "entry.json").write_text(json.dumps(about | {"ms_per_frame": 4.5}))
     out = tmp_path / "out"
-    command = ["score", str(drawn), "--entries", str(entries), "--out", str(out)]
-    done = call(command)
-    assert done.exit_code == 0, done.output
+    printed("score", drawn, "--entries", entries, "--out", out)
     rows = pd.read_csv(out / "leaderboard.csv")
     ranked = rows[rows.quantity == E1]
     assert [*zip(ranked.entry, ranked["rank"], strict=True)] == [("a network", 1), ("theirs", 2)]
@@ -185,10 +183,9 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
 def test_one_split_is_scored_alone(drawn: Path, tmp_path: Path) -> None:
     plain(tmp_path / "theirs.csv", drawn, off=0.3)
     command = ["score", str(drawn), str(tmp_path / "theirs.csv"), "--split", "adverse"]
-    out = tmp_path / "out"
-    done = call([*command, "--out", str(out)])
-    assert done.exit_code == 0, done.output
-    outcomes = json.loads((out / "score.json").read_text())["outcomes"]["theirs"]
+    printed(*command, "--out", tmp_path / "out")
+    found = json.loads((tmp_path / "out" / "score.json").read_text())
+    outcomes = found["outcomes"]["theirs"]
     assert sum(outcomes.values()) == 4  # images of the split adverse
     done = call([*command[:-1], "tset"])
     assert "no split tset. It has: adverse, train" in str(done.exception)

@@ -12,7 +12,7 @@ from benchmarks.sets.make import push_set
 from benchmarks.sets.read import SetError, verify_set
 from benchmarks.sets.score.spots import sample_folder
 from formats.inputs import InputError
-from tests.command_line import call
+from tests.command_line import printed
 from tests.hub_stand_in import StandIn, stand_in
 
 TOKEN = "stand-in"
@@ -31,10 +31,8 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[StandIn]:
 
 
 def test_the_set_arrives_whole(hub: StandIn, tmp_path: Path) -> None:
-    command = ["dataset", "push", str(sample_folder()), "a-lab/sample", "--endpoint", hub.address]
-    done = call(command)
-    assert done.exit_code == 0, done.output
-    assert f"Wrote {hub.address}/datasets/a-lab/sample/commit/" in done.output
+    said = printed("dataset", "push", sample_folder(), "a-lab/sample", "--endpoint", hub.address)
+    assert f"Wrote {hub.address}/datasets/a-lab/sample/commit/" in said
     for name, content in hub.files["a-lab/sample"].items():
         path = tmp_path / "copy" / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import NAME, sample_folder
 from benchmarks.sets.spec import load_spec, plan
-from tests.command_line import call
+from tests.command_line import call, printed
 
 
 def test_the_sample_is_small_and_unchanged() -> None:
@@ -35,8 +35,7 @@ def test_every_visible_image_of_the_sample_has_a_bound() -> None:
 
 
 def test_a_newcomer_scores_our_estimator_with_one_option(tmp_path: Path) -> None:
-    done = call(["score", "--sample", "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
+    printed("score", "--sample", "--out", tmp_path / "out")
     first = pd.read_csv(tmp_path / "out" / "leaderboard.csv").iloc[0]
     assert first.entry == "auto"
     # No unbiased estimator is better than its bound; sub-pixel mode does not know the wall.
@@ -50,9 +49,7 @@ def test_a_newcomer_scores_a_file_of_his_own(tmp_path: Path) -> None:
     mine = pd.DataFrame({name: images[f"half_max_{name}"] for name in names})
     mine[["semi_major_px", "semi_minor_px"]] += 0.5
     mine.to_csv(tmp_path / "mine.csv", index_label="file_name")
-    command = ["score", str(tmp_path / "mine.csv"), "--sample", "--out", str(tmp_path / "out")]
-    done = call(command)
-    assert done.exit_code == 0, done.output
+    printed("score", tmp_path / "mine.csv", "--sample", "--out", tmp_path / "out")
     first = pd.read_csv(tmp_path / "out" / "leaderboard.csv").iloc[0]
     assert (first.entry, first.missed) == ("mine", 0.0)
     assert first["median"] == pytest.approx(0.5)

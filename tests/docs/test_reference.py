@@ -22,7 +22,7 @@ from docs.schemas import KINDS, rows_of, schema_of
 from estimator.distance.budget import Cause
 from formats.spots import Reason
 from scenes import Scene
-from tests.command_line import WORDS, call, options_of
+from tests.command_line import WORDS, options_of, printed
 
 HOME = Path(__file__).resolve().parents[2]
 SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
@@ -200,13 +200,6 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
     plan = ("--uncertain", "phantom.radius_mm=0.2", "--calibration", folder / "beam.json")
     printed("preregister", folder / "scene.toml", "--out", folder / "plan.json", *plan, *changes)
     return folder
-
-
-def printed(*words: object) -> str:
-    """Run a command in this process; returns what it prints."""
-    done = call([str(word) for word in words])
-    assert done.exit_code == 0, done.output
-    return done.stdout
 
 
 READERS: dict[str, Callable[[Path], object]] = {
