@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import ArrayLike
 
 import optics
 from benchmarks import reporting as page
@@ -61,7 +62,7 @@ def geometry_of(scene: Scene) -> Geometry:
 
 
 def exact_spots(
-    geometry: Geometry, *, eccentricities: np.ndarray, distances: np.ndarray, medium: str = "air"
+    geometry: Geometry, *, eccentricities: ArrayLike, distances: ArrayLike, medium: str = "air"
 ) -> pd.DataFrame:
     """Spots for `model_errors` at each c and d (mm), of the size of the exact contour."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 import tempfile
 import time
+from collections.abc import Callable
 from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
@@ -268,6 +269,14 @@ def _of_frames(frames: pd.DataFrame) -> pd.Series:
     )
 
 
+def _by(
+    frames: pd.DataFrame,
+    keys: list[str],
+    numbers: Callable[[pd.DataFrame], pd.Series] = _of_frames,
+) -> pd.DataFrame:
+    return pd.DataFrame(frames.groupby(keys, sort=False)[[*frames]].apply(numbers))
+
+
 def _drawn(rng: np.random.Generator, alone_every: int = 0, **what: Any) -> pd.DataFrame:
     """The frames of one drawn stack, and whether another distance has their radius, too."""
     with tempfile.TemporaryDirectory() as folder:
@@ -291,7 +300,7 @@ def pixel_poses(full: bool = False) -> pd.DataFrame:
     )
     frames = frames.assign(of_stack=np.where(frames.frame == 0, "first", "5th on"))
     shown = frames[(frames.frame == 0) | (frames.frame >= 4)]
-    return shown.groupby(["beam", "wall", "of_stack"], sort=False)[[*frames]].apply(_of_frames)
+    return _by(shown, ["beam", "wall", "of_stack"])
 
 
 _COMPARED_MM = np.arange(0.25, 9.0, 0.125)  # distances that the mode looks at
@@ -320,7 +329,7 @@ def branches(full: bool = False) -> pd.DataFrame:
         own = pd.Series({"twofold": some.twofold.sum(), "wrong_branch": wrong})
         return pd.concat([_of_frames(some), own])
 
-    return frames.groupby(["beam", "read_as"], sort=False)[[*frames]].apply(numbers)
+    return _by(frames, ["beam", "read_as"], numbers)
 
 
 def _twofold(stack: Stack) -> np.ndarray:
@@ -361,8 +370,7 @@ def coverage(full: bool = False) -> pd.DataFrame:
             for level in (0.68, 0.95)
         }
     )
-    shown = frames.groupby("wall", sort=False)[[*frames]].apply(_of_frames)
-    return shown.join(inside.groupby(posed.wall).mean())
+    return _by(frames, ["wall"]).join(inside.groupby(posed.wall).mean())
 
 
 def adverse_set(full: bool = False) -> pd.DataFrame:
@@ -390,7 +398,7 @@ def adverse_set(full: bool = False) -> pd.DataFrame:
         return pd.concat([_of_frames(some), pd.Series(own)])
 
     every = pd.concat([frames, frames.assign(condition="all")])
-    return every.groupby("condition", sort=False)[[*every]].apply(numbers)
+    return _by(every, ["condition"], numbers)
 
 
 def memory(full: bool = False) -> pd.DataFrame:
@@ -400,7 +408,7 @@ def memory(full: bool = False) -> pd.DataFrame:
     warm = 2 * distinct - 2  # once forwards and backwards, while programs are compiled
     seconds, used_mb, posed = np.empty(warm + number), [], 0
     with tempfile.TemporaryDirectory() as folder:
-        hand = {"motion": "hand", "beam": "dome, vitreous", "wall": "photograph"}
+        hand: dict[str, Any] = {"motion": "hand", "beam": "dome, vitreous", "wall": "photograph"}
         stack = drawn_stack(Path(folder) / "stack", rng, frames=distinct, **hand)
         frames = list(open_source(stack.folder))
         began = time.perf_counter()

@@ -64,7 +64,8 @@ def detector(full: bool = False) -> pd.DataFrame:
 def _timed(call: Callable[[], Any]) -> dict[str, float]:
     """Median wall and processor time after one call that compiles."""
     call()
-    wall, worked = [], []
+    wall: list[float] = []
+    worked: list[float] = []
     while sum(wall) <= 10 and len(wall) < 20:
         began = time.perf_counter(), time.process_time()
         call()

@@ -185,7 +185,7 @@ def ranger(rest: Stack, scene: Scene, way: paper.Way, *, spots_file: Path) -> Ra
         return Ranger(true_calibration(scene), microscope)
     spots = paper.track_stack(rest, way, spots_file=spots_file)
     values = small_plane_line(spots[spots.used], microscope)
-    about = {"medium": scene.source.medium, "fitted_on": rest.folder.name}
+    about: dict[str, Any] = {"medium": scene.source.medium, "fitted_on": rest.folder.name}
     return Ranger(study_calibration("small_plane", values, **about), microscope)
 
 

@@ -146,7 +146,7 @@ def withdrawals(
         Errors of all models with the true c, then of small_plane with the fitted one; and a fit for
         each c, see `refitted`.
     """
-    grid = {"eccentricities": eccentricities, "distances": np.array(DISTANCES_MM)}
+    grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": DISTANCES_MM}
     spots = model_error.exact_spots(geometry, **grid, medium=medium)
     errors = model_error.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
     found = [

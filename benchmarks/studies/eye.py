@@ -162,8 +162,9 @@ def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> Pat
 def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5"]:
     """Noise of each eye's withdrawals; 0 without a seed, and for the schematic eye."""
     noise = np.zeros((count, *eye_paths.withdrawals().distance.shape, 5))
-    for eye in range(1, count) if seed is not None else ():
-        noise[eye] = np.random.default_rng([seed, eye]).standard_normal(noise[eye].shape)
+    if seed is not None:
+        for eye, own in enumerate(noise[1:], 1):
+            own[:] = np.random.default_rng([seed, eye]).standard_normal(own.shape)
     return noise
 
 

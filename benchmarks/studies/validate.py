@@ -139,13 +139,12 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
     geometry = model_error.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
     tilts = [(0.0, 0.0), *((geometry.incidence, azimuth) for azimuth in paper.TILT_AZIMUTHS_DEG)]
-    grid = {"eccentricities": np.linspace(0.0, 7.0, 8 if quick else 29)}
-    grid["distances"] = np.arange(0.5, 6.01, 0.5)
+    c, d = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
     tables = []
     for height, (incidence, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
         tilt = {"incidence": incidence, "incidence_azimuth": math.radians(azimuth)}
         own = geometry._replace(pinhole_height=height, **tilt)
-        spots = model_error.exact_spots(own, **grid)
+        spots = model_error.exact_spots(own, eccentricities=c, distances=d)
         tables.append(model_error.model_errors(own, spots, source="analytic"))
     return pd.concat(tables, ignore_index=True)
 
