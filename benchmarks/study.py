@@ -230,30 +230,21 @@ class Study:
             report: function that makes the report; its figures use the common style.
         """
         with matplotlib.rc_context(STYLE), published(self.folder) as folder:
-            self._write(report(*of, **named), folder)
+            made, used = report(*of, **named), versions()
+            scene_toml = scenes.scene_toml(self.scene)
+            (folder / "scene.toml").write_text(scene_toml, encoding="utf-8")
+            summary = {
+                "schema_version": _SUMMARY_SCHEMA,
+                "study": self.name,
+                "command": self.command,
+                "found": [claim.row for claim in made.claims],
+                "versions": used,
+                "seconds": self.seconds,
+            }
+            write_json(folder / "summary.json", summary)
+            run: dict[str, Any] = {"study": self, "scene_toml": scene_toml}
+            write_page(folder, made, command=self.command, versions=used, **run)
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
-
-    def _write(self, report: Report, folder: Path) -> None:
-        scene_toml = scenes.scene_toml(self.scene)
-        (folder / "scene.toml").write_text(scene_toml, encoding="utf-8")
-        used = versions()
-        summary = {
-            "schema_version": _SUMMARY_SCHEMA,
-            "study": self.name,
-            "command": self.command,
-            "found": [claim.row for claim in report.claims],
-            "versions": used,
-            "seconds": self.seconds,
-        }
-        write_json(folder / "summary.json", summary)
-        write_page(
-            folder,
-            report,
-            command=self.command,
-            versions=used,
-            study=self,
-            scene_toml=scene_toml,
-        )
 
 
 _PACKAGES = (
@@ -286,33 +277,28 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
         InputError: the folder has a run with other settings, or other files.
     """
     out.mkdir(parents=True, exist_ok=True)
-    handle = lock(out.resolve(), of=out)
+    handle, file = lock(out.resolve(), of=out), out / "run.json"
     try:
-        _claim(out, settings, command=command)
+        if file.exists():
+            with in_file(file):
+                found = object_in(read_text(file))
+            if found != settings:
+                raise InputError(
+                    f"{out} has a run with other settings: {_difference(found, settings)}. "
+                    "Choose another --out, or remove the folder."
+                )
+        sweep(out)
+        if not file.exists():
+            if any(out.iterdir()):
+                raise InputError(
+                    f"{out} has files that are not from `{command}`. Choose another --out."
+                )
+            with written_whole(file) as partial:
+                partial.write_text(json.dumps(settings) + "\n")
     except BaseException:
         os.close(handle)
         raise
     return handle
-
-
-def _claim(out: Path, settings: Mapping[str, Any], *, command: str) -> None:
-    file = out / "run.json"
-    if file.exists():
-        with in_file(file):
-            found = object_in(read_text(file))
-        if found != settings:
-            raise InputError(
-                f"{out} has a run with other settings: {_difference(found, settings)}. "
-                "Choose another --out, or remove the folder."
-            )
-    sweep(out)
-    if not file.exists():
-        if any(out.iterdir()):
-            raise InputError(
-                f"{out} has files that are not from `{command}`. Choose another --out."
-            )
-        with written_whole(file) as partial:
-            partial.write_text(json.dumps(settings) + "\n")
 
 
 def finished_stack(

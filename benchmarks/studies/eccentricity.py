@@ -29,7 +29,7 @@ import optics
 import scenes
 from benchmarks import model_error, paper
 from benchmarks import reporting as page
-from benchmarks.reporting import grouped, listed, number, rows_of, where
+from benchmarks.reporting import grouped, listed, number, where
 from benchmarks.studies import error_causes
 from benchmarks.studies.error_causes import (
     CAUSES,
@@ -472,8 +472,7 @@ def _report(
                 data="limits.csv",
             ),
         ],
-        claims=[claim for height in heights for claim in _main_cause(tables, height)]
-        + _rendered_spots(with_true_c(tables["rendered"]), used),
+        claims=list(_claims(scene, tables, used)),
         sections=[
             page.Section(
                 "The error that a fit of c hides",
@@ -500,47 +499,43 @@ def _report(
     )
 
 
-def _rendered_spots(errors: pd.DataFrame, used: np.ndarray) -> list[page.Claim]:
-    if errors.empty:
-        return []
-    worst = tuple(paper.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
-    return [
-        page.Claim(
+def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Claim]:
+    shares, errors = tables["causes"], with_true_c(tables["rendered"])
+    for height in pinhole_heights(scene) if len(shares) else ():
+        here = where(shares, z_f_mm=height, model="small_plane")
+        if here.empty:
+            continue
+        spot = _nearest(here, SHOWN_C_MM, SHOWN_C_MM)
+        parts = where(here, c_mm=spot.c_mm, d_mm=spot.d_mm)
+        parts = parts.sort_values("part_mm", key=lambda part: -part.abs(), kind="stable")
+        exact = where(tables["withdrawals"], refit=False, model="small_plane", z_f_mm=height)
+        own = _nearest(where(exact, incidence_deg=spot.incidence_deg), spot.c_mm, spot.d_mm)
+        yield page.Claim(
+            name=f"z_F = {height:g} mm, causes",
+            sentence=f"At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of "
+            f"small_plane is {spot.whole_mm:+.3f} mm if it is also given an r too large by "
+            f"{WRONG_R_MM:g} mm and a c too large by {WRONG_C_MM:g} mm; its own error on the exact "
+            f"contour is {own.error_mm:+.3f} mm (c = {own.c_mm:g}, d = {own.d_mm:g} mm). The "
+            f"causes, the largest first: {', '.join(parts.cause)}. Their shares in mm: "
+            f"{listed(parts.part_mm, '+.3f')}. (Shapley's values: a cause alone can do more or "
+            "less.)",
+            value=spot.whole_mm,
+        )
+    if len(errors):
+        worst = tuple(paper.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
+        yield page.Claim(
             name="rendered spots",
             sentence=f"Largest errors over {used.sum()} spots: {listed(worst, '.3f')} mm "
             f"({', '.join(optics.MODELS)}); k, b, c and r are given. {(~used).sum()} frames have "
             "no spot that counts.",
             value=worst,
         )
-    ]
 
 
-def _main_cause(tables: Tables, height: float) -> Iterator[page.Claim]:
-    shares = tables["causes"]
-    here = [] if shares.empty else rows_of(where(shares, z_f_mm=height, model="small_plane"))
-    if not here:
-        return
-    spot = min(here, key=lambda p: (abs(p.c_mm - SHOWN_C_MM), abs(p.d_mm - SHOWN_C_MM)))
-    parts = sorted(
-        (p for p in here if (p.c_mm, p.d_mm) == (spot.c_mm, spot.d_mm)),
-        key=lambda p: -abs(p.part_mm),
-    )
-    exact = where(tables["withdrawals"], refit=False, model="small_plane", z_f_mm=height)
-    own = min(
-        rows_of(where(exact, incidence_deg=spot.incidence_deg)),
-        key=lambda e: (abs(e.c_mm - spot.c_mm), abs(e.d_mm - spot.d_mm)),
-    )
-    yield page.Claim(
-        name=f"z_F = {height:g} mm, causes",
-        sentence=f"At c = {spot.c_mm:.1f} mm and d = {spot.d_mm:.1f} mm the error of small_plane "
-        f"is {spot.whole_mm:+.3f} mm if it is also given an r too large by {WRONG_R_MM:g} mm and a "
-        f"c too large by {WRONG_C_MM:g} mm; its own error on the exact contour is "
-        f"{own.error_mm:+.3f} mm (c = {own.c_mm:g}, d = {own.d_mm:g} mm). The causes, the largest "
-        f"first: {', '.join(p.cause for p in parts)}. Their shares in mm: "
-        f"{listed([p.part_mm for p in parts], '+.3f')}. (Shapley's values: a cause alone can do "
-        "more or less.)",
-        value=spot.whole_mm,
-    )
+def _nearest(rows: pd.DataFrame, c: float, d: float) -> Any:
+    """The row that is nearest in c, then in d (mm)."""
+    far = pd.DataFrame({"c": (rows.c_mm - c).abs(), "d": (rows.d_mm - d).abs()})
+    return rows.loc[far.sort_values(["c", "d"], kind="stable").index[0]]
 
 
 def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
@@ -562,10 +557,6 @@ def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
     return [text, page.Picture("causes", _causes_figure(shares, d=d), caption, "causes.csv")]
 
 
-_GEOMETRIES, _GEOMETRIES_IF_QUICK = 1 << 17, 1 << 14
-_FEWEST = 512
-
-
 # The command.
 
 
@@ -584,21 +575,18 @@ def eccentricity(
     Args:
         geometries: Number of random geometries (default: 131072; 16384 if quick).
     """
-    if geometries is not None and geometries < _FEWEST:
+    if geometries is not None and geometries < 512:
         raise InputError(
-            f"--geometries must be at least {_FEWEST}, to fill each range of c; got {geometries}."
+            f"--geometries must be at least 512, to fill each range of c; got {geometries}."
         )
     if any(change.partition("=")[0].strip() == "spot.eccentricity_mm" for change in changes):
         raise InputError(
             "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
         )
-    count = geometries or (_GEOMETRIES_IF_QUICK if quick else _GEOMETRIES)
-    study = Study(
-        "eccentricity",
-        *(out, scene, changes, quick, seed, ("source.kind=cone",)),
-        partial(paper.require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm"),
-        options={"geometries": count},
-    )
+    count = geometries or (1 << 14 if quick else 1 << 17)
+    check = partial(paper.require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm")
+    cone, options = ("source.kind=cone",), {"geometries": count}
+    study = Study("eccentricity", out, scene, changes, quick, seed, cone, check, options=options)
     base = study.scene
     with study.timed("render and measure"):
         rendered, rendered_refits, shares, used = measure(study, *trials(base, quick=quick))
