@@ -239,32 +239,20 @@ def column_of(name: str, values: pd.Series) -> Column:
     return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
 
 
-class Table(NamedTuple):
-    """A table of the report.
+class Table:
+    """The named columns of a frame, by default headed as in its CSV file (`column_of`)."""
 
-    Attributes:
-        rows: values, as many as there are columns.
-    """
-
-    columns: Sequence[Column]
-    rows: Sequence[Sequence[Any]]
-    caption: str
-    data: str = ""
-
-    @classmethod
-    def of(
-        cls,
+    def __init__(
+        self,
         frame: pd.DataFrame,
         columns: Mapping[str, Column] | Iterable[str],
         caption: str,
-        *,
         data: str = "",
-    ) -> Table:
-        """The named columns of a frame; by default headed as in its CSV file (`column_of`)."""
+    ) -> None:
         if not isinstance(columns, Mapping):
             columns = {name: column_of(name, frame[name]) for name in columns}
-        rows = frame[list(columns)].itertuples(index=False, name=None)
-        return cls(list(columns.values()), list(rows), caption, data)
+        self.columns, self.caption, self.data = list(columns.values()), caption, data
+        self.rows = list(frame[list(columns)].itertuples(index=False, name=None))
 
     @property
     def cells(self) -> list[list[str]]:

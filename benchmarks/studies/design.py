@@ -266,7 +266,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         claims.append(claim)
     made = {str(x): Column(f"{100 * x:+g} %: σ, µm".replace("-", "−"), 1, 1e3) for x in OFF_BY}
     made, otherwise = {"number": Column("number")} | made, "One number of it, made otherwise."
-    tolerance = Table.of(tables["tolerance"], made, otherwise, data="tolerance.csv")
+    tolerance = Table(tables["tolerance"], made, otherwise, data="tolerance.csv")
     return Report(
         title="Which drop of glue measures the distance best, and how little light does it need?",
         answer=f"The best drop measures every distance to {1e3 * best.worst_mm:.1f} µm (standard "
@@ -276,7 +276,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         "its gradient.",
         first=[
             Picture("sigma", figure, "All light, outline alone, less light.", data="sigma.csv"),
-            Table.of(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
+            Table(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
         ],
         claims=claims,
         sections=[Section("How exactly must the drop be made?", tolerance)],

@@ -440,7 +440,7 @@ def report(
                 f"{shown}; dotted: the error that the paper accepts.",
                 data="dynamic_spread.csv",
             ),
-            page.Table.of(
+            page.Table(
                 table.reset_index(),
                 ["motion", "way", *dict.fromkeys(names)],
                 f"RMS error in mm at {top:g} mm/s, {shown}.",
@@ -456,7 +456,7 @@ def report(
                 "for the listed speed that is nearest to the tip's own. Literal mode has the "
                 "paper's model with k and b from a withdrawal at rest; sub-pixel mode has the "
                 "true source.",
-                page.Table.of(
+                page.Table(
                     reached,
                     reached.columns,
                     "Speeds at which the RMS error reaches the acceptable "

@@ -437,7 +437,7 @@ def _report(
         (height, tilt, *(limit_of(tables, model, height, tilt) for model in model_error.SHOWN))
         for height, tilt in product(heights, dict.fromkeys((0.0, incidence)))
     ]
-    headings = "z_F, mm", "incidence, °", *model_error.SHOWN
+    headings = ["z_F, mm", "incidence, °", *model_error.SHOWN]
     refits, largest_mm = tables["refits"], LIMITS_MM[-1]
     chosen = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
     chosen &= refits.z_f_mm.isin(heights) & (refits.incidence_deg == incidence)
@@ -465,8 +465,8 @@ def _report(
                 data="model_error.csv",
             ),
             page.Table(
-                [page.Column(heading, 1) for heading in headings],
-                limits,
+                pd.DataFrame(limits, columns=headings),
+                {heading: page.Column(heading, 1) for heading in headings},
                 f"Smallest c in mm at which the largest error over d reaches {largest_mm:g} mm; a "
                 f"dash: not up to c = {LARGEST_C_MM:g} mm.",
                 data="limits.csv",
@@ -479,7 +479,7 @@ def _report(
                 "The paper fits c to the same distances with which it then tests the model (Table "
                 "II). A wrong c compensates for a wrong factor as long as the correct factor is "
                 "below 1. If the correct factor is above 1, the fit ends at c = 0.",
-                page.Table.of(
+                page.Table(
                     refits[chosen],
                     "z_f_mm c_mm fitted_c_mm largest_error_mm largest_residual_mm "
                     "hidden_mm".split(),

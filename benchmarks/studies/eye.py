@@ -395,7 +395,7 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
                 "0.5 mm. A line ends where fewer than 95 % of the eyes show a whole spot.",
                 data="eye_errors.csv",
             ),
-            page.Table.of(
+            page.Table(
                 first[::-1],
                 {
                     "recipe": page.Column("recipe"),
@@ -421,7 +421,7 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
             ),
             page.Section(
                 "The pinhole that stands for an eye",
-                page.Table.of(
+                page.Table(
                     tables["pinholes"],
                     tables["pinholes"].columns,
                     "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
@@ -432,7 +432,7 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
             ),
             page.Section(
                 "Why",
-                page.Table.of(
+                page.Table(
                     tables["causes"],
                     tables["causes"].columns,
                     f"Shapley's shares in the error of 95 % of the eyes, {_CAUSES_PATH}, "

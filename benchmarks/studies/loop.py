@@ -294,7 +294,7 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
         first=[
             Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
             Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
-            Table.of(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
+            Table(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
         ],
         claims=[contacts, *claims],
         sections=[Section("What the error depends on", alone)] if len(errors) > 7 else [],

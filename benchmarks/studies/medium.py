@@ -310,7 +310,7 @@ def _report(
                 f"{ACCEPTABLE_ERROR_MM:g} mm that the paper calls acceptable.",
                 data="medium_error.csv",
             ),
-            page.Table.of(
+            page.Table(
                 summary[(summary.source == "rendered") & (summary.light == scene.source.lens)],
                 ["medium", "method", "spots", "rms_mm", "largest_mm"],
                 f"Errors of rendered spots of {scene.source.lens}.",
@@ -329,7 +329,7 @@ def _report(
                     "regression makes of it (dashed).",
                     data="medium_cones.csv",
                 ),
-                page.Table.of(
+                page.Table(
                     cones,
                     cones.columns,
                     f"Cones d = kR + b of the half-maximum radius over d = {NEAREST_MM:g} to "

@@ -589,7 +589,7 @@ def _report(errors: pd.DataFrame) -> page.Report:
                 "solutions. Dotted: the mean errors reported by Zhou et al. (2023).",
                 data=_FILE,
             ),
-            page.Table.of(
+            page.Table(
                 where(scatters, prior=AxisPrior.ROUGH),
                 "source spots z_f_mm tip_mm tip_bound_mm axis_deg axis_bound_deg".split(),
                 "Root mean square errors and bounds, without mirrored solutions.",
@@ -600,7 +600,7 @@ def _report(errors: pd.DataFrame) -> page.Report:
         sections=[
             page.Section(
                 "The mirror solution",
-                page.Table.of(
+                page.Table(
                     scatters,
                     scatters.columns,
                     "Root mean square errors with every prior: how often the mirrored solution is "

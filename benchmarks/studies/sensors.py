@@ -455,7 +455,7 @@ def _report(
                 "mark, or the instrument hides its shadow.",
                 data="expected.csv",
             ),
-            page.Table.of(
+            page.Table(
                 where(summaries(readings), path=path),
                 ["sensor", "wall", "asked", "read", "median_mm", "largest_mm"],
                 f"Readings from rendered pictures through {path}.",

@@ -466,8 +466,10 @@ def _beside_the_paper(
         ("paper", trial, *(text(q, getattr(row, q)) for q in quantities))
         for trial, row in printed.items()
     ]
-    columns = [page.Column("way"), page.Column("trial"), *(_QUANTITIES[q] for q in quantities)]
-    return page.Table(columns, rows, caption, "static_spread.csv")
+    columns = {name: page.Column(name) for name in ("way", "trial")}
+    columns |= {quantity: _QUANTITIES[quantity] for quantity in quantities}
+    table = pd.DataFrame(rows, columns=list(columns))
+    return page.Table(table, columns, caption, "static_spread.csv")
 
 
 # The command.

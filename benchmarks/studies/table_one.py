@@ -536,7 +536,7 @@ def report(
                 "that their R² and RMSE imply.",
                 data="table_one_scan.csv",
             ),
-            page.Table.of(
+            page.Table(
                 nearest,
                 [*_LENS, "level", "from_mm", "to_mm", *_LINE, "miss"],
                 "The lenses that come nearest to Table I, in closed form, at the scene's scale. "
@@ -549,7 +549,7 @@ def report(
         sections=[
             page.Section(
                 "Rendered",
-                page.Table.of(
+                page.Table(
                     pd.concat([lines, printed]),
                     [*_LENS, "way", "trial", *_LINE, "contact_radius_px", "spots"],
                     "Lines through the spots of rendered trials, and the paper's.",
@@ -558,7 +558,7 @@ def report(
             ),
             page.Section(
                 "Why trials differ",
-                page.Table.of(
+                page.Table(
                     pd.concat([changes, _against(second, papers)]),
                     ["cause", *_LINE, "contact_radius_px", *_CHANGES],
                     "The best lens's line, in closed form, and how each cause alone changes it.",

@@ -493,22 +493,16 @@ def report(findings: ValidateFindings) -> page.Report:
     """
     spots, rendered = spot_table(findings), findings.rendered
     # Up to which c each model keeps the acceptable error, by the pinhole's height; NaN: to the end.
-    kept = {
-        model: [
-            model_error.limit_eccentricity(
-                where(findings.analytic, model=model, z_f_mm=height), ACCEPTABLE_ERROR_MM
-            )
-            for height in _ANALYTIC_HEIGHTS_MM
+    kept, most = pd.DataFrame(index=model_error.COMPARED), findings.analytic.c_mm.max()
+    for height in _ANALYTIC_HEIGHTS_MM:
+        here = where(findings.analytic, z_f_mm=height)
+        kept[f"z_F = {height:g} mm"] = [
+            model_error.limit_eccentricity(where(here, model=model), ACCEPTABLE_ERROR_MM)
+            for model in kept.index
         ]
-        for model in model_error.COMPARED
-    }
-    most = findings.analytic.c_mm.max()
-    rows = [
-        (model, *(f"{most:g} +" if math.isnan(c) else number(c, 1) for c in reached))
-        for model, reached in kept.items()
-    ]
-    heights = [f"z_F = {height:g} mm" for height in _ANALYTIC_HEIGHTS_MM]
-    low, high, _ = kept["small_plane"]
+    low, high, _ = kept.loc["small_plane"].tolist()
+    limits = kept.map(lambda c: f"{most:g} +" if math.isnan(c) else number(c, 1))
+    limits = limits.reset_index(names="model")
     exact = rendered.error_mm[rendered.model == "exact"]
     counts = findings.spots.groupby(["trial", "source", "way", "outcome"], sort=False).size()
     return page.Report(
@@ -539,8 +533,8 @@ def report(findings: ValidateFindings) -> page.Report:
                 data="model_error.csv",
             ),
             page.Table(
-                [page.Column(heading) for heading in ("model", *heights)],
-                rows,
+                limits,
+                {heading: page.Column(heading) for heading in map(str, limits)},
                 f"Up to which c (mm) {ACCEPTABLE_ERROR_MM:g} mm is kept at all distances and "
                 "tilts; + is the end of the range.",
                 data="model_error.csv",
@@ -608,7 +602,7 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
     beside = [[f"{papers}{name}" for name in of for papers in ("", "paper_")] for of in (line, fit)]
     return page.Section(
         "The paper's Tables I and II",
-        page.Table.of(
+        page.Table(
             findings.planes,
             [*about, *beside[0], "contact_radius_px", "spots"],
             "Table I: fits of d_r = δk e₁′ + b on the plane, and the paper's values for its own "
@@ -624,7 +618,7 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
             "tip's rim touches.",
             data="spots.csv",
         ),
-        page.Table.of(
+        page.Table(
             findings.spheres,
             [*about, "c_true_mm", "c_fitted_mm", "c_expected_mm", *beside[1], "at_bound"],
             "Table II: fits of the small-plane model in the eyeball. δk and b come from all "

@@ -333,7 +333,11 @@ def small_report(_: None) -> Report:
             Section(
                 "Section",
                 "A paragraph.",
-                Table((Column("z_F, mm"), Column("name")), [(1.23456, "first")], "A table."),
+                Table(
+                    pd.DataFrame({"z": [1.23456], "name": ["first"]}),
+                    {"z": Column("z_F, mm"), "name": Column("name")},
+                    "A table.",
+                ),
                 Picture("line", figure, "A line.", data="limits.csv"),
             )
         ],

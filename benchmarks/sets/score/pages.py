@@ -182,7 +182,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
             "deviations, each with its 95 % interval.",
             "leaderboard.csv",
         )
-        table = page.Table.of(
+        table = page.Table(
             shown,
             _SHOWN,
             f"{title} ({unit}), on {best.visible} visible images; missed and within are in %, "
@@ -196,7 +196,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         if not first:
             columns = {key: _SHOWN[key] for key in ("rank", "entry", "median", "missed")}
             caption = f"{title} ({unit}), with 95 % intervals; missed in %."
-            first = [picture, page.Table.of(shown, columns, caption, data="standings.csv")]
+            first = [picture, page.Table(shown, columns, caption, data="standings.csv")]
             data["standings.csv"] = shown
         ranked.insert(0, "quantity", quantity)
         ranks.append(ranked.drop(columns=["false_spots_low", "false_spots_high"]))
@@ -205,9 +205,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         data["leaderboard.csv"] = every[every.condition == ALL]
         data["leaderboard_by_condition.csv"] = every
     about = {key: page.Column(key) for key in ("entry", "command", "versions", "seed")}
-    how = page.Table.of(
-        made, about, "As the entries state it in entry.json.", data="leaderboard.csv"
-    )
+    how = page.Table(made, about, "As the entries state it in entry.json.", data="leaderboard.csv")
     return page.Report(
         title=f"Leaderboard of {name}",
         answer=claims[0].text if claims else "",
