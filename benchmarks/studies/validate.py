@@ -500,7 +500,7 @@ def report(findings: ValidateFindings) -> page.Report:
             model_error.limit_eccentricity(where(here, model=model), ACCEPTABLE_ERROR_MM)
             for model in kept.index
         ]
-    low, high, _ = kept.loc["small_plane"].tolist()
+    low, high, _ = map(float, kept.loc["small_plane"])
     limits = kept.map(lambda c: f"{most:g} +" if math.isnan(c) else number(c, 1))
     limits = limits.reset_index(names="model")
     exact = rendered.error_mm[rendered.model == "exact"]
