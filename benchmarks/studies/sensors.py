@@ -211,16 +211,6 @@ class Trial(NamedTuple):
         return sensor, self.path, self.wall, self.c, true, outcome, d - true, off
 
 
-def by_spots(study: Study, every: Sequence[Trial]) -> list[tuple[Any, ...]]:
-    """Readings of the spot: a withdrawal with each trial's distances, tracked and read exactly."""
-    spots = study.tracked({trial.name: _withdrawal(trial) for trial in every})
-    return [
-        trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row))
-        for trial in every
-        for one, row in zip(trial.places, rows_of(spots[trial.name]), strict=True)
-    ]
-
-
 def by_pictures(
     every: Sequence[Trial],
 ) -> tuple[list[tuple[Any, ...]], dict[tuple[str, float], Pictures]]:
@@ -329,14 +319,6 @@ Tables = Mapping[str, pd.DataFrame]
 """`expected`, `wrong` and `readings`, as in the CSV files."""
 
 
-def summaries(readings: pd.DataFrame) -> pd.DataFrame:
-    """The readings by sensor, path and wall."""
-    read = readings.error_mm.abs().where(readings.outcome == ReadingOutcome.READ)
-    by = read.groupby([readings[key] for key in ("sensor", "path", "wall")], sort=False)
-    found = by.agg(asked="size", read="count", median_mm="median", largest_mm="max")
-    return found.reset_index()
-
-
 # Figures.
 
 _COLOURS = {Sensor.SPOT: page.BLUE, Sensor.SHADOW: page.ORANGE, Sensor.STEREO: page.VERMILION}
@@ -435,6 +417,10 @@ def _report(
     rows, path = where(readings, outcome=ReadingOutcome.READ), readings.path.iloc[0]
     sizes = 1e3 * rows.error_mm.abs().groupby(rows.sensor).median()
     medians = ", ".join(f"{number(sizes[s], 1)} µm from the {s}" for s in Sensor if s in sizes)
+    here = where(readings, path=path)
+    read = here.error_mm.abs().where(here.outcome == ReadingOutcome.READ)
+    by_wall = read.groupby([here.sensor, here.wall], sort=False)
+    found = by_wall.agg(asked="size", read="count", median_mm="median", largest_mm="max")
     return page.Report(
         title="Which is the best sensor of the distance: the spot, the shadow, or a stereo pair?",
         answer=f"In rendered pictures the median error of a distance is {medians}.",
@@ -456,7 +442,7 @@ def _report(
                 data="expected.csv",
             ),
             page.Table(
-                where(summaries(readings), path=path),
+                found.reset_index(),
                 ["sensor", "wall", "asked", "read", "median_mm", "largest_mm"],
                 f"Readings from rendered pictures through {path}.",
                 data="readings.csv",
@@ -570,7 +556,12 @@ def sensors(
         own = [place(eccentricity=c, distance=d) for d in distances]
         every.append(Trial(path, wall, c, scene, own, cameras[path]))
     with study.timed("render and measure spots"):
-        readings = by_spots(study, every)
+        spots = study.tracked({trial.name: _withdrawal(trial) for trial in every})
+        readings = [
+            trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row))
+            for trial in every
+            for one, row in zip(trial.places, rows_of(spots[trial.name]), strict=True)
+        ]
     with study.timed("render and measure shadows and stereo pairs"):
         others, kept = by_pictures(every)
     tables = {

@@ -47,8 +47,17 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
                 for path in set_files(stacks):
                     file.create_dataset(path.name, data=_text(path))
                 for entry in stacks:
-                    group = file.create_group(qualified_name(entry))
-                    _write_stack(group, entry.open(), image_done)
+                    group, stack = file.create_group(qualified_name(entry)), entry.open()
+                    for name in ("stack.toml", "microscope.json"):
+                        group.attrs[name] = _text(stack.path_of(name))
+                    labels = group.create_group("labels")
+                    for name in stack.labels[0].row():
+                        _write_column(labels, name, [getattr(row, name) for row in stack.labels])
+                    if stack.path_of("kinematics.csv").is_file():
+                        report = group.create_group("kinematics")
+                        for name, column in stack.kinematics().items():
+                            _write_column(report, name, column)
+                    _write_images(group, stack, image_done)
         finally:
             disk.check()
 
@@ -89,19 +98,6 @@ def _text(path: Path) -> str:
         text = read_text(path)
         check_values(text)
     return text
-
-
-def _write_stack(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:
-    for name in ("stack.toml", "microscope.json"):
-        group.attrs[name] = _text(stack.path_of(name))
-    labels = group.create_group("labels")
-    for name in stack.labels[0].row():
-        _write_column(labels, name, [getattr(row, name) for row in stack.labels])
-    if stack.path_of("kinematics.csv").is_file():
-        report = group.create_group("kinematics")
-        for name, column in stack.kinematics().items():
-            _write_column(report, name, column)
-    _write_images(group, stack, progress)
 
 
 def _write_images(group: h5py.Group, stack: Stack, progress: Callable[[], None]) -> None:

@@ -182,13 +182,30 @@ def read_set_spots(
         InputError: the file is missing, names are not in the set, or an image has two lines.
     """
     path = Path(path)
-    if path.is_dir():
-        records = [record for file in _files(path) for record in _placed(file, path, stacks)]
-    elif path.is_file():
+    if path.is_file():
         records = read_any_spots(path)
+    elif path.is_dir():
+        files = sorted(file for file in path.rglob("*") if file.suffix.lower() in SPOTS_SUFFIXES)
+        if not files:
+            raise InputError(f"{path} contains no spots files (.csv or .parquet). Check the path.")
+        records = [record for file in files for record in _placed(file, path, stacks)]
     else:
         raise InputError(f"{path}: no such spots file or folder. Check the path.")
-    return _by_image(records, path, images)
+    found: dict[str, SpotRecord] = {}
+    for record in records:
+        if record.file_name in found:
+            raise InputError(f"{path}: {record.file_name} has two lines. Remove one of them.")
+        found[record.file_name] = record
+    if unknown := [name for name in found if name not in images]:
+        listed = ", ".join(repr(name) for name in unknown[:_NAMED])
+        more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+        raise InputError(
+            f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
+            f"set, such as {min(images)}."
+        )
+    if not found:
+        raise InputError(f"{path} is empty.")
+    return found
 
 
 def track_set(
@@ -247,13 +264,6 @@ def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
     return bool(2 * near.sum() >= near.size)
 
 
-def _files(folder: Path) -> list[Path]:
-    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SPOTS_SUFFIXES)
-    if not files:
-        raise InputError(f"{folder} contains no spots files (.csv or .parquet). Check the path.")
-    return files
-
-
 def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
     """Records of one stack's spots file, with image names relative to the set."""
     by_name = {qualified_name(entry): entry for entry in stacks}
@@ -270,29 +280,6 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
         replace(record, file_name=image_name(entry, record.file_name))
         for record in read_any_spots(file)
     ]
-
-
-def _by_image(
-    records: Iterable[SpotRecord], path: Path, images: Collection[str]
-) -> dict[str, SpotRecord]:
-    found: dict[str, SpotRecord] = {}
-    unknown = []
-    for record in records:
-        if record.file_name in found:
-            raise InputError(f"{path}: {record.file_name} has two lines. Remove one of them.")
-        if record.file_name not in images:
-            unknown.append(record.file_name)
-        found[record.file_name] = record
-    if unknown:
-        listed = ", ".join(repr(name) for name in unknown[:_NAMED])
-        more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
-        raise InputError(
-            f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
-            f"set, such as {min(images)}."
-        )
-    if not found:
-        raise InputError(f"{path} is empty.")
-    return found
 
 
 # Entries of a leaderboard: a folder with a spots file or folder for each estimator.
