@@ -144,7 +144,13 @@ _LICENCES = {
 def write_card(labelled: LabelledSet) -> None:
     """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables."""
     images = list(rows(labelled))
-    tables = _tables(labelled, images)
+    every = [(row.planned.split, row.line()) for row in images]
+    columns = dict.fromkeys(name for _, line in every for name in line)
+    tables: dict[str, list[dict[str, Any]]] = {split: [] for split in labelled.splits}
+    for split, line in every:
+        # A label that only some images have is NaN in the others. JSON's null would be stricter,
+        # but Hugging Face's loader refuses a set with a split that has only null in a column.
+        tables[split].append({name: line.get(name, math.nan) for name in columns})
     for split, lines in tables.items():
         text = "".join(json.dumps(line) + "\n" for line in lines)
         _write(labelled.folder / split / "metadata.jsonl", text)
@@ -152,7 +158,7 @@ def write_card(labelled: LabelledSet) -> None:
     licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
     _write(labelled.folder / "LICENSE", licence)
     _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
-    labels = pd.DataFrame([{"split": row.planned.split, **row.line()} for row in images])
+    labels = pd.DataFrame([{"split": split, **line} for split, line in every])
     labels = labels.assign(incidence_deg=np.degrees(labels.incidence_rad))
     counts = labels.groupby(["split", "condition"], sort=False)["stack"]
     ranges = [
@@ -177,24 +183,6 @@ def write_card(labelled: LabelledSet) -> None:
         )
     )
     _write(labelled.folder / "README.md", text)
-
-
-def _tables(labelled: LabelledSet, images: Sequence[Row]) -> dict[str, list[dict[str, Any]]]:
-    """The lines of each split, all with the same columns.
-
-    A label that only some images have is NaN in the others. JSON's null would be stricter, but
-    Hugging Face's loader refuses a set in which one split has nothing but null in a column.
-    """
-    lines = [(row.planned.split, row.line()) for row in images]
-    columns = dict.fromkeys(name for _, line in lines for name in line)
-    return {
-        split: [
-            {name: line.get(name, math.nan) for name in columns}
-            for own, line in lines
-            if own == split
-        ]
-        for split in labelled.splits
-    }
 
 
 def _write(path: Path, text: str) -> None:

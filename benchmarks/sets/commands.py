@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
@@ -12,9 +12,6 @@ from cyclopts.types import PositiveInt
 from estimator.run.options import OUT
 from formats.inputs import InputError, in_file, shortened
 from scenes.commands import Changes
-
-if TYPE_CHECKING:
-    from benchmarks.sets.make import CostEstimate
 
 
 def make(
@@ -61,7 +58,17 @@ def make(
         )
     count = workers or cluster.cores()
     if dry_run:
-        _print(estimate(planned), workers=count)
+        from rich.filesize import decimal
+
+        from estimator.run.progress_bar import duration
+
+        found = estimate(planned)
+        processor, wall = duration(found.processor_s), duration(found.processor_s / count)
+        print(
+            f"{found.images:,} images in {found.stacks:,} stacks, "
+            f"{decimal(round(found.size_bytes))}, about {processor} of processor time, {wall} with "
+            f"{count} workers on one core each. Estimated from {found.tried} images."
+        )
         return
     if out is None:
         raise InputError("--out DIR is missing: the folder for the set.")
@@ -108,16 +115,3 @@ def push(
     from benchmarks.sets.make import push_set
 
     print(f"Wrote {push_set(folder, repository, private=private, endpoint=endpoint)}.")
-
-
-def _print(found: CostEstimate, *, workers: int) -> None:
-    from rich.filesize import decimal
-
-    from estimator.run.progress_bar import duration
-
-    processor, wall = duration(found.processor_s), duration(found.processor_s / workers)
-    print(
-        f"{found.images:,} images in {found.stacks:,} stacks, {decimal(round(found.size_bytes))}, "
-        f"about {processor} of processor time, {wall} with {workers} workers on one core each. "
-        f"Estimated from {found.tried} images."
-    )

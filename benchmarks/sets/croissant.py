@@ -50,6 +50,7 @@ def croissant(labelled: LabelledSet, tables: Mapping[str, Sequence[Mapping[str, 
         tables: lines of each split's metadata.jsonl.
     """
     about = labelled.description
+    number = re.search(r"-v(\d+)$", labelled.name)  # static-v2 is 2.0.0
     distribution: list[dict[str, Any]] = []
     record_sets: list[dict[str, Any]] = []
     for split, lines in tables.items():
@@ -61,19 +62,13 @@ def croissant(labelled: LabelledSet, tables: Mapping[str, Sequence[Mapping[str, 
         "name": labelled.name,
         "description": about["description"],
         "conformsTo": "http://mlcommons.org/croissant/1.0",
-        "version": _version(labelled.name),
+        "version": f"{number[1] if number else 1}.0.0",
         "license": _LICENCES.get(labelled.licence, labelled.licence),
         "keywords": ["retinal surgery", "structured light", "ellipse", "synthetic"],
         "distribution": distribution,
         "recordSet": record_sets,
     }
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
-
-
-def _version(name: str) -> str:
-    """The number at the end of a set's name: static-v2 is 2.0.0; without one, 1.0.0."""
-    number = re.search(r"-v(\d+)$", name)
-    return f"{number[1] if number else 1}.0.0"
 
 
 def _node(kind: str, name: str, description: str, **more: Any) -> dict[str, Any]:

@@ -358,7 +358,12 @@ def make_set(
                 _render(missing, out, client, advance)
     labelled = read_set(out)
     if not labelled.missing:
-        _finish(labelled)
+        with _alone_in(out):
+            for folder in (out, *(out / name for name in labelled.splits)):
+                sweep(folder)
+            if not (out / MANIFEST).is_file():
+                card.write_card(labelled)
+                write_set_manifest(labelled)
     return labelled
 
 
@@ -450,16 +455,6 @@ def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str
             f"{shortened(ours)}. Install those, or choose another --out."
         )
     return f"{out / 'set.json'} was changed after it was written. Choose another --out."
-
-
-def _finish(labelled: LabelledSet) -> None:
-    """Write the data card and the manifest, once."""
-    with _alone_in(labelled.folder):
-        for folder in (labelled.folder, *(labelled.folder / name for name in labelled.splits)):
-            sweep(folder)
-        if not (labelled.folder / MANIFEST).is_file():
-            card.write_card(labelled)
-            write_set_manifest(labelled)
 
 
 @contextmanager

@@ -94,7 +94,10 @@ def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -
     """e1' of the spot's contour at a distance (mm) along the beam, px."""
     contour = _contour(eye, distance, links) / eye.scale
     ellipse = optics.ellipse_of_contour(contour)
-    across = _half_width(contour, ellipse.angle + 0.5 * jnp.pi)
+    # Half of the contour's width across its longer axis.
+    beside = jnp.stack([-jnp.sin(ellipse.angle), jnp.cos(ellipse.angle)])
+    along = contour @ beside
+    across = 0.5 * (_greatest(along) + _greatest(-along))
     return jnp.where(links.ellipse_fit, ellipse.semi_minor, across)
 
 
@@ -216,12 +219,6 @@ def _wall_contour(
     # The apex lies inside the eye (g < 0); light meets the wall ahead of it.
     t = -g / (-h + jnp.sqrt(h**2 - curvature * g))
     return ax + t * wx, ay + t * wy, az + t * wz
-
-
-def _half_width(contour: Float[Array, "n 2"], angle: Float[Array, ""]) -> Float[Array, ""]:
-    """Half of a closed curve's width in a direction (rad)."""
-    along = contour @ jnp.stack([jnp.cos(angle), jnp.sin(angle)])
-    return 0.5 * (_greatest(along) + _greatest(-along))
 
 
 def _greatest(periodic: Float[Array, "n"]) -> Float[Array, ""]:

@@ -412,16 +412,6 @@ def causes(isophotes: Isophotes, choice: Any, scene: Scene) -> pd.DataFrame:
     return _against(own, changed)
 
 
-def light_and_touch(row: paper.PlaneRow, other: paper.PlaneRow) -> tuple[float, float]:
-    """The light and the missed touch that explain the difference of two lines of one lens.
-
-    Light moves delta k and b in proportion, so that -b/delta k stays; touch moves b alone. The
-    result is the ratio of the slopes, due to light, and what touch adds to b, mm.
-    """
-    ratio = row.delta_k / other.delta_k
-    return ratio, row.b - ratio * other.b
-
-
 def _against(own: paper.PlaneRow, lines: Mapping[str, paper.PlaneRow]) -> pd.DataFrame:
     """Content of table_one_causes.csv: lines, and their changes from the own one."""
     found = pd.DataFrame([(name, *line) for name, line in lines.items()], columns=["cause", *_LINE])
@@ -608,7 +598,9 @@ def _claims(
     )
     first, second, third = _TRIALS
     contacts = np.array([-row.b / row.delta_k for row in _TRIALS])
-    ratios, touches = np.transpose([light_and_touch(row, second) for row in (first, third)])
+    # Light moves δk and b in proportion, so that −b/δk stays; a missed touch moves b alone.
+    ratios = np.array([row.delta_k / second.delta_k for row in (first, third)])
+    touches = np.array([row.b for row in (first, third)]) - ratios * second.b
     light = changes[changes.cause.str.endswith("light")].contact_radius_change_px.abs().max()
     rendered = paper.plane_rows(where(confirmed[0].lines, way=paper.LITERAL.name))
     yield page.Claim(
