@@ -676,19 +676,6 @@ def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
         value=worst,
         high=REQUIRED_DISTANCE_MM,
     )
-    free, led, three = (
-        _summary(errors, "analytic", spots, prior)
-        for spots, prior in ((1, AxisPrior.NONE), (1, AxisPrior.ROUGH), (3, AxisPrior.NONE))
-    )
-    yield page.Claim(
-        name="mirror",
-        sentence=f"Without a prior, one spot gives the mirror solution in {free.mirrored:.1%} of "
-        f"the poses, three spots in {three.mirrored:.1%}. With a direction prior of {PRIOR_DEG:g}° "
-        f"it is {led.mirrored:.1%} for one spot, and the tip is off by {led.tip_all_mm:.3f} mm "
-        f"(root mean square of all poses; {free.tip_all_mm:.3f} mm without a prior). The distance "
-        f"is off by {free.distance_mm:.4f} mm without a prior, mirrored solutions included.",
-        value=free.mirrored,
-    )
 
 
 # The command.

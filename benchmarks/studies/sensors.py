@@ -455,7 +455,7 @@ def _report(
                 inline="jpeg",
             ),
         ],
-        claims=list(_claims(**tables)),
+        claims=list(_claims(tables["expected"], tables["wrong"])),
         sections=[
             page.Section(
                 "Methods",
@@ -490,9 +490,7 @@ def _report(
     )
 
 
-def _claims(
-    expected: pd.DataFrame, wrong: pd.DataFrame, readings: pd.DataFrame
-) -> Iterator[page.Claim]:
+def _claims(expected: pd.DataFrame, wrong: pd.DataFrame) -> Iterator[page.Claim]:
     named, paths = ", ".join(Sensor), expected.path.unique().tolist()
     for path in paths:
         there = where(expected, path=path, outcome=ReadingOutcome.READ)
@@ -522,16 +520,6 @@ def _claims(
         f"shadow's distance by up to {lamp:.2f} mm.",
         value=lamp,
     )
-    for sensor in Sensor:
-        rows = where(readings, sensor=sensor)
-        done = where(rows, outcome=ReadingOutcome.READ).error_mm.abs()
-        yield page.Claim(
-            name=f"rendered, {sensor}",
-            sentence=f"From rendered pictures the {sensor} was read at {len(done)} of {len(rows)} "
-            f"places, with a median error of {done.median():.3f} mm and at most "
-            f"{largest(done):.3f} mm.",
-            value=float(done.median()),
-        )
 
 
 # The command.

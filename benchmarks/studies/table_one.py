@@ -568,20 +568,6 @@ def _claims(
     scene: Scene, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], changes: pd.DataFrame
 ) -> Iterator[page.Claim]:
     yield from confirmed[0].criteria.values()
-    for one in confirmed:
-        literal, half = (
-            paper.plane_rows(where(one.lines, way=way.name))[paper.ALL_PLANES]
-            for way in (paper.LITERAL, paper.SUBPIXEL)
-        )
-        yield page.Claim(
-            name=f"lens {family_of(one.choice).name}",
-            sentence=f"Rendered, with a threshold of {one.choice.level:.2f} of the peak at 5 mm "
-            f"and readings from {one.choice.from_mm:g} to {one.choice.to_mm:g} mm: δk "
-            f"{literal.delta_k:.4f} mm/px, b {literal.b:.2f} mm, R² {literal.r_squared:.3f} for "
-            f"all planes in literal mode. In sub-pixel mode: δk {half.delta_k:.4f} mm/px, b "
-            f"{half.b:.2f} mm, R² {half.r_squared:.3f}. The fixed threshold depends on "
-            "brightness, the half maximum does not.",
-        )
     near, anywhere = (where(scan, asked=way) for way in (AT_SCALE, ANYWHERE))
     fits = near[near.miss <= 1].sort_values(["numerical_aperture", "sag_mm", "level"])
     yield page.Claim(
