@@ -95,8 +95,8 @@ def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -
     contour = _contour(eye, distance, links) / eye.scale
     ellipse = optics.ellipse_of_contour(contour)
     # Half of the contour's width across its longer axis.
-    beside = jnp.stack([-jnp.sin(ellipse.angle), jnp.cos(ellipse.angle)])
-    along = contour @ beside
+    turn = ellipse.angle + 0.5 * jnp.pi
+    along = contour @ jnp.stack([jnp.cos(turn), jnp.sin(turn)])
     across = 0.5 * (_greatest(along) + _greatest(-along))
     return jnp.where(links.ellipse_fit, ellipse.semi_minor, across)
 
