@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
-from rich.markup import escape
 
 _MOST_LINES = 3  # of a message
 
@@ -406,11 +405,6 @@ def in_figure(name: str) -> str:
     """
     literal = name.replace("$", r"\$")
     return f" {literal}" if literal.startswith("_") else literal
-
-
-def in_terminal(name: str) -> str:
-    """A name as Rich prints it; in square brackets it would read a style."""
-    return escape(name)
 
 
 def in_utf8(name: str | os.PathLike[str]) -> str:

@@ -71,7 +71,7 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
 
 
 def hidden_beside(path: Path, ending: str) -> Path:
-    """Where a file or folder is written, and recognised by `is_unfinished`.
+    """Where a file or folder is written.
 
     Raises:
         InputError: the path has no name, as "." and "..", and so exists.
@@ -102,11 +102,6 @@ def require_space(path: Path, needed_bytes: float) -> None:
             f"{path} needs at least {_megabytes(needed_bytes)}, but its disk has "
             f"{_megabytes(free)} left. Free some space, or choose another disk."
         )
-
-
-def is_unfinished(name: str) -> bool:
-    """Whether a file's name is that of something that its writer has left or still writes."""
-    return name.startswith(".") and name.endswith((UNFINISHED, STOPPED))
 
 
 def sweep(folder: Path) -> None:

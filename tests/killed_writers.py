@@ -40,7 +40,7 @@ from benchmarks.study import Study
 from formats.inputs import InputError
 from formats.spots import NoSpot, Reason, SpotRecord, write_spots
 from formats.stack import Stack, StackWriter, read_stack
-from formats.whole_files import is_unfinished, written_whole
+from formats.whole_files import STOPPED, UNFINISHED, written_whole
 from scenes.commands import init
 from tests.drawn_sets import MICROSCOPE, labels_of
 
@@ -257,7 +257,7 @@ def on_full_disk(size: int, write: Callable[[Path], None], folder: Path) -> None
         assert error.errno == errno.EFBIG, error
         assert isinstance(error.filename, str), "no name"
         named = folder / error.filename
-        assert not any(is_unfinished(part) for part in named.parts), named
+        assert not any(part.endswith((UNFINISHED, STOPPED)) for part in named.parts), named
         os._exit(FULL)
 
 

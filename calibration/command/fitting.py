@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 import optics
@@ -36,7 +37,7 @@ from estimator.run.progress_bar import progress, say
 from estimator.sources.opening import open_source
 from estimator.viewer import check_recording_path, recording_of
 from formats.calibration import BEAM, Calibration, write_calibration
-from formats.inputs import InputError, in_terminal
+from formats.inputs import InputError
 from formats.spots import Spot
 from formats.whole_files import require_space, written_whole
 
@@ -430,11 +431,11 @@ def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
     title += "" if goodness is None else f"; χ²/n {goodness:.3g}"
     strong = fitted.strong_correlations
     caption = f"Strong correlations: {strong}." if strong else None
-    table = Table(title=in_terminal(title), caption=caption)
+    table = Table(title=escape(title), caption=caption)
     for heading in ("parameter", "value", "± σ", "unit"):
         table.add_column(heading, justify="left" if heading == "parameter" else "right")
     for name, value, error, unit in fitted.rows:
         digits = 6 if name in fitted.values else 4
         sigma = "given" if error == 0 else fit_report.rounded(error, 2)
-        table.add_row(in_terminal(name), f"{value:.{digits}g}", sigma, unit)
+        table.add_row(escape(name), f"{value:.{digits}g}", sigma, unit)
     return table

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from formats.inputs import InputError
-from formats.whole_files import BeingWrittenError, is_unfinished, sweep, written_whole
+from formats.whole_files import BeingWrittenError, sweep, written_whole
 
 KINDS = ["file", "folder", "link to a file", "link to a folder", "link to nothing", "pipe"]
 
@@ -134,7 +134,7 @@ with written_whole(Path(sys.argv[1])) as partial:
 """
     subprocess.run([sys.executable, "-c", killed, str(tmp_path / "left")], check=False)
     (left,) = tmp_path.iterdir()
-    assert is_unfinished(left.name)
+    assert left.name == ".left.unfinished"
     shutil.copytree(left, tmp_path / ".other.unfinished")
     with written_whole(tmp_path / "left") as partial:
         sweep(tmp_path)
