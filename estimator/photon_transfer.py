@@ -39,13 +39,6 @@ class PhotonTransfer(NamedTuple):
     worst: float
 
 
-class _Pair(NamedTuple):
-    mean: float
-    variance: float
-    pattern: float
-    pixels: int
-
-
 def measured_noise(
     pairs: list[tuple[np.ndarray, np.ndarray]], *, bit_depth: int, bayer: bool = False
 ) -> PhotonTransfer:
@@ -74,25 +67,25 @@ def measured_noise(
         for pair in pairs
         if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
     ]
-    found = sorted((_pair(*pair) for pair in usable), key=lambda one: one.mean)
-    dark = [one for one in found if one.mean < _DARK * full_scale]
-    lit = [one for one in found if _DARK * full_scale <= one.mean < _BRIGHT * full_scale]
-    if not dark:
+    # Sorted by the mean.
+    mean, noise, pattern, pixels = np.array(sorted(_pair(*pair) for pair in usable)).T
+    dark, lit = mean < _DARK * full_scale, mean < _BRIGHT * full_scale
+    lit &= ~dark
+    if not dark.any():
         raise InputError(
-            f"the darkest pair has a mean of {found[0].mean:.1f} DN of {full_scale}; a pair with "
+            f"the darkest pair has a mean of {mean[0]:.1f} DN of {full_scale}; a pair with "
             f"the light off must lie below {_DARK * full_scale:.0f} DN. Add one."
         )
-    if len(lit) < 3 or lit[-1].mean < _SPREAD * lit[0].mean:
+    if lit.sum() < 3 or mean[lit][-1] < _SPREAD * mean[lit][0]:
         raise InputError(
-            f"{len(lit)} pairs lie between {_DARK * full_scale:.0f} and "
+            f"{lit.sum()} pairs lie between {_DARK * full_scale:.0f} and "
             f"{_BRIGHT * full_scale:.0f} DN; at least three are needed, the brightest "
             f"{_SPREAD:g} times as bright as the darkest. Change the exposure or the light."
         )
-    black = float(np.mean([one.mean for one in dark]))
-    light = np.array([one.mean for one in lit]) - black
-    variance = np.array([one.variance for one in lit])
+    black = float(mean[dark].mean())
+    light, variance = mean[lit] - black, noise[lit]
     # A variance from n pixels scatters by sqrt(2/n) of itself.
-    scatter = variance * np.sqrt(2.0 / np.array([one.pixels for one in lit]))
+    scatter = variance * np.sqrt(2.0 / pixels[lit])
     # A straight line. The dark pair gives the black level only: noise below a step of the file is
     # rounded away.
     slopes = np.stack([np.ones_like(light), light], axis=-1) / scatter[:, None]
@@ -100,7 +93,7 @@ def measured_noise(
     floor, gain = covariance @ slopes.T @ (variance / scatter)
     off = np.abs(variance - floor - gain * light)
     # A curve looks straight from a third of its length on, but then misses the dark pair.
-    bent = floor - dark[0].variance - _ROUNDING > _STRAIGHT * variance.max()
+    bent = floor - noise[0] - _ROUNDING > _STRAIGHT * variance.max()
     worst = float(np.max(off / variance))
     if not gain > 0 or bent or np.any(off > _STRAIGHT * variance + 4.0 * scatter):
         raise InputError(
@@ -108,14 +101,14 @@ def measured_noise(
             "Switch automatic exposure, gain and gamma off, let nothing move within a pair, and "
             "record raw frames."
         )
-    unevenness = [(one.pattern - dark[0].pattern) / (one.mean - black) ** 2 for one in lit]
+    unevenness = (pattern[lit] - pattern[0]) / light**2
     sheet = CameraSheet(
         full_well_e=(full_scale - black) / gain,
         read_noise_e=float(np.sqrt(max(floor - _ROUNDING, 0.0))) / gain,
         black_level_dn=black,
         bit_depth=bit_depth,
         prnu=float(np.sqrt(max(float(np.median(unevenness)), 0.0))),
-        dsnu_e=float(np.sqrt(max(dark[0].pattern, 0.0))) / gain,
+        dsnu_e=float(np.sqrt(max(pattern[0], 0.0))) / gain,
         bayer=bayer,
     )
     return PhotonTransfer(sheet, float(gain), float(np.sqrt(covariance[1, 1])), worst)
@@ -130,7 +123,8 @@ def _is_clipped(frame: np.ndarray) -> bool:
     return False
 
 
-def _pair(first: np.ndarray, second: np.ndarray) -> _Pair:
+def _pair(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float, float]:
+    """Mean, temporal variance, variance of the fixed pattern, and number of pixels."""
     if first.shape != second.shape:
         raise InputError(
             f"the frames of a pair must have one size; got {first.shape} and {second.shape}."
@@ -143,7 +137,7 @@ def _pair(first: np.ndarray, second: np.ndarray) -> _Pair:
     # The box takes its own share of each pixel out, and the mean of two frames has half the noise.
     kept = 1.0 - 1.0 / _SMOOTH_PX**2
     pattern = float(np.mean(np.var(rough, axis=(0, 1)))) / kept - variance / 2.0
-    return _Pair(float(np.mean(one + other)) / 2.0, variance, pattern, difference.size)
+    return float(np.mean(one + other)) / 2.0, variance, pattern, difference.size
 
 
 def _middle(frame: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "rows columns 3"]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -59,26 +59,17 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
 _STEP = 1e-6  # of the differences, relative
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _ViewedCone:
-    """What a spot is compared with."""
-
-    wall: optics.Surface
-    camera: optics.Camera
-    half_angle: np.ndarray
-    apex_offset: np.ndarray
-
-    @classmethod
-    def of(cls, microscope: MicroscopeFile, values: dict[str, float]) -> _ViewedCone:
-        view = calibrated_view(microscope, values)
-        own = values.get("half_angle")
-        return cls(
-            wall=view.wall(),
-            camera=view.ideal_microscope(),
-            # Arrays: for plain numbers JAX would compile every time.
-            half_angle=np.array(math.atan(1 / values["k"]) if own is None else own),
-            apex_offset=np.array(values["b"]),
-        )
+def _viewed_cone(microscope: MicroscopeFile, values: Mapping[str, float]) -> dict[str, Any]:
+    """Wall, camera and cone, as `optics.distance_by_area` takes them."""
+    view = calibrated_view(microscope, values)
+    own = values.get("half_angle")
+    return {
+        "surface": view.wall(),
+        "camera": view.ideal_microscope(),
+        # Arrays: for plain numbers JAX would compile every time.
+        "half_angle": np.array(math.atan(1 / values["k"]) if own is None else own),
+        "apex_offset": np.array(values["b"]),
+    }
 
 
 class AreaDistances:
@@ -86,12 +77,12 @@ class AreaDistances:
 
     def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
         values = dict(calibration.values)
-        self._seen = _ViewedCone.of(microscope, values)
+        self._seen = _viewed_cone(microscope, values)
         self._covariance = calibration.covariance
         # The same with each calibrated value a step larger, for the derivatives.
         self._steps = np.array([_STEP * max(abs(value), 1e-3) for value in values.values()])
         self._varied = [
-            _ViewedCone.of(microscope, values | {name: values[name] + step})
+            _viewed_cone(microscope, values | {name: values[name] + step})
             if self._covariance[row, row] > 0
             else self._seen
             for row, (name, step) in enumerate(zip(values, self._steps, strict=True))
@@ -118,21 +109,13 @@ class AreaDistances:
         variance += axis_sigma_rad**2 * (of_axis @ of_axis)
         return Range(distance_mm=distance, sigma_mm=math.sqrt(variance))
 
-    def _distance(self, seen: _ViewedCone, ellipse: np.ndarray, axis: np.ndarray) -> float:
+    def _distance(self, seen: dict[str, Any], ellipse: np.ndarray, axis: np.ndarray) -> float:
         import optics
 
         x, y, major, minor = ellipse
         array: Any = np.array
-        return float(
-            optics.distance_by_area(
-                optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0)),
-                seen.wall,
-                seen.camera,
-                axis=array(axis),
-                half_angle=array(seen.half_angle),
-                apex_offset=array(seen.apex_offset),
-            )
-        )
+        measured = optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0))
+        return float(optics.distance_by_area(measured, axis=array(axis), **seen))
 
 
 UNKNOWN_SIGMA_PX = 0.5

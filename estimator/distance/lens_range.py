@@ -9,13 +9,15 @@ exposure, the peak's brightness.
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from estimator.detector.shape import LEVELS, Shape
+from estimator.distance.range import Range
 from formats.calibration import LENS_PARAMETERS, Calibration
 
 if TYPE_CHECKING:
@@ -67,14 +69,6 @@ class LensCurve:
         )
 
 
-class LensDistance(NamedTuple):
-    """The likeliest distance, its standard deviation, and others that cannot be excluded, mm."""
-
-    distance: float
-    sigma: float
-    others: tuple[float, ...]
-
-
 def distance_from_lens(
     curve: LensCurve,
     *,
@@ -83,7 +77,7 @@ def distance_from_lens(
     incidence: float,
     shape: Shape | None,
     peak_irradiance: tuple[float, float] | None,
-) -> LensDistance | None:
+) -> Range:
     """Distance of greatest likelihood.
 
     Args:
@@ -93,14 +87,15 @@ def distance_from_lens(
             None if unknown.
 
     Returns:
-        The distance; sigma includes `others` if there are any. None if no distance in the curve's
-        range has such a spot.
+        The distance, NaN if no distance in the curve's range has such a spot. If there are others
+        that cannot be excluded, sigma includes them.
     """
     radii, peak = curve.at(incidence)
     # Nearer, the tilted tip's rim would be inside the wall.
     possible = curve.distances[curve.distances >= curve.tip_radius * np.tan(incidence)]
+    nowhere = Range(distance_mm=math.nan, sigma_mm=math.nan)
     if possible.size == 0:
-        return None
+        return nowhere
     grid = np.arange(possible[0], possible[-1], _STEP)
 
     def over_grid(values: np.ndarray) -> np.ndarray:
@@ -109,7 +104,7 @@ def distance_from_lens(
     variance = relative_sigma**2 + _RADIUS_ERROR**2 + over_grid(curve.relative_error) ** 2
     by_size = np.log(over_grid(radii[:, 1]) / radius_mm) ** 2 / variance
     if not by_size.min() < _DECIDED:
-        return None
+        return nowhere
     cost = by_size
     if shape is not None:
         # Tilt shifts the isophotes against each other, but not the median over the rays.
@@ -124,7 +119,7 @@ def distance_from_lens(
     return _likeliest(grid, cost if cost.min() < _STRANGE else by_size)
 
 
-def _likeliest(grid: np.ndarray, cost: np.ndarray) -> LensDistance:
+def _likeliest(grid: np.ndarray, cost: np.ndarray) -> Range:
     best = int(np.argmin(cost))
     excess = cost - cost[best]
     # Each interval of distances that cannot be excluded counts as one answer.
@@ -139,7 +134,8 @@ def _likeliest(grid: np.ndarray, cost: np.ndarray) -> LensDistance:
         distance += float(0.5 * _STEP * (before - after) / (before - 2 * least + after))
     weight = np.exp(-0.5 * excess)
     spread = weight @ (grid - distance) ** 2 / weight.sum()
-    return LensDistance(distance, float(np.sqrt(spread)), tuple(others))
+    sigma = float(np.sqrt(spread))
+    return Range(distance_mm=distance, sigma_mm=sigma, others_mm=tuple(others))
 
 
 @functools.lru_cache(2)  # several microscopes may look at one lens

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -267,13 +268,7 @@ class Ranger:
             shape=shape,
             peak_irradiance=peak,
         )
-        if found is None:
-            return Range(distance_mm=math.nan, sigma_mm=math.nan)
-        return Range(
-            distance_mm=found.distance,
-            sigma_mm=found.sigma if known else math.nan,
-            others_mm=found.others,
-        )
+        return found if known else replace(found, sigma_mm=math.nan)
 
 
 def _unit(axis: ArrayLike) -> np.ndarray:

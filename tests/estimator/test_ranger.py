@@ -521,38 +521,37 @@ def found(*, radius_mm=0.25, incidence=0.0, ratios=None, peak=None):
 def test_one_radius_at_two_distances_is_told_apart_by_shape_or_by_brightness():
     # R = 0.25 mm belongs to 1.5 and to 2.5 mm; the valley's corner lies between the nodes.
     alone = found()
-    assert sorted([alone.distance, *alone.others]) == pytest.approx([1.5, 2.5], abs=2e-3)
-    assert alone.sigma > 0.4
+    assert sorted([alone.distance_mm, *alone.others_mm]) == pytest.approx([1.5, 2.5], abs=2e-3)
+    assert alone.sigma_mm > 0.4
     for evidence in ({"ratios": (1.05, 0.95)}, {"peak": 1.5**-2}):
-        assert found(**evidence).distance == pytest.approx(1.5, abs=2e-3)
-        assert found(**evidence).others == ()
+        assert found(**evidence).distance_mm == pytest.approx(1.5, abs=2e-3)
+        assert found(**evidence).others_mm == ()
     for evidence in ({"ratios": (BELL[0.25], BELL[0.75])}, {"peak": 2.5**-2}):
-        assert found(**evidence).distance == pytest.approx(2.5, abs=2e-3)
-        assert found(**evidence).others == ()
+        assert found(**evidence).distance_mm == pytest.approx(2.5, abs=2e-3)
+        assert found(**evidence).others_mm == ()
 
 
 def test_a_shape_that_fits_nowhere_does_not_decide():
     strange = found(ratios=(3.0, 0.1))
-    assert (strange.distance, strange.others) == (found().distance, found().others)
+    assert (strange.distance_mm, strange.others_mm) == (found().distance_mm, found().others_mm)
 
 
 def test_sigma_of_lens_follows_the_slope_of_its_radius():
     # 0.4 % from the image and 0.3 % of the method, of 0.5 mm, over a slope of 0.1.
-    assert found(radius_mm=0.5).sigma == pytest.approx(0.005 * 0.5 / 0.1, rel=0.02)
+    assert found(radius_mm=0.5).sigma_mm == pytest.approx(0.005 * 0.5 / 0.1, rel=0.02)
 
 
 def test_a_tilted_tip_does_not_come_nearer_than_its_rim_allows():
     # R = 0.385 mm belongs to 0.15 and to 3.85 mm; at 45 degrees the rim touches at 0.25 mm.
-    assert len(found(radius_mm=0.385).others) == 1
+    assert len(found(radius_mm=0.385).others_mm) == 1
     tilted = found(radius_mm=0.385, incidence=math.pi / 4)
-    assert tilted.distance == pytest.approx(3.85, abs=2e-3)
-    assert tilted.others == ()
+    assert tilted.distance_mm == pytest.approx(3.85, abs=2e-3)
+    assert tilted.others_mm == ()
 
 
 def test_a_radius_that_the_lens_never_has_is_nowhere():
-    assert found(radius_mm=0.1) is None
-    assert found(radius_mm=2.0) is None
-    assert found(radius_mm=math.nan) is None
+    for radius_mm in (0.1, 2.0, math.nan):
+        assert math.isnan(found(radius_mm=radius_mm).distance_mm)
 
 
 NA_SIGMA = 5e-4
