@@ -44,7 +44,7 @@ def log_eyeball(stream: Any, microscope: MicroscopeFile) -> None:
     import rerun
 
     stream.log("eye", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    if microscope.retina is not None:
+    if microscope.retina_semi_axes_mm is not None:
         return
     radius = microscope.eye_radius_mm
     if microscope.plane_normal is None:

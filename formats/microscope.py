@@ -7,6 +7,7 @@ pinhole's height and the eye's radius come with the call.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -117,44 +118,6 @@ def _on_axis(series: list[float]) -> float:
     return sum(series[::2]) - sum(series[1::2])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Retina:
-    """The retina as an ellipsoid through the pole, placed as `optics.Ellipsoid` describes it.
-
-    Attributes:
-        semi_axes_mm: x, y and z.
-        tilt_deg: angle of its z from the microscope's axis.
-        tilt_azimuth_deg: azimuth of the direction in which its z leans.
-        shift_mm: of its centre across the microscope's axis.
-    """
-
-    semi_axes_mm: tuple[float, ...]
-    tilt_deg: float = 0.0
-    tilt_azimuth_deg: float = 0.0
-    shift_mm: tuple[float, ...] = (0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        """Refuse a retina that the microscope's axis does not meet."""
-        across = min(self.semi_axes_mm[:2])
-        if not math.hypot(*self.shift_mm) < across:
-            raise InputError(
-                f"retina_shift_mm must be less than {across:g} mm, its smaller semi-axis across; "
-                f"got {list(self.shift_mm)}. Restore the key."
-            )
-
-    def surface(self) -> optics.Ellipsoid:
-        """The wall. Loads JAX."""
-        import optics
-
-        x, y = self.shift_mm
-        return optics.Ellipsoid(
-            np.array(self.semi_axes_mm),
-            shift=(x, y),
-            tilt=math.radians(self.tilt_deg),
-            tilt_azimuth=math.radians(self.tilt_azimuth_deg),
-        )
-
-
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
 """What changed with each version of the format that is read."""
@@ -190,7 +153,11 @@ class MicroscopeFile:
             if the wall is the eyeball.
         viewing_path: what lies between the microscope and the retina; `pinhole_height_mm` is then
             that of its paraxial pinhole. None for a pinhole.
-        retina: shape of the eyeball; None for a sphere of `eye_radius_mm`.
+        retina_semi_axes_mm: x, y and z of an ellipsoidal retina through the pole, placed as
+            `optics.Ellipsoid` describes it; None for a sphere of `eye_radius_mm`.
+        retina_tilt_deg: angle of its z from the microscope's axis.
+        retina_tilt_azimuth_deg: azimuth of the direction in which its z leans.
+        retina_shift_mm: of its centre across the microscope's axis.
         noise: of the camera; None if it was not measured.
         distortion_model: as `LensDistortion.model`; brown in files of ours.
     """
@@ -207,12 +174,22 @@ class MicroscopeFile:
     paper_exposure_s: float | None = None
     plane_normal: tuple[float, float, float] | None = None
     viewing_path: PathSeries | None = None
-    retina: Retina | None = None
+    retina_semi_axes_mm: Sequence[float] | None = None
+    retina_tilt_deg: float = 0.0
+    retina_tilt_azimuth_deg: float = 0.0
+    retina_shift_mm: Sequence[float] = (0.0, 0.0)
     noise: CameraNoise | None = None
     distortion_model: Literal["brown", "equidistant"] = "brown"
 
     def __post_init__(self) -> None:
         """Reject what no microscope can have."""
+        if self.retina_semi_axes_mm is not None:
+            across = min(self.retina_semi_axes_mm[:2])
+            if not math.hypot(*self.retina_shift_mm) < across:
+                raise InputError(
+                    f"retina_shift_mm must be less than {across:g} mm, its smaller semi-axis "
+                    f"across; got {list(self.retina_shift_mm)}. Restore the key."
+                )
         for name in ("width_px", "height_px", "scale_mm_px", "eye_radius_mm"):
             value = getattr(self, name)
             most = _MOST_PX if name in ("width_px", "height_px") else _LARGEST_MM
@@ -246,12 +223,18 @@ class MicroscopeFile:
         """The wall that the spots lie on. Loads JAX."""
         import optics
 
-        if self.plane_normal is None:
-            return (
-                optics.Sphere(self.eye_radius_mm) if self.retina is None else self.retina.surface()
-            )
-        pole = np.array([0.0, 0.0, -self.eye_radius_mm])
-        return optics.Plane(point=pole, inward=np.array(self.plane_normal))
+        if self.plane_normal is not None:
+            pole = np.array([0.0, 0.0, -self.eye_radius_mm])
+            return optics.Plane(point=pole, inward=np.array(self.plane_normal))
+        if self.retina_semi_axes_mm is None:
+            return optics.Sphere(self.eye_radius_mm)
+        x, y = self.retina_shift_mm
+        return optics.Ellipsoid(
+            np.array(self.retina_semi_axes_mm),
+            shift=(x, y),
+            tilt=math.radians(self.retina_tilt_deg),
+            tilt_azimuth=math.radians(self.retina_tilt_azimuth_deg),
+        )
 
     def camera(self) -> LensDistortion | None:
         """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
@@ -404,17 +387,10 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
     height, full_scale = file.pinhole_height_mm, file.full_scale
     if full_scale is None and file.camera is not None and file.camera.bit_depth > _BYTE:
         full_scale = file.camera.full_scale
-    retina = None
-    if file.retina_semi_axes_mm is not None:
-        retina = Retina(
-            semi_axes_mm=tuple(file.retina_semi_axes_mm),
-            tilt_deg=file.retina_tilt_deg,
-            tilt_azimuth_deg=file.retina_tilt_azimuth_deg,
-            shift_mm=tuple(file.retina_shift_mm or (0.0, 0.0)),
-        )
     as_they_are = (
         *("camera_matrix", "distortion", "scale_mm_px", "eye_radius_mm"),
         *("paper_exposure_s", "viewing_path"),
+        *("retina_semi_axes_mm", "retina_tilt_deg", "retina_tilt_azimuth_deg"),
     )
     microscope = MicroscopeFile(
         width_px=int(file.width_px),
@@ -423,7 +399,7 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         pinhole_height_mm=math.inf if height is None else height,
         response=replace(file.response, full_scale=full_scale),
         plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
-        retina=retina,
+        retina_shift_mm=file.retina_shift_mm or (0.0, 0.0),
         noise=None if file.camera is None else CameraNoise(file.camera, file.response),
         **{name: getattr(file, name) for name in as_they_are},
     )
@@ -433,7 +409,8 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
 
 def _check_agreement(microscope: MicroscopeFile) -> None:
     """Refuse a file in which only one of two copies of a number was edited."""
-    matrix, path, retina = microscope.camera_matrix, microscope.viewing_path, microscope.retina
+    matrix, path = microscope.camera_matrix, microscope.viewing_path
+    retina = microscope.retina_semi_axes_mm
     if matrix is not None:
         focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
         said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
@@ -460,14 +437,12 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
     if retina is not None and microscope.plane_normal is not None:
         raise InputError(
             f"plane_normal {microscope.plane_normal} and retina_semi_axes_mm "
-            f"{list(retina.semi_axes_mm)} describe two walls. Remove one."
+            f"{list(retina)} describe two walls. Remove one."
         )
-    if retina is not None and not math.isclose(
-        retina.semi_axes_mm[2], microscope.eye_radius_mm, rel_tol=_SAME
-    ):
+    if retina and not math.isclose(retina[2], microscope.eye_radius_mm, rel_tol=_SAME):
         raise InputError(
             f"eye_radius_mm must be the semi-axis along z of retina_semi_axes_mm, "
-            f"{retina.semi_axes_mm[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
+            f"{retina[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
             "alike."
         )
 

@@ -46,13 +46,14 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     own = 1.0 / (microscope.pinhole_height_mm + radius)
     kappa = values.get("inverse_working_distance", own)
     fitted = "inverse_working_distance" in values
+    spherical = fitted or "eye_radius" in values
     return replace(
         microscope,
         scale_mm_px=scale,
         eye_radius_mm=float(radius),
         pinhole_height_mm=float(1.0 / kappa - radius) if kappa else math.inf,
         viewing_path=None if fitted else microscope.viewing_path,
-        retina=None if fitted or "eye_radius" in values else microscope.retina,
+        retina_semi_axes_mm=None if spherical else microscope.retina_semi_axes_mm,
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 
 import optics
 from estimator.distance.ranger import Ranger
-from formats.microscope import PathSeries, Retina
+from formats.microscope import PathSeries
 from optics import viewing
 from tests.estimator.test_ranger import B, K, calibration, spot
 from tests.made_up import a_microscope
@@ -44,7 +44,7 @@ def file_of(camera, **changed):
             widest_mm=float(camera.widest),
             orientation=1.0,
         ),
-        "retina": Retina(semi_axes_mm=(12.0, 12.0, 12.0)),
+        "retina_semi_axes_mm": (12.0, 12.0, 12.0),
     }
     return a_microscope(**given | changed)
 
