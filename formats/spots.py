@@ -11,9 +11,11 @@ import importlib
 import io
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
+from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
@@ -29,7 +31,13 @@ from formats.inputs import (
     number_in,
     shortened,
 )
-from formats.whole_files import damage_reported, written_whole
+from formats.whole_files import (
+    damage_reported,
+    give_name,
+    refuse_existing,
+    refuse_foreign,
+    written_whole,
+)
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -307,10 +315,89 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     with written_whole(Path(path), replace=True) as partial:
         lines = partial.with_name("lines.csv") if is_parquet(path) else partial
         with lines.open("w", encoding="utf-8", newline="") as file:
-            file.write(csv_line(None))
-            file.writelines(map(csv_line, records))
+            file.write(_csv_line(None))
+            file.writelines(map(_csv_line, records))
         if is_parquet(path):
-            parquet_of_csv(lines, partial)
+            _parquet_of_csv(lines, partial)
+
+
+@contextmanager
+def spots_stream(path: Path, *, replace: bool = False) -> Iterator[Callable[[SpotRecord], None]]:
+    """Write a spots file record by record; it gets its name when the block ends, also by an error.
+
+    Until then its lines are in a CSV file beside it, `NAME.partial.csv`. It is left behind only by
+    a process that is killed, then with a whole line for each record that was written, and by one
+    that cannot make the spots file of it. A run that finds one is refused, because its lines may be
+    the only ones.
+
+    Args:
+        replace: whether it may exist; it is then replaced at the end.
+
+    Yields:
+        A function that writes a record. It raises OSError if the disk is full; the lines before
+        stay.
+
+    Raises:
+        InputError: the file or a partial one exists, or Parquet without pyarrow installed.
+        OSError: nothing can be written there.
+    """
+    if is_parquet(path):
+        _pyarrow()
+    (refuse_foreign if replace else refuse_existing)(path)
+    partial = path.with_name(f"{path.stem}.partial.csv")
+    try:
+        file = partial.open("xb", buffering=0)
+    except FileExistsError as error:
+        raise InputError(
+            f"{partial} exists: a run into {path.name} was killed and left there what it had"
+            " measured, or is still writing it. Rename it to keep it, or remove it."
+        ) from error
+    written = 0
+
+    def write(record: SpotRecord) -> None:
+        nonlocal written
+        _append(file, _csv_line(record), path)
+        written += 1
+
+    try:
+        with file:
+            _append(file, _csv_line(None), path)
+            yield write
+    finally:
+        if written:
+            _finish(partial, path, replace=replace)
+        else:
+            partial.unlink()
+
+
+def _append(file: FileIO, line: str, path: Path) -> None:
+    """Write a line wholly or not at all."""
+    end, data = file.tell(), line.encode()
+    try:
+        while data:
+            data = data[file.write(data) :]
+    except BaseException as error:
+        file.truncate(end)
+        file.seek(end)
+        if isinstance(error, OSError):
+            raise OSError(error.errno, error.strerror, f"{path}") from error
+        raise
+
+
+def _finish(partial: Path, path: Path, *, replace: bool) -> None:
+    """Make the spots file of the partial one."""
+    kept = f"What was measured is in {partial}"
+    try:
+        if is_parquet(path):
+            with written_whole(path, replace=replace) as whole:
+                _parquet_of_csv(partial, whole)
+        else:
+            give_name(partial, path, replace=replace)
+    except InputError as error:
+        raise InputError(f"{error} {kept}.") from error
+    except OSError as error:
+        raise OSError(error.errno, f"{error.strerror}. {kept}", f"{path}") from error
+    partial.unlink(missing_ok=True)
 
 
 def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
@@ -340,7 +427,7 @@ def read_spots(path: str | Path) -> list[SpotRecord]:
     return records
 
 
-def pyarrow() -> Any:
+def _pyarrow() -> Any:
     """The library that reads and writes Parquet, loaded when it is needed.
 
     Raises:
@@ -360,16 +447,16 @@ def is_parquet(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".parquet"
 
 
-def csv_line(record: SpotRecord | None) -> str:
+def _csv_line(record: SpotRecord | None) -> str:
     """The line of a record in a CSV file; without a record, the line of the column names."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerow(_line(record) if record else COLUMNS)
     return text.getvalue()
 
 
-def parquet_of_csv(lines: Path, path: Path) -> None:
+def _parquet_of_csv(lines: Path, path: Path) -> None:
     """Write the Parquet file with the lines of a CSV file, a part at a time."""
-    pa, csv_reader = pyarrow(), importlib.import_module("pyarrow.csv")
+    pa, csv_reader = _pyarrow(), importlib.import_module("pyarrow.csv")
     kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
     schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])
     # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
@@ -387,7 +474,7 @@ def parquet_of_csv(lines: Path, path: Path) -> None:
 
 
 def _parquet_rows(path: Path) -> Iterator[tuple[dict[str, str], str]]:
-    pa = pyarrow()
+    pa = _pyarrow()
     again = "Write it with write_spots."
     with in_file(path):
         check_regular(path)

@@ -27,8 +27,7 @@ from formats.camera import Response
 from formats.inputs import InputError
 from formats.microscope import MicroscopeFile
 from formats.poses import Pose, PoseTrack
-from formats.spots import Spot
-from formats.spots_stream import spots_stream
+from formats.spots import Spot, spots_stream
 from formats.whole_files import refuse_existing
 
 Write = Callable[[Frame, Reading, float, PoseTrack], None]

@@ -61,7 +61,7 @@ def track(
     from rich.console import Console
 
     from estimator.run.offline import summary_of, table_of
-    from formats.spots_stream import spots_stream
+    from formats.spots import spots_stream
     from formats.whole_files import require_space
 
     _check_results(out, overlay, rerun, overwrite=overwrite)

@@ -116,7 +116,7 @@ def track_source(
         poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
         show: gets every frame with its reading, for a recording.
-        write: gets every record, see `files.spots_stream`; None keeps them in `Tracking.records`,
+        write: gets every record, see `spots_stream`; None keeps them in `Tracking.records`,
             1 KB a frame.
 
     Raises:

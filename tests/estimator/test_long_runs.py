@@ -21,8 +21,7 @@ import eyespot
 from estimator import SubpixelSettings, track, track_source, track_whole_source
 from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
-from formats.spots_stream import spots_stream
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
 from scenes.drawn import Drawing, Truth, frame_of
 from tests.drawn_recording import SHAPE, new_reader, write_folder
 
