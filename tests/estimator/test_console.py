@@ -64,8 +64,12 @@ def recording(frames: int = 20) -> Source:
 
 
 @contextlib.contextmanager
-def session_of(open_: Callable[[], Source]) -> Iterator[Session]:
-    session = Session(open_, Options().reader())
+def session_of(
+    open_: Callable[[], Source],
+    options: Options = Options(),
+    poses: Callable[[], PoseTrack] | None = None,
+) -> Iterator[Session]:
+    session = Session(open_, options.reader(), poses=poses)
     try:
         yield session
     finally:
@@ -142,8 +146,7 @@ def withdrawn() -> PoseTrack:
 
 
 def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
-    session = Session(recording, Options().reader(), poses=withdrawn)
-    try:
+    with session_of(recording, poses=withdrawn) as session:
         wait_until(lambda: session.at_end, "the end of the recording")
         # Frames at 50 Hz; 1 mm/s.
         robot = [moment.robot_mm for moment in session.course]
@@ -155,8 +158,6 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
         wait_until(lambda: shown(session)[0] == 12, "frame 12")
         session.stop_recording()
         assert session.recording_fault == ""
-    finally:
-        session.close()
     assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [1.2, 1.22, 1.24]
     # From 0.1 s before the first frame to 0.01 s after the last one.
     times = [pose.time_s for pose in read_poses(tmp_path / "session.bag")]
@@ -167,13 +168,11 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
 def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -> None:
     poses = read_poses(stack / "kinematics.csv")
     microscope = stack / "microscope.json"
-    session = Session(
-        lambda: open_source(stack),
-        Options(microscope=microscope).reader(),
-        poses=lambda: poses,
-    )
-    guide = Guide(session, tmp_path, microscope)
-    try:
+    options = Options(microscope=microscope)
+    with (
+        session_of(lambda: open_source(stack), options, lambda: poses) as session,
+        contextlib.closing(Guide(session, tmp_path, microscope)) as guide,
+    ):
         wait_until(lambda: session.at_end, "the end of the recording")
         guide.start()
         guide.look()
@@ -197,9 +196,6 @@ def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -
         angle, sigma = saved.values["half_angle"], saved.sigma("half_angle")
         assert angle == pytest.approx(math.atan(1 / 20), abs=4 * sigma)
         assert guide.file.with_suffix(".html").is_file()
-    finally:
-        guide.close()
-        session.close()
 
 
 def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
