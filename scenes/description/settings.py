@@ -560,7 +560,11 @@ class MicroscopeSettings(SceneTable):
     )
     focus_mm: Place = Field(0.0, description="Height above the pole that is in focus.")
     samples: int = Field(
-        4, ge=1, le=4096, description="Samples per pixel, on a regular grid: 1, 4, 9, 16 ..."
+        4,
+        ge=1,
+        le=4096,
+        description="Samples per pixel, on a square grid: 1, 4, 9, 16 ... From 4 on, the mean of "
+        "a lens's light over a pixel is exact up to the third degree.",
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -54,12 +55,11 @@ class Images:
             or scene.microscope.numerical_aperture > 0
         )
         # Scalar variants cannot render arrays of pixels.
+        self._in_arrays = not (self.random or variant.startswith("scalar"))
         self.reach = None
-        if scene.unrest.still and not (self.random or variant.startswith("scalar")):
-            height, width = scene.microscope.height_px, scene.microscope.width_px
+        if scene.unrest.still and self._in_arrays:
             self._move(PARKED_MM, DOWN)
-            radiance, seen = self._pixels(np.arange(height * width, dtype=np.uint32))
-            self._still = radiance.reshape(height, width, 3), seen.reshape(height, width)
+            self._still = self._whole_image(seed=0)
             self.reach = reach.Reach.of(world, self.mitsuba_scene, wall=self._still[1])
 
     def at(
@@ -103,9 +103,17 @@ class Images:
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         from scenes.rendering.loaded_scene import pixel_means
 
-        return pixel_means(self.mitsuba_scene, pixels, samples=self.world.scene.microscope.samples)
+        # A cone has a sharp edge, and each sample of it the mean over a square.
+        smooth = self.world.scene.source.kind == "lens"
+        samples = self.world.scene.microscope.samples
+        return pixel_means(self.mitsuba_scene, pixels, samples=samples, smooth=smooth)
 
     def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        if self._in_arrays:
+            view = self.world.scene.microscope
+            shape = view.height_px, view.width_px
+            radiance, seen = self._pixels(np.arange(math.prod(shape), dtype=np.uint32))
+            return radiance.reshape(*shape, 3), seen.reshape(shape)
         image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
         if self.world.scene.source.kind == "photons":
             from scenes.rendering.photons import photon_image

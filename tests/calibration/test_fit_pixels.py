@@ -10,9 +10,10 @@ import pytest
 
 import optics
 import scenes
-from calibration.command.pixel_models import _maps, _of_frames, _propagated
+from calibration.command.pixel_models import _maps, _of_frames
 from calibration.pixels.data import read_footage
 from calibration.pixels.fit import fit_image
+from calibration.solvers import propagated
 from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
@@ -63,7 +64,7 @@ def test_what_follows_an_undetermined_parameter_is_undetermined():
     follows = np.array([[1.0, 0.0, 0.0], [1.0, 2.0, 0.0], [0.0, 0.0, 1.0]])
     covariance = np.diag([0.04, 0.01, np.inf])
     covariance[2, :] = covariance[:, 2] = np.inf
-    found = _propagated(follows, covariance)
+    found = propagated(follows, covariance)
     # var(x + 2y) = 0.04 + 4 * 0.01, cov(x, x + 2y) = 0.04
     np.testing.assert_allclose(found[:2, :2], [[0.04, 0.04], [0.04, 0.08]], rtol=1e-12)
     assert np.isinf(found[2]).all()

@@ -3,6 +3,7 @@
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy import ndimage
 from skimage.measure import find_contours
 
 import optics
@@ -55,6 +56,21 @@ def test_radiance_at_the_spot_is_that_of_the_vector_irradiance(renderer):
     expected = 2.0 * axial * np.cos(np.radians(20.0)) * 0.5 / np.pi
     # Bilinear cells and the pixel's 0.0067 mm of a bell 0.5 mm wide: 1e-3.
     np.testing.assert_allclose(frame.radiance[240, 320], expected, rtol=2e-3)
+
+
+def test_four_samples_make_no_image_sharper_than_a_thousand_do(renderer):
+    from scenes.rendering.loaded_scene import pixel_means  # needs Mitsuba's variant
+
+    def image(samples: int) -> np.ndarray:
+        pixels = np.arange(640 * 480, dtype=np.uint32)
+        own = {"samples": samples, "smooth": True}
+        return pixel_means(renderer.mitsuba_scene, pixels, **own)[0][:, 0].reshape(480, 640)
+
+    few, many = image(4), image(1024)
+    off, curved = few - many, ndimage.laplace(many)
+    # Two even samples each way would lack (1 - 1/4) / 12 of the variance 1/12 px² of a pixel's
+    # places, and so the fraction 1/96 px² of the light's curvature.
+    assert abs(np.vdot(off, curved) / np.vdot(curved, curved)) < 0.1 / 96
 
 
 def test_half_maximum_label_is_the_half_maximum_contour_of_the_pixels(renderer):
