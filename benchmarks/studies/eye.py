@@ -127,9 +127,12 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
-    in_one = jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))
-    of_batch = eqx.filter_jit(lambda eyes: in_one(*eyes))
-    return eye_paths.in_batches(of_batch, (every, axes), size=_EYES_AT_ONCE)
+    return eye_paths.in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+
+
+@eqx.filter_jit
+def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
+    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
 
 
 @eqx.filter_jit
