@@ -73,12 +73,9 @@ T = TypeVar("T")
 class Study:
     """One run of a study.
 
+    The first arguments are those of a study's command; the same ones resume a run.
+
     Args:
-        out: folder for the results; a run with the same arguments is resumed.
-        scene: scene file, or None for the study's own.
-        changes: "table.key=value" each, set after reading.
-        quick: a smaller study, for a first look.
-        seed: random seed; None uses the scene's.
         defaults: changes of the default scene, used if no scene file is given, before `changes`.
         check: raises if the study cannot use the scene.
         options: options of this study only, by their names on the command line without dashes.
