@@ -36,7 +36,6 @@ from benchmarks.studies.error_causes import (
     WRONG_C_MM,
     WRONG_R_MM,
     CauseEye,
-    Shift,
     spread_length,
 )
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
@@ -280,7 +279,7 @@ def measure(
             spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
             # A wall that spreads light does so in the frames already.
             edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
-            shift = Shift(edge=edge, pixels=measured - fine, spread=spread)
+            shift = np.stack([edge, measured - fine, spread])
             medium = scene.source.medium
             shares.append(error_causes.shares(geometry, medium=medium, c=c, d=d, shift=shift))
     return (

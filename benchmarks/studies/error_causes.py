@@ -252,19 +252,6 @@ WRONG_C_MM = 0.5
 _AT_A_TIME = 4
 
 
-class Shift(NamedTuple):
-    """What rendering adds to e1' of spots, px.
-
-    Attributes:
-        edge: by the edge and its light.
-        spread: by a wall that spreads light.
-    """
-
-    edge: np.ndarray
-    pixels: np.ndarray
-    spread: np.ndarray
-
-
 def spread_length(scene: Scene) -> float:
     """L of the scene's wall in green, mm; that of printed paper if the scene's spreads nothing."""
     own = wall_spread(scene.phantom)
@@ -306,7 +293,7 @@ def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: fl
 
 
 def shares(
-    geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: Shift
+    geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: np.ndarray
 ) -> pd.DataFrame:
     """Content of causes.csv: the errors of all models at eccentricities and distances by cause, mm.
 
@@ -315,7 +302,8 @@ def shares(
     Args:
         c: n eccentricities, mm.
         d: n distances, mm.
-        shift: what rendering adds, n each.
+        shift: what rendering adds to e1', px: by the edge and its light, by pixels and noise, and
+            by a wall that spreads light; 3 x n.
     """
     worth = worths(eyes(geometry, c=c), d=d, shift=shift)
     values = shapley_values(worth)
@@ -339,7 +327,7 @@ def eyes(geometry: Geometry, *, c: np.ndarray) -> CauseEye:
     return CauseEye(*(jnp.broadcast_to(jnp.asarray(v, float), c.shape) for v in columns))
 
 
-def worths(eye: CauseEye, *, d: np.ndarray, shift: Shift) -> np.ndarray:
+def worths(eye: CauseEye, *, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Error of every model with every set of causes, mm: n x models x 1,024."""
     columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
     # In parts of one size, so that one compilation serves every trial.

@@ -23,7 +23,7 @@ from benchmarks.paper import coalitions, shapley_values
 from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
 from benchmarks.studies import eccentricity, error_causes
 from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
-from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye, Shift
+from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
 from benchmarks.study import Study
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -63,7 +63,7 @@ def worths() -> np.ndarray:
         incidence=[tilt, tilt, 0.0, tilt, 0.0],
         eccentricity=[4.0, 4.0, 4.0, 0.0, 3.0],
     )
-    shift = Shift(*(np.full(5, x) for x in (EDGE_PX, PIXELS_PX, SPREAD_PX)))
+    shift = np.tile([[EDGE_PX], [PIXELS_PX], [SPREAD_PX]], 5)
     return error_causes.worths(eye, d=np.full(5, 4.0), shift=shift)
 
 
