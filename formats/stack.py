@@ -97,7 +97,10 @@ _SHIFT = "Where this colour shows O, against green, px; not for a pinhole."
 _REFLEX = "Brightest reflex of the microscope's lamp, px; if the scene shows one."
 _VIEW = "Shift of the image by drift and shake, which the ellipses contain, px; if the view moves."
 _TURN = "Rotation vector of the eyeball and its wall's picture, degrees; if the view moves."
-_BOUND = "Cramér-Rao bound: least standard deviation in this image, px; if the scene asks for it."
+_BOUND = (
+    "Least standard deviation of an unbiased estimate of the half-maximum ellipse in this image "
+    "(Cramér-Rao), px; if the scene asks for it."
+)
 
 
 class FrameLabels(Strict):
@@ -167,7 +170,7 @@ class FrameLabels(Strict):
     bound_y_px: float = _rare(_BOUND)
     bound_semi_major_px: float = _rare(_BOUND)
     bound_semi_minor_px: float = _rare(_BOUND)
-    bound_d_mm: float = _rare("The same of the distance from it, with the beam known, mm.")
+    bound_d_mm: float = _rare("The same of the distance from that ellipse, beam known, mm.")
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""
