@@ -40,18 +40,14 @@ def test_the_set_arrives_whole(hub: StandIn, tmp_path: Path) -> None:
     assert verify_set(tmp_path / "copy") == verify_set(sample_folder())
 
 
-def test_a_refused_token_is_one_message_with_the_remedy(
-    hub: StandIn, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("token", "name"), [("another", "a-lab/sample"), (TOKEN, "a lab/sample")])
+def test_a_refused_token_or_name_is_one_message_with_the_remedy(
+    hub: StandIn, monkeypatch: pytest.MonkeyPatch, token: str, name: str
 ) -> None:
-    monkeypatch.setenv("HF_TOKEN", "another")
-    with pytest.raises(InputError, match=r"did not take .* as a-lab/sample.*hf auth login"):
-        push_set(sample_folder(), "a-lab/sample", endpoint=hub.address)
+    monkeypatch.setenv("HF_TOKEN", token)
+    with pytest.raises(InputError, match=rf"did not take .* as {name}.*hf auth login"):
+        push_set(sample_folder(), name, endpoint=hub.address)
     assert not hub.files
-
-
-def test_a_name_that_no_repository_has_is_refused(hub: StandIn) -> None:
-    with pytest.raises(InputError, match=r"did not take .* as a lab/sample"):
-        push_set(sample_folder(), "a lab/sample", endpoint=hub.address)
 
 
 def test_a_hub_that_cannot_be_reached_is_one_message(monkeypatch: pytest.MonkeyPatch) -> None:

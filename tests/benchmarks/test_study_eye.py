@@ -50,6 +50,11 @@ def test_parts_left_out_are_the_mean_eye():
     assert len(set(np.asarray(eyes.axial_length).tolist())) == 1
 
 
+def one_camera(path, eye):
+    several = jax.tree.map(lambda leaf: leaf[None], eye)
+    return jax.tree.map(lambda leaf: leaf[0], cameras(path, several, jnp.asarray(50.0)))
+
+
 def seen_by(pinhole, spots):
     flat = jax.tree.map(jnp.ravel, spots)
     seen = jax.vmap(lambda s: image(pinhole.microscope, pinhole.wall, s))(flat)
@@ -98,8 +103,7 @@ def test_small_plane_errs_as_an_independent_trace_says(path, errors_mm):
     eye = load_eye("navarro", wavelength_nm=589.3)
     spots = grid(np.arange(1.0, 6.0), np.array([2.0]), ((0.0, 0.0),))
     flat = jax.tree.map(jnp.ravel, spots)
-    camera = cameras(path, jax.tree.map(lambda leaf: leaf[None], eye), jnp.asarray(50.0))
-    seen = spots_through(jax.tree.map(lambda leaf: leaf[0], camera), eye.retina_semi_axes, flat)
+    seen = spots_through(one_camera(path, eye), eye.retina_semi_axes, flat)
     read = eye_paths.distance_by_closed_form(
         "small_plane",
         np.asarray(seen.semi_axes[:, 0]),
@@ -144,11 +148,7 @@ def test_a_quick_study_finds_what_is_known(tmp_path):
 
 def test_the_exact_path_reads_its_own_eye_exactly():
     eye = load_eye("navarro", wavelength_nm=555.0)
-    axes = eye.retina_semi_axes
-    camera = jax.tree.map(
-        lambda leaf: leaf[0],
-        cameras("flat, phakic", jax.tree.map(lambda leaf: leaf[None], eye), jnp.asarray(50.0)),
-    )
+    axes, camera = eye.retina_semi_axes, one_camera("flat, phakic", eye)
     spots = grid(np.array([0.0, 3.0]), np.array([1.0, 5.0]), ((0.0, 0.0), (30.0, 40.0)))
     flat = jax.tree.map(jnp.ravel, spots)
     read = eye_paths.distance_through_path(spots_through(camera, axes, flat), camera, axes)
