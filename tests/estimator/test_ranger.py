@@ -681,7 +681,7 @@ def counted():
     """The flat end's light, counted by photons without any code of `optics`."""
     drop = Drop.of(optics.load_lens("paper-candidate"))
     return counted_light(
-        drop, 1.0, nearest=2.0, farthest=8.0, contact=0.35, slope=0.15, count=1 << 22
+        drop, 1.0, nearest=2.0, farthest=8.0, contact=0.35, slope=0.15, count=1 << 23
     )
 
 
