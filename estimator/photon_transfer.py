@@ -67,6 +67,11 @@ def measured_noise(
         for pair in pairs
         if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
     ]
+    if not usable:
+        raise InputError(
+            f"in all {len(pairs)} pairs the light reaches full scale, {full_scale} DN, where noise "
+            "ends. Lower the exposure or the light, and add a pair with the light off."
+        )
     # Sorted by the mean.
     mean, noise, pattern, pixels = np.array(sorted(_pair(*pair) for pair in usable)).T
     dark, lit = mean < _DARK * full_scale, mean < _BRIGHT * full_scale

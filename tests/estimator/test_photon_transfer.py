@@ -49,6 +49,12 @@ def test_a_gamma_is_refused():
         measured_noise(_pairs(response=1.5), bit_depth=8)
 
 
+def test_pairs_that_are_all_clipped_are_refused():
+    white = np.full((64, 64, 3), 255, np.uint8)
+    with pytest.raises(InputError, match="all 2 pairs the light reaches full scale, 255 DN"):
+        measured_noise([(white, white)] * 2, bit_depth=8)
+
+
 def test_pairs_without_the_dark_are_refused():
     with pytest.raises(InputError, match="light off"):
         measured_noise(_pairs()[1:], bit_depth=8)
