@@ -156,13 +156,16 @@ class BeamSolver:
         nearest = _NEAREST_CONE_MM if self.lens is None else NEAREST_MM
         self.weight, self.variance = np.zeros(self.seen.shape), np.ones(self.seen.shape)
         found = self.light.frames(self.point.values, self.point.states, self.numbers, slopes=False)
+        reached = shown = 0
         for k, own in enumerate(found or ()):
             at = own.cells
             usable = (own.along > nearest) & self._reached(own, _RING[guess])
+            reached += int(usable.sum())
             if footage.in_view:
                 usable &= ~footage.instrument.hides(
                     view.point[at], view.sight[at], tip=own.tip, axis=own.axis, margin=margin
                 )
+            shown += int(usable.sum())
             level = self.seen[k, at] if guess else self.map[at] * own.light
             usable &= (
                 self.clear[k, at] if guess else self.inside[at] & footage.noise.is_clear(level)
@@ -177,8 +180,9 @@ class BeamSolver:
             raise InputError(
                 f"{self.data} cells of {side} x {side} pixels are usable; a fit of "
                 f"{len(self.names)} parameters and of the wall behind the cells needs more. The "
-                f"others are black, saturated, hidden, or nearer than {nearest} mm to the tip. "
-                "Change the exposure or withdraw farther."
+                f"instrument hides {1 - shown / max(reached, 1):.0%} of the cells that the beam "
+                f"reaches; others are black, saturated, or nearer than {nearest} mm to the tip. "
+                "Change the exposure, tilt the beam against the line of sight, or withdraw farther."
             )
 
     def _reached(self, own: FrameLight, ring: int) -> Bool[np.ndarray, "n"]:

@@ -63,8 +63,8 @@ def test_four_samples_make_no_image_sharper_than_a_thousand_do(renderer):
 
     def image(samples: int) -> np.ndarray:
         pixels = np.arange(640 * 480, dtype=np.uint32)
-        own = {"samples": samples, "smooth": True}
-        return pixel_means(renderer.mitsuba_scene, pixels, **own)[0][:, 0].reshape(480, 640)
+        radiance, _ = pixel_means(renderer.mitsuba_scene, pixels, samples=samples, smooth=True)
+        return radiance[:, 0].reshape(480, 640)
 
     few, many = image(4), image(1024)
     off, curved = few - many, ndimage.laplace(many)
