@@ -34,9 +34,8 @@ from optics.wall_light.lens import lens_of, lens_parameters
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
-_APERTURES = (0.05, 0.075, 0.1, 0.15, 0.2, 0.3, 0.4)
-"""Numerical apertures. Neighbours differ by a third, so one is within the 30 % that a start may
-deviate."""
+_APERTURES = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)
+"""Numerical apertures. Neighbours differ by half, so one is within 23 % of any other."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
 _REFINEMENTS = 6  # steps of a guess

@@ -155,7 +155,8 @@ class BeamSolver:
         margin = (_MARGIN_PX[guess] + 0.5**0.5 * (side - 1)) * footage.microscope.scale_mm_px
         nearest = _NEAREST_CONE_MM if self.lens is None else NEAREST_MM
         self.weight, self.variance = np.zeros(self.seen.shape), np.ones(self.seen.shape)
-        found = self.light.frames(self.point.values, self.point.states, self.numbers, slopes=False)
+        # With the derivatives, which the fit asks for next, at the same point.
+        found = self.light.frames(self.point.values, self.point.states, self.numbers)
         reached = shown = 0
         for k, own in enumerate(found or ()):
             at = own.cells
@@ -204,18 +205,15 @@ class BeamSolver:
         Raises:
             InputError: the light is not where the beam is.
         """
-        columns = []
-        for illumination in (0.0, 1.0):
-            values = {**self.point.values, "sensitivity": 1.0, "illumination": illumination}
-            found = self.light.frames(values, self.point.states, self.numbers, slopes=False) or ()
-            columns.append(np.concatenate([own.light for own in found]))
+        found = self.light.frames(self.point.values, self.point.states, self.numbers) or ()
         light, weight = (
             np.concatenate([row[own.cells] for row, own in zip(rows, found, strict=True)])
             for rows in (self.seen, np.sqrt(self.weight))
         )
-        source, both = columns
-        basis = np.stack([source, both - source], axis=1) * weight[:, None]
-        sensitivity, product = np.linalg.lstsq(basis, light * weight, rcond=None)[0].tolist()
+        lamp = self.names.index("illumination")
+        basis = np.hstack([[own.by_state[0], own.slopes[lamp]] for own in found]) * weight
+        basis /= self.point.values["sensitivity"]
+        sensitivity, product = np.linalg.lstsq(basis.T, light * weight, rcond=None)[0].tolist()
         if not sensitivity > 0:
             raise InputError("the spot is not near its place in the start values. Check these.")
         self.point.values["sensitivity"] = sensitivity
