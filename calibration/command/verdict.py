@@ -144,7 +144,7 @@ _SHOWN = 2  # reasons in an error message; the report lists all
 
 
 class Fault(Enum):
-    """The criterion that a fit does not meet; the first ones are `Criterion`'s."""
+    """The criterion that a fit does not meet; the first three are `Failure`'s."""
 
     STEPS = auto()
     FIRST_ROUND = auto()
@@ -243,9 +243,9 @@ def doubts(fitted: Fitted) -> list[Doubt]:
     """Reasons why a fit is not good; empty for a good fit."""
     found: list[Doubt] = []
     if not fitted.converged:
-        failed = fitted.failed
-        why = "the solver did not converge" + (f": {failed.reason}" if failed else "")
-        found.append(Doubt(Fault[failed.criterion.name] if failed else Fault.STEPS, why))
+        fault, reason = fitted.failed or ("STEPS", "")
+        why = "the solver did not converge" + (f": {reason}" if reason else "")
+        found.append(Doubt(Fault[fault], why))
     found += [Doubt(Fault.BOUND, f"it hit a bound: {bound}") for bound in fitted.bounds]
     found += [
         Doubt(Fault.UNDETERMINED, f"the data do not determine all parameters: {direction}")

@@ -6,7 +6,6 @@ import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import Enum, auto
 from operator import attrgetter
 from typing import Literal, NamedTuple
 
@@ -23,23 +22,10 @@ from calibration.solvers import covariance_and_lost
 from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior, phantom_wall
 from formats.inputs import InputError
 
-
-class FitCriterion(Enum):
-    """What a fit must meet to have converged."""
-
-    STEPS = auto()
-    """A further step would hardly lower chi squared."""
-    FIRST_ROUND = auto()
-    """After the first round the model has most of the light."""
-    TABLES = auto()
-    """Two tables of a lens's light lead to the same result."""
-
-
-class Failure(NamedTuple):
-    """The criterion of convergence that a fit does not meet, and the reason with its value."""
-
-    criterion: FitCriterion
-    reason: str
+Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]
+"""The criterion of convergence that a fit does not meet, and the reason with its value: a further
+step would still lower chi squared, after the first rounds the model misses light, or two tables of
+a lens's light lead to different results."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -337,7 +323,7 @@ class _FitRun(NamedTuple):
                 f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
                 f"{100 * _HOPELESS:g} % are allowed"
             )
-            return _result(some, Failure(FitCriterion.FIRST_ROUND, why), None)
+            return _result(some, ("FIRST_ROUND", why), None)
         solver = self.solver(some.point, first=False, every=True)
         solver.spread, solver.error = some.spread, some.error
         if self.lens is not None:
@@ -374,7 +360,7 @@ class _FitRun(NamedTuple):
                     f"after {found.steps} steps another one would lower chi squared by "
                     f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
                 )
-                return Failure(FitCriterion.STEPS, why), None
+                return ("STEPS", why), None
             too_far = found.first > least
             if too_far:
                 solver.point = point.halfway(best)
@@ -395,7 +381,7 @@ class _FitRun(NamedTuple):
                 f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
                 f"the result; {_MOST_OF_TABLE:g} are allowed"
             )
-            return Failure(FitCriterion.TABLES, why), np.outer(asked, asked)
+            return ("TABLES", why), np.outer(asked, asked)
         return None, np.outer(asked, asked)
 
     def _step(self, solver: BeamSolver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
