@@ -100,7 +100,8 @@ class Course(NamedTuple):
         world = World(scenes.changed(scene, path))
         time = np.arange(0.0, seconds, TICK_S)
         tip, axis = world.motion.at(time)
-        trocar = world.aim.spot - TROCAR_MM * world.aim.axis
+        spot, beam = world.aim
+        trocar = spot - TROCAR_MM * beam
         return cls(time, axis, np.linalg.norm(tip + SET_MM * axis - trocar, axis=1), trocar)
 
 

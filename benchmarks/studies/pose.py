@@ -275,8 +275,8 @@ def by_ellipses(
 ) -> Estimate:
     """The pose by `fit_tool` with a prior of the axis; the distance's sigma is NaN."""
     prior = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
-    fit = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
-    return np.asarray(fit.best.tip), np.asarray(fit.best.axis), fit.distance, math.nan
+    best, distance = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
+    return np.asarray(best.tip), np.asarray(best.axis), distance, math.nan
 
 
 @partial(jax.jit, static_argnums=0)

@@ -54,18 +54,6 @@ class ToolPose(NamedTuple):
     roll: ScalarLike
 
 
-class ToolFit(NamedTuple):
-    """A tool's pose from its spots.
-
-    Attributes:
-        best: the pose with the least cost.
-        distance: from its tip along its axis to the wall, mm.
-    """
-
-    best: ToolPose
-    distance: float
-
-
 def tool_beams(tool: Tool, pose: ToolPose) -> optics.Beam:
     """The tool's cones in the eye frame; the leading axis is over cones."""
     first, second = optics.perpendicular_frame(pose.axis)
@@ -170,8 +158,8 @@ def fit_tool(
     wall: optics.Sphere,
     view: optics.Microscope,
     prior: optics.DirectionPrior,
-) -> ToolFit:
-    """Fit the pose to the measured ellipses of all spots.
+) -> tuple[ToolPose, float]:
+    """Fit the pose to the measured ellipses of all spots; also the distance to the wall, mm.
 
     Args:
         ellipses: ellipses of the spots, px; the leading axis is over the cones.
@@ -196,7 +184,7 @@ def fit_tool(
     # A cone whose apex lies on the wall has a contour of size 0, for which every mismatch is 0.
     # Such a solution is behind the wall and ranks last.
     _, best, distance = min(solutions, key=lambda found: (float(found[2]) <= 0, found[0]))
-    return ToolFit(best, float(distance))
+    return best, float(distance)
 
 
 @partial(jax.jit, static_argnums=0)

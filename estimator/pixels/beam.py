@@ -59,39 +59,32 @@ def blurred(
         values: of the cells of a square lattice.
         variance: of the blur along each side, in squares of a cell's side.
     """
-    lattice = _waves(math.isqrt(values.shape[-1]))
-    transfer, _ = _transfer(lattice.squares, variance, kurtosis)
-    return _filtered(values, lattice.waves, transfer)
+    waves, squares = _waves(math.isqrt(values.shape[-1]))
+    transfer, _ = _transfer(squares, variance, kurtosis)
+    return _filtered(values, waves, transfer)
 
 
 def blurred_with_growth(
     values: Float[np.ndarray, "n"], variance: float, kurtosis: float
 ) -> Blurred:
     """As `blurred`, with the growth by the blur's two numbers."""
-    lattice = _waves(math.isqrt(values.shape[-1]))
-    transfer, by_kurtosis = _transfer(lattice.squares, variance, kurtosis)
-    more, _ = _transfer(lattice.squares, variance + _STEP, kurtosis)
+    waves, squares = _waves(math.isqrt(values.shape[-1]))
+    transfer, by_kurtosis = _transfer(squares, variance, kurtosis)
+    more, _ = _transfer(squares, variance + _STEP, kurtosis)
     parts = transfer, (more - transfer) / _STEP, by_kurtosis
-    return Blurred(*(_filtered(values, lattice.waves, part) for part in parts))
-
-
-class _Waves(NamedTuple):
-    """Waves of a square lattice beyond which the light is mirrored.
-
-    Attributes:
-        waves: along a side, as columns.
-        squares: of their numbers, those along both sides added, in 1 over squares of a cell's side.
-    """
-
-    waves: Float[np.ndarray, "count count"]
-    squares: Float[np.ndarray, "count count"]
+    return Blurred(*(_filtered(values, waves, part) for part in parts))
 
 
 @functools.cache
-def _waves(count: int) -> _Waves:
+def _waves(count: int) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n n"]]:
+    """Waves of a square lattice beyond which the light is mirrored.
+
+    Along a side, as columns; and the squares of their numbers, those along both sides added, in 1
+    over squares of a cell's side.
+    """
     numbers = np.pi * np.arange(count) / count
     waves = dct(np.eye(count), axis=0, norm="ortho").T
-    return _Waves(waves, np.add.outer(numbers**2, numbers**2))
+    return waves, np.add.outer(numbers**2, numbers**2)
 
 
 def _transfer(

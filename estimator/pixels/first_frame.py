@@ -328,26 +328,16 @@ _OTHER_WALL = 1.5
 _AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
 
 
-class FirstFrame(NamedTuple):
-    """What a frame by itself says.
-
-    Attributes:
-        hypotheses: the best explanation and others that are nearly as good; none if there is none.
-        mix: the mixture of channels in which they hold.
-    """
-
-    hypotheses: list[Hypothesis]
-    mix: Mix
-
-
 def explained_alone(
     beam: BeamLight,
     noise: CameraNoise,
     reference: Reference | None,
     observation: Observation,
     spot: Outline,
-) -> FirstFrame:
-    """Explain a frame by itself.
+) -> tuple[list[Hypothesis], Mix]:
+    """Explain a frame by itself: the best explanation and others that are nearly as good, if any.
+
+    They hold in the mixture of channels that is returned as well.
 
     Args:
         reference: the wall without the spot; None if there is no image of it.
@@ -374,7 +364,7 @@ def explained_alone(
         starts = [blurred for start in starts for blurred in blurred_starts(start, spot)]
     found = [robust_fit(solver, [], start, own, steps=_STEPS_FIRST)[0] for start in starts]
     if not found:
-        return FirstFrame([], mix)
+        return [], mix
     best = min(found, key=solver.deviance_of)
     mirrored = mirrored_start(solver, best.frames[0], own)
     if mirrored is not None:
@@ -391,7 +381,7 @@ def explained_alone(
     ]
     best = min(found, key=solver.deviance_of)
     if np.count_nonzero(best.linear[0].weight) < _FEWEST:
-        return FirstFrame([], mix)
+        return [], mix
     solver = solver_for(mix, learnt_texture(solver, best))
     again = [robust_fit(solver, [], one.frames[0], own) for one in found]
     # A pose may explain the light by chance, but not against the robot.
@@ -407,7 +397,7 @@ def explained_alone(
         )
         for one, mean_square in consistent or again
     ]
-    return FirstFrame(distinct(hypotheses), mix)
+    return distinct(hypotheses), mix
 
 
 def learnt_texture(solver: PoseSolver, solution: PoseSolution) -> TextureVariances:

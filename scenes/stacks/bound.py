@@ -145,23 +145,16 @@ _MOST_PARTS = 9  # of an exposure; more change the mean light little
 _WORST_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
 
 
-class EllipseMotion(NamedTuple):
+def ellipse_motion(world: World) -> tuple[list[Affine], NDArray[np.float64], NDArray[np.float64]]:
     """How the ellipses of a stack's frames and the distances change with the tip.
 
-    Attributes:
-        ellipses: the half-maximum ellipse of each frame.
-        jacobian: change of x, y, g11, g22, g12 by the tip, n x 5 x 3, px/mm and 1/mm; NaN where
-            the ellipse jumps, as the half-maximum of a lens may near the wall.
-        approach: change of the distance d by the tip, n x 3.
+    By differences for a beam of constant direction.
+
+    Returns:
+        The half-maximum ellipse of each frame; the change of x, y, g11, g22, g12 by the tip,
+        n x 5 x 3, px/mm and 1/mm, NaN where the ellipse jumps, as the half-maximum of a lens may
+        near the wall; and the change of the distance d by the tip, n x 3.
     """
-
-    ellipses: list[Affine]
-    jacobian: NDArray[np.float64]
-    approach: NDArray[np.float64]
-
-
-def ellipse_motion(world: World) -> EllipseMotion:
-    """Differences of the true ellipses and distances for a beam of constant direction."""
     beam = world.truth.beam
     tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
     steps = _STEP_MM * np.concatenate([np.eye(3), -np.eye(3)])
@@ -186,7 +179,7 @@ def ellipse_motion(world: World) -> EllipseMotion:
         for k in range(3):
             jacobian[frame, :, k] = _slope(ellipse, ahead=own[k], behind=own[k + 3])
         approach[frame] = (distance[frame, :3] - distance[frame, 3:]) / (2 * _STEP_MM)
-    return EllipseMotion(here, jacobian, approach)
+    return here, jacobian, approach
 
 
 def _ellipses(ellipse: optics.Ellipse) -> list[Affine]:
@@ -252,7 +245,7 @@ class Bounds:
                 "and viewing.reflexes = false."
             )
         self._renderer, self._scene = renderer, scene
-        self._motion = ellipse_motion(renderer.world)
+        self._ellipses, self._by_tip, self._approach = ellipse_motion(renderer.world)
         is_sharp = renderer.world.table is None
         self._reach, self._factor = (_EDGE, _SHARP) if is_sharp else (_TAILS, _SMOOTH)
         self._at_rest: FineWall | None = None
@@ -264,7 +257,7 @@ class Bounds:
             light: noise-free, during the exposure.
             exposure_s: exposure time, s.
         """
-        ellipse = self._motion.ellipses[frame]
+        ellipse = self._ellipses[frame]
         window = self._window([ellipse])
         if window.bottom - window.top < 2 or window.right - window.left < 2:
             return {}
@@ -296,7 +289,7 @@ class Bounds:
         if not self._scene.unrest.still:
             return self._renderer.fine_wall(frame, window=window, factor=self._factor)
         if self._at_rest is None:
-            whole = self._window(self._motion.ellipses)
+            whole = self._window(self._ellipses)
             self._at_rest = self._renderer.fine_wall(frame, window=whole, factor=self._factor)
         return self._at_rest.part(window)
 
@@ -313,14 +306,14 @@ class Bounds:
         )
 
     def _stated(self, frame: int, information: NDArray[np.float64]) -> dict[str, float]:
-        ellipse = self._motion.ellipses[frame]
+        ellipse = self._ellipses[frame]
         scale = np.array([1.0, 1.0, ellipse.semi_major, ellipse.semi_minor, ellipse.semi_major])
         in_px = information / np.outer(scale, scale)
         if not np.all(np.isfinite(in_px)) or np.linalg.cond(in_px) > _WORST_CONDITION:
             return {}
         variance = np.diag(np.linalg.inv(in_px))
-        by_tip = self._motion.jacobian[frame].T @ information @ self._motion.jacobian[frame]
-        towards = self._motion.approach[frame]
+        by_tip = self._by_tip[frame].T @ information @ self._by_tip[frame]
+        towards = self._approach[frame]
         variances = dict(
             zip(("x_px", "y_px", "semi_major_px", "semi_minor_px"), variance, strict=False)
         )

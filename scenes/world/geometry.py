@@ -199,18 +199,6 @@ def colour_shifts(cameras: tuple[PathCamera, ...], points: np.ndarray) -> np.nda
 _RIM_POINTS = 64
 
 
-class Aim(NamedTuple):
-    """Where the beam is aimed.
-
-    Attributes:
-        spot: O, the point on the wall that [spot] describes, mm.
-        axis: unit vector of the beam there, from the tip towards the wall.
-    """
-
-    spot: np.ndarray
-    axis: np.ndarray
-
-
 class SceneGeometry:
     """The wall, the aim and the microscope of a scene, each derived once."""
 
@@ -242,8 +230,8 @@ class SceneGeometry:
         )
 
     @cached_property
-    def aim(self) -> Aim:
-        """The point of [spot] on the wall, and the direction of the beam."""
+    def aim(self) -> tuple[np.ndarray, np.ndarray]:
+        """The point of [spot] on the wall, mm, and the beam's unit vector towards it."""
         spot = self.scene.spot
         beam = optics.beam_at_spot(
             self.wall,
@@ -255,7 +243,7 @@ class SceneGeometry:
             half_angle=0.0,
             apex_offset=0.0,
         )
-        return Aim(np.asarray(beam.tip), np.asarray(beam.axis))
+        return np.asarray(beam.tip), np.asarray(beam.axis)
 
     @cached_property
     def contact_distance(self) -> float:

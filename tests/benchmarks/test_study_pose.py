@@ -85,13 +85,13 @@ def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected(
         _, ellipses, covariances = spots(true.pose)
         for expected in (axis, 2.0 * (true.outward @ axis) * true.outward - axis):
             prior = optics.DirectionPrior(jnp.asarray(expected), 1e6)  # which weighs nothing
-            found = fit_tool(THREE, ellipses, np.asarray(covariances), WALL, VIEW, prior)
+            best, distance = fit_tool(THREE, ellipses, np.asarray(covariances), WALL, VIEW, prior)
             # 32 points of the compared contour leave 1e-7 px, 1e-9 mm; the solver stops at 1e-10
             # of the cost, which is a 1e-5th of the bound's 1e-3 mm.
-            assert np.asarray(found.best.tip) == pytest.approx(tip, abs=1e-6)
-            assert np.asarray(found.best.axis) == pytest.approx(axis, abs=1e-6)
-            assert found.best.roll == pytest.approx(true.pose.roll, abs=1e-6)
-            assert found.distance == pytest.approx(4.0, abs=1e-6)
+            assert np.asarray(best.tip) == pytest.approx(tip, abs=1e-6)
+            assert np.asarray(best.axis) == pytest.approx(axis, abs=1e-6)
+            assert best.roll == pytest.approx(true.pose.roll, abs=1e-6)
+            assert distance == pytest.approx(4.0, abs=1e-6)
 
 
 def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
