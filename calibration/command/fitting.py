@@ -271,7 +271,11 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
         return fit
     of_pixels = "lens" if _edge_width(recordings) > SHARP_EDGE else "image"
     say(f"The spots are {fit.verdict.splitlines()[0]} Trying model {of_pixels}, of all pixels.")
-    other = _fit(of_pixels, recordings, choices)
+    try:
+        other = _fit(of_pixels, recordings, choices)
+    except InputError as error:  # the pixels say less than the spots, or something else
+        say(str(error))
+        return fit
     return other if other.good else fit
 
 
