@@ -258,7 +258,7 @@ def _missing(flag: Reason, wall: WallMemory) -> Range:
 
 
 def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
-    """The outline that may be the last one's, or else that itself."""
+    """The outline that may be the last one's, or the only one, or else the last one itself."""
 
     def apart(outline: Outline) -> float:
         return math.hypot(outline.x_px - last.x_px, outline.y_px - last.y_px)
@@ -268,7 +268,9 @@ def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
         ratio = size / (last.semi_major_px * last.semi_minor_px)
         return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and apart(outline) < last.semi_major_px
 
-    return min(filter(alike, outlines), key=apart, default=last._replace(measured=False))
+    # Behind a lens a spot may grow threefold from frame to frame; the fitted light must fill it.
+    otherwise = outlines[0] if len(outlines) == 1 else last._replace(measured=False)
+    return min(filter(alike, outlines), key=apart, default=otherwise)
 
 
 def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
