@@ -7,6 +7,7 @@ from estimator import SubpixelSettings, TrackState, measure, open_source
 from estimator.pixels.cells import COUNT
 from estimator.pixels.frame_model import covered, halo
 from estimator.pixels.picture import hidden_pixels
+from estimator.pixels.tracker import _like
 from formats.spots import NoSpot, Outline, Reason
 from tests.pixel_stacks import assert_posed, cone_stack, readings_of
 
@@ -131,3 +132,16 @@ def test_what_hides_a_spot_is_found_with_its_border():
     beside = np.zeros(share.shape, bool)
     beside[:, 136:169] = True
     assert not hidden[inside & ~beside].any()
+
+
+def test_the_only_bright_region_may_be_a_spot_that_has_grown_threefold():
+    # Behind a dome in vitreous a spot grew by that within 0.75 mm; its fitted light decides.
+    def outline(size: float, x: float = 300.0) -> Outline:
+        return Outline(x, 240.0, size, size, 0.0, measured=False)
+
+    last, grown, other = outline(20.0), outline(40.0), outline(35.0, x=450.0)
+    assert _like(last, [grown]) == grown
+    # Of several, only one of about the last size can be told.
+    assert _like(last, [grown, other]) == last
+    assert _like(last, [grown, outline(21.0)]) == outline(21.0)
+    assert _like(last, []) == last
