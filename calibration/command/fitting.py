@@ -273,7 +273,7 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
     say(f"The spots are {fit.verdict.splitlines()[0]} Trying model {of_pixels}, of all pixels.")
     try:
         other = _fit(of_pixels, recordings, choices)
-    except InputError as error:  # the pixels say less than the spots, or something else
+    except InputError as error:  # the verdict on the spots stands
         say(str(error))
         return fit
     return other if other.good else fit

@@ -41,12 +41,12 @@ _GLUE_INDEX = 1.49
 _REFINEMENTS = 6  # steps of a guess
 _DISTANCES, _RADII = 6, 32  # whole batches of quadrature
 _STARTS = 3  # lenses to start from
-_ALIKE, _FOREIGN = 2.0, 9.0
-"""Median misfits of a spot, in such errors squared: up to the first a lens is taken at once, and
-beyond the second it is no lens of these spots. Of true lenses it was 0.03 to 0.7 (with an image
-that shakes by 0.5 px), of wrong minima 5 to 25, of an ideal cone 15."""
 _SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
 """Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
+_ALIKE, _FOREIGN = 2.0, 9.0
+"""Median over the spots of the two errors' squares over these: below the first a lens is taken at
+once, and beyond the second it is no lens of these spots. Of true lenses it was 0.03 to 0.7 (with an
+image that shakes by 0.5 px), of wrong minima 5 to 25, of an ideal cone 15."""
 
 
 def guessed_lenses(
@@ -112,9 +112,11 @@ def guessed_lenses(
     others = []
     for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]:
         drop = refined(lens)
-        others.append((misfit(drop), drop))
-        if others[-1][0] < _ALIKE:
-            yield others.pop()[1]
+        off = misfit(drop)
+        if off < _ALIKE:
+            yield drop
+        else:
+            others.append((off, drop))
     others.sort(key=itemgetter(0))
     if widths and len(others) == _STARTS and others[0][0] > _FOREIGN:
         sizes, edges = np.median(np.abs(mismatch(others[0][1])).reshape(2, -1), axis=1)
@@ -376,11 +378,11 @@ def _notes(fit: ImageFit) -> list[str]:
         if fit.textured
         else "The wall is even: a texture would not explain the frames better than chance"
     )
-    notes = [f"{cells:,} cells of {fit.side} x {fit.side} pixels were fitted. {wall}."]
-    notes.append(
+    notes = [
+        f"{cells:,} cells of {fit.side} x {fit.side} pixels were fitted. {wall}.",
         f"The standard errors are up to {fit.over_bound:.2g} times those that the camera's noise "
-        "allows on a wall that nobody knows (Cramér-Rao bound)."
-    )
+        "allows on a wall that nobody knows (Cramér-Rao bound).",
+    ]
     if fit.misfit.share > 0:
         notes.append(
             f"The model misses {100 * fit.misfit.share:.2g} % of the light (RMS), such as texture "
