@@ -122,8 +122,9 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     noise = CameraNoise.of(_camera_of(stack), microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
+    exposure_s = np.array([frame.exposure_s for frame in frames])
     readings, motion, axis, _ = withdrawal(
-        times, stack.folder / "kinematics.csv", source=stack.folder
+        times, stack.folder / "kinematics.csv", source=stack.folder, exposure_s=exposure_s
     )
 
     def number(key: str) -> float:
@@ -135,7 +136,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     return Footage(
         light=np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32),
         clear=np.stack([_clear(frame.image, noise.full_scale) for frame in frames]),
-        exposure_s=np.array([frame.exposure_s for frame in frames]),
+        exposure_s=exposure_s,
         readings=readings,
         motion=motion,
         axis=axis,
@@ -216,7 +217,7 @@ NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale": 1.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
 _HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
-_CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
+NARROWEST = 0.99  # a rim's radius over the core's that a fit may take: linear as well
 
 
 def beam_names(lens: bool) -> tuple[str, ...]:
@@ -258,8 +259,6 @@ def possible(values: Mapping[str, float]) -> bool:
     """
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
-        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0
-        and values["aperture_radius"] >= (1.0 - _CUT) * values["core_radius"]
-        and values["rim_height"] >= 0
+        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0 and values["rim_height"] >= 0
     )
     return positive and lens and values["reflectance"] < 1

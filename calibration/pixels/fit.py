@@ -18,7 +18,7 @@ from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_na
 from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
-from calibration.solvers import covariance_and_lost
+from calibration.solvers import covariance_and_lost, propagated
 from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior, phantom_wall
 from formats.inputs import InputError
 
@@ -262,12 +262,14 @@ class _FitRun(NamedTuple):
         nearest = 0.5 * NEAREST_MM if self.lens else 0.0
         usable = np.flatnonzero(self.footage.readings + self.priors["touch"].mean > nearest)
         count = len(usable) if every else min(len(usable), _SOME[first])
+        # Far from the right lens, free rims become as narrow as the core, and no lens is found.
+        guessed = first and self.joint_prior is None
         return BeamSolver(
             self.footage,
             Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
             usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
             point,
-            names=self.names,
+            names=tuple(name for name in self.names if not (guessed and name == "aperture_radius")),
             priors=self.priors,
             joint_prior=self.joint_prior,
             lens=self.lens,
@@ -385,9 +387,8 @@ class _FitRun(NamedTuple):
         return None, np.outer(asked, asked)
 
     def _step(self, solver: BeamSolver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
-        """Difference of the parameters, over their sizes."""
-        values = [[point.values[name] for name in self.names] for point in (before, after)]
-        return (np.array(values[1]) - values[0]) / solver.sizes
+        """Difference of the parameters' coordinates."""
+        return solver.coordinates(after.values) - solver.coordinates(before.values)
 
 
 def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:
@@ -420,7 +421,8 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
         grown = np.diag(of_table)[known] / np.diag(covariance)[known]
         inflation = float(np.sqrt(1 + np.max(grown)))
         covariance = covariance + of_table
-    covariance = covariance * np.outer(solver.sizes, solver.sizes)
+    by = solver.by_coordinates(values)
+    covariance = propagated(by, covariance)
     errors = np.sqrt(np.diag(covariance)).tolist()
     residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
     cells = solver.cells
@@ -440,7 +442,7 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
     least, _ = covariance_and_lost(solver.effective()[0], names)
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined
-        over = np.array(errors)[beam] / (solver.sizes * np.sqrt(np.diag(least)))[beam]
+        over = np.array(errors)[beam] / np.sqrt(np.diag(propagated(by, least)))[beam]
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,

@@ -63,6 +63,7 @@ _FIRST_ORDER = 0.01
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
+_ROUNDEST = 0.99  # sag over the aperture's radius
 _FLAT_MM = 1e-5  # least sag of a table
 _ENCLOSED = 1e-4  # least excess of a table's rim over its core, relative
 
@@ -138,8 +139,41 @@ class LinearLensLight:
         return bool(np.any(np.abs(self.moved(values)) > change * at))
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
-        """Differences of the lens's free parameters from those of the table."""
-        return np.array([values[name] - self._at[name] for name in self.free])
+        """Differences of the lens's free parameters from those of the table.
+
+        The light follows the cap's curvature. So the sag's difference is that of the curvature, in
+        the sag's unit, and along a line of equal curvature where the aperture changes.
+        """
+        moved = np.array([values[name] - self._at[name] for name in self.free])
+        if "sag" in self.free:
+            at, by_sag, by_radius = cap_curvature(self._at)
+            bent = cap_curvature(values)[0] - at
+            wider = values["aperture_radius"] - self._at["aperture_radius"]
+            moved[self.free.index("sag")] = (bent - by_radius * wider) / by_sag
+        return moved
+
+    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> Float[np.ndarray, "p q"]:
+        """Derivatives of what has `moved` by some of the lens's free parameters."""
+        slopes = dict(zip(self.free, np.eye(len(self.free)), strict=True))
+        if "sag" in self.free:
+            _, by_sag, by_radius = cap_curvature(values)
+            _, at_by_sag, at_by_radius = cap_curvature(self._at)
+            slopes["sag"] = by_sag * slopes["sag"]
+            slopes["sag"] += (by_radius - at_by_radius) * slopes.get("aperture_radius", 0.0)
+            slopes["sag"] /= at_by_sag
+        return np.array([*slopes.values()])[:, [self.free.index(name) for name in names]]
+
+
+def cap_curvature(values: Mapping[str, float]) -> tuple[float, float, float]:
+    """Curvature of a lens's cap, 1/mm, and its derivatives by sag and aperture_radius, 1/mm².
+
+    A half ball counts as a little flatter, because there the curvature does not show the sag.
+    """
+    radius = values["aperture_radius"]
+    sag = min(values["sag"], _ROUNDEST * radius)
+    square = radius**2 + sag**2
+    by_sag = 2.0 * (radius**2 - sag**2) / square**2
+    return 2.0 * sag / square, by_sag, -4.0 * sag * radius / square**2
 
 
 TILE = 16  # cells along a tile's side
@@ -250,6 +284,8 @@ class Light:
     ) -> None:
         self.footage, self.cells, self.names, self.lens = footage, cells, names, lens
         self.own = tuple(name for name in names if name in beam_names(lens is not None))
+        of_cone = np.array([[name == free for free in self.own] for name in CONE], float)
+        self._of_cone = of_cone.reshape(len(CONE), len(self.own))
         self.differences = [name for name in ("scale", "eye_radius") if name in names]
         self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
         self._last: tuple[Any, list[FrameLight]] = None, []
@@ -392,12 +428,10 @@ class Light:
         near = self.cells.tiles_near(at_px, reach + 2 * self.cells.side)
         if not near:
             near = self.cells.tiles_near(at_px, math.inf)[:1]
-        every = CONE if self.lens is None else self.lens.free
         own: dict[str, Any] = {
             "own": np.zeros(len(self.own)),
-            "spread": np.array([[name == free for free in self.own] for name in every], float),
+            "spread": self._of_cone if self.lens is None else self.lens.slopes(values, self.own),
         }
-        own["spread"] = own["spread"].reshape(len(every), len(self.own))
         parts = []
         for tile in near:
             given = view.lattice(*tile), source, beam

@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
-from calibration.pixels.data import Footage, possible
+from calibration.pixels.data import NARROWEST, Footage, possible
 from calibration.pixels.light import (
     NEAREST_MM,
     SHIFT,
@@ -56,7 +56,7 @@ _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest cell."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
 _FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
-_LEARNINGS = 12  # of the variances, with the model as it is
+_LEARNINGS = 30  # of the variances, with the model as it is
 _SURE = 5.0  # standard deviations of chi squared beyond which a wall is not even
 _TEXTURED = 1.5
 """Mean square of a cell's texture over its variance, above which the wall is surely not even."""
@@ -127,7 +127,7 @@ class BeamSolver:
         self.clear = np.array([clear for _, clear in means])
         image = footage.light[0]
         self.inside = cells.means(image, np.ones(image.shape, bool))[1]
-        self.sizes = np.array([_size(name, point.values[name], priors) for name in names])
+        self.sizes = np.array([_size(name, point.values, priors) for name in names])
         self.spread = np.ones(len(STATES))  # of the states, in their units
         # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
         self.tau, self.error = _FREE if len(self.numbers) > _FEW else EVEN, 0.0
@@ -229,12 +229,15 @@ class BeamSolver:
             most_steps: after which it ends anyway.
         """
         start, size, best = self.point, len(self.names), math.inf
+        begin = self.coordinates(start.values)
+        least = np.full(size + len(STATES) * len(self.numbers), -np.inf)
+        if "aperture_radius" in self.names:
+            rim = self.names.index("aperture_radius")
+            least[rim] = NARROWEST / self.sizes[rim] - begin[rim]
 
         def evaluate(x: np.ndarray) -> NormalEquations:
             nonlocal best
-            values = dict(start.values)
-            for name, step in zip(self.names, self.sizes * x[:size], strict=True):
-                values[name] += float(step)
+            values = self._values(begin + x[:size])
             states = start.states.copy()
             states[self.numbers] += x[size:].reshape(-1, len(STATES)) * _UNITS
             point = Point(values, states)
@@ -252,8 +255,9 @@ class BeamSolver:
                 best, self.point, self.now, self.equations = found.cost, point, at, found
             return found
 
-        start_at = np.zeros(size + len(STATES) * len(self.numbers))
-        found = minimise(evaluate, start_at, tolerance=tolerance, most_steps=most_steps)
+        found = minimise(
+            evaluate, np.zeros(least.size), tolerance=tolerance, most_steps=most_steps, least=least
+        )
         self.map = self.now.map
         return found
 
@@ -291,8 +295,9 @@ class BeamSolver:
         information, gradient = np.zeros((total, total)), np.zeros(total)
         mixed = np.zeros((total, self.map.size))
         cost = float(np.sum(np.square(at.map - 1.0))) * self.tau**-2.0
+        by = self.by_coordinates(point.values)
         for k, (own, rest) in enumerate(zip(at.frames, at.rest, strict=True)):
-            slopes, weight = self._slopes(k, own, at.map), self.weight[k, own.cells]
+            slopes, weight = self._slopes(k, own, at.map, by), self.weight[k, own.cells]
             rows = np.r_[:p, p + q * k : p + q * (k + 1)]
             weighted = slopes * weight
             information[np.ix_(rows, rows)] += weighted @ slopes.T
@@ -307,17 +312,59 @@ class BeamSolver:
         cost += float(stiff @ np.square(states))
         values = np.array([point.values[name] for name in self.names])
         off = self._prior_weights @ (values - self._prior_means)
-        slopes = self._prior_weights * self.sizes
+        slopes = self._prior_weights @ by
         cost += float(off @ off)
         gradient[:p] += slopes.T @ off
         information[:p, :p] += slopes.T @ slopes
         return NormalEquations(cost, gradient, information)
 
-    def _slopes(self, k: int, own: FrameLight, texture: np.ndarray) -> Float[np.ndarray, "p+7 n"]:
-        """Derivatives of a frame's light by the parameters, over their sizes, and by its states."""
+    def coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
+        """What the fit steps in: the free parameters over their sizes.
+
+        In place of the sag it is the sag over the square of the rim's radius, nearly half of the
+        cap's curvature. The light follows this, so the valley of equal light is almost straight. In
+        place of the rim's radius it is that radius over the core's, because this has a bound.
+        """
+        own = dict(values)
+        if self.lens is not None:
+            own["sag"] /= own["aperture_radius"] ** 2
+            own["aperture_radius"] /= own["core_radius"]
+        return np.array([own[name] for name in self.names]) / self.sizes
+
+    def _values(self, at: Float[np.ndarray, "p"]) -> dict[str, float]:
+        """All parameters at these coordinates."""
+        own = dict(zip(self.names, (at * self.sizes).tolist(), strict=True))
+        values = self.point.values | own
+        if "aperture_radius" in own:
+            values["aperture_radius"] *= values["core_radius"]
+        if "sag" in own:
+            values["sag"] *= values["aperture_radius"] ** 2
+        return values
+
+    def by_coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
+        """Derivatives of the free parameters by their coordinates."""
+        slopes = dict(zip(self.names, np.diag(self.sizes), strict=True))
+        if "aperture_radius" in slopes:
+            core, rim = values["core_radius"], values["aperture_radius"]
+            slopes["aperture_radius"] = core * slopes["aperture_radius"]
+            slopes["aperture_radius"] += rim / core * slopes.get("core_radius", 0.0)
+        if "sag" in slopes:
+            sag, rim = values["sag"], values["aperture_radius"]
+            slopes["sag"] = rim**2 * slopes["sag"]
+            slopes["sag"] += 2.0 * sag / rim * slopes.get("aperture_radius", 0.0)
+        return np.array([*slopes.values()])
+
+    def _slopes(
+        self, k: int, own: FrameLight, texture: np.ndarray, by: Float[np.ndarray, "p p"]
+    ) -> Float[np.ndarray, "p+7 n"]:
+        """Derivatives of a frame's light by the parameters' coordinates, and by its states.
+
+        Args:
+            by: `by_coordinates` of the parameters.
+        """
         by_shift = self._by_shift[k][:, own.cells]
         by_state = np.concatenate([texture[own.cells] * own.by_state, by_shift])
-        by_name = self.sizes[:, None] * own.slopes * texture[own.cells]
+        by_name = by.T @ own.slopes * texture[own.cells]
         return np.concatenate([by_name, _UNITS[:, None] * by_state])
 
     def learn(self) -> None:
@@ -329,6 +376,8 @@ class BeamSolver:
         stiff = np.tile(self.spread**-2.0, len(self.numbers))
         data[at, at] -= stiff
         pull[p:] += stiff * states
+        # From above: a spread that was learnt too small hides what would enlarge it.
+        self.spread = np.ones(len(STATES))
         for _ in range(_LEARNINGS):
             stiff = np.tile(self.spread**-2.0, len(self.numbers))
             whole = data.copy()
@@ -432,10 +481,11 @@ class BeamSolver:
         whole = self.equations.information
         by_state = np.linalg.solve(whole[p:, p:], whole[p:, :p]).T
         information = whole[:p, :p] - by_state @ whole[p:, :p]
+        by = self.by_coordinates(self.point.values)
         projected = []
         mixed = np.zeros((p, self.map.size))
         for k, own in enumerate(self.now.frames):
-            slopes = self._slopes(k, own, self.map)
+            slopes = self._slopes(k, own, self.map, by)
             alone = slopes[:p] - by_state[:, q * k : q * (k + 1)] @ slopes[p:]
             projected.append(alone)
             mixed[:, own.cells] += alone * (self.weight[k, own.cells] * own.light)
@@ -449,9 +499,11 @@ class BeamSolver:
         return information, slopes_of
 
 
-def _size(name: str, value: float, priors: Mapping[str, Prior]) -> float:
-    """Scale of a parameter; with it, the damping affects all parameters equally."""
-    if name in priors:
-        return priors[name].sigma
+def _size(name: str, values: Mapping[str, float], priors: Mapping[str, Prior]) -> float:
+    """Scale of a parameter's coordinate; with it, the damping affects all of them equally."""
+    value = values[name]
     own = {"u": 1.0, "v": 1.0, "illumination": 0.01, "sag": max(value, 0.01)}
-    return own.get(name) or abs(value) or 1.0
+    size = priors[name].sigma if name in priors else own.get(name) or abs(value) or 1.0
+    if name == "aperture_radius":
+        return size / values["core_radius"]
+    return size / values["aperture_radius"] ** 2 if name == "sag" else size

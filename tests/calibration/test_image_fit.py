@@ -19,7 +19,8 @@ import calibration
 import optics
 from calibration.pixels.data import BareFibre, Footage, check_names, read_footage
 from calibration.pixels.fit import fit_image
-from calibration.pixels.light import STATES, Cells, Light
+from calibration.pixels.light import STATES, Cells, Light, LinearLensLight
+from calibration.recordings import withdrawal
 from calibration.spots.cone_trials import JointPrior
 from formats.camera import CameraNoise, Response
 from formats.stack import Stack, read_stack
@@ -31,6 +32,7 @@ from optics.wall_light.lens import (
     LensTable,
     _Field,
     _means_within,
+    lens_of,
     lens_parameters,
     lens_samples,
     lens_table,
@@ -363,6 +365,68 @@ def test_slopes_are_those_of_central_differences():
         difference = ends({}, moved) / 2e-6
         off = np.abs(slope - difference).max() / np.abs(difference).max()
         assert off < 2e-3, f"{STATES[number]}: {off}"
+
+
+LENS_BESIDE_ITS_TABLE = {
+    **{"core_radius": 0.2, "aperture_radius": 0.27, "rim_height": 0.0, "sag": 0.05},
+    **{"glue_index": 1.49, "numerical_aperture": 0.12, "touch": 0.15},
+}
+
+
+def test_slopes_of_a_lens_beside_its_table_are_those_of_central_differences():
+    names = ("core_radius", "aperture_radius", "sag", "numerical_aperture")
+    footage = one_frame()
+    lens = LinearLensLight(footage, names)
+    lens.tabulate(LENS_BESIDE_ITS_TABLE, coarse=True)
+    pose = dict(zip(("u", "v", "lean", "lean_sideways"), (64.0, 63.0, 0.0, 0.0), strict=True))
+    pose |= {"boresight": 0.0, "boresight_sideways": 0.0, "robot_scale": 1.0}
+    seen = {"scale": 0.02, "eye_radius": 11.5, "reflectance": 0.5, "power": 1.0}
+    seen |= {"sensitivity": 200.0, "illumination": 0.05}
+    values = LENS_BESIDE_ITS_TABLE | pose | seen | {"aperture_radius": 0.276, "sag": 0.0515}
+    light, still = Light(footage, Cells.over((128, 128), 4), names, lens), np.zeros((1, 7))
+    found = light.frames(values, still, [0])
+    assert found is not None
+    for name, slope in zip(names, found[0].slopes, strict=True):
+        step = 1e-4 * values[name]
+        ends = [{**values, name: values[name] + off} for off in (-step, step)]
+        low, high = (light.frames(end, still, [0], slopes=False) for end in ends)
+        assert low is not None and high is not None
+        difference = (high[0].light - low[0].light) / (2.0 * step)
+        # The table is linear, so only the curvature's second order is left: 1e-8 of the change.
+        assert np.abs(slope - difference).max() < 1e-6 * np.abs(difference).max(), name
+
+
+def test_a_rim_that_no_light_reaches_changes_nothing_at_equal_curvature():
+    lens = LinearLensLight(one_frame(), ("aperture_radius", "sag"))
+    lens.tabulate(LENS_BESIDE_ITS_TABLE, coarse=False)
+    sphere = (0.27**2 + 0.05**2) / (2 * 0.05)  # radius of the cap
+    wider = {"aperture_radius": 0.284, "sag": sphere - math.sqrt(sphere**2 - 0.284**2)}
+    radius, distance = jnp.linspace(0.01, 0.5, 50), jnp.full(50, 3.0)
+    # The cap's top is 5 um farther from the core, which the table knows to first order: at a cap
+    # that moves by 1e-3 of the distance the light changes by 3e-3, and what is left is its square.
+    light, changed = (
+        np.asarray(lens.at({**LENS_BESIDE_ITS_TABLE, **by})(radius=radius, distance=distance))
+        for by in ({}, wider)
+    )
+    exact = optics.LensField(lens_of({**LENS_BESIDE_ITS_TABLE, **wider}), 1.0)
+    rings = np.linspace(0.0, 0.5, 2001)
+    axial = np.asarray(exact(radius=rings, distance=np.full(rings.size, 3.0))[1])
+    within = np.concatenate([[0.0], np.cumsum(np.diff(rings**2) * (axial[1:] + axial[:-1]) / 2)])
+    true = np.interp(radius, rings, within) / radius**2
+    assert np.abs(changed - light).max() > 1e-3 * light.max()
+    assert np.abs(changed - true).max() < 3e-4 * light.max()
+
+
+def test_a_robot_that_stops_within_an_exposure_is_behind_its_place_in_the_middle(tmp_path):
+    # It withdraws at 0.1 mm/s, stops at 60 s, and stays: as the last pose of a recording.
+    rows = [f"{t},0,0,{0.1 * min(t, 60.0)},0,0,-1" for t in np.arange(0.0, 62.0, 0.005)]
+    poses = tmp_path / "kinematics.csv"
+    poses.write_text("\n".join(["time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z", *rows]))
+    exposures = np.array([0.1, 0.1])
+    readings, *_ = withdrawal(np.array([30.0, 60.0]), poses, source=tmp_path, exposure_s=exposures)
+    # In half of the exposure it is up to 5 um behind, on average over all of it 1.25 um. The means
+    # over 32 parts of a broken line are exact, because a part ends where it breaks.
+    assert readings[1] - readings[0] == pytest.approx(3.0 - 0.1 * 0.1 / 8, abs=1e-9)
 
 
 def one_frame() -> Footage:
