@@ -262,14 +262,12 @@ class _FitRun(NamedTuple):
         nearest = 0.5 * NEAREST_MM if self.lens else 0.0
         usable = np.flatnonzero(self.footage.readings + self.priors["touch"].mean > nearest)
         count = len(usable) if every else min(len(usable), _SOME[first])
-        # Far from the right lens, free rims become as narrow as the core, and no lens is found.
-        guessed = first and self.joint_prior is None
         return BeamSolver(
             self.footage,
             Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
             usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
             point,
-            names=tuple(name for name in self.names if not (guessed and name == "aperture_radius")),
+            names=self.names,
             priors=self.priors,
             joint_prior=self.joint_prior,
             lens=self.lens,

@@ -152,8 +152,8 @@ class LinearLensLight:
             moved[self.free.index("sag")] = (bent - by_radius * wider) / by_sag
         return moved
 
-    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> Float[np.ndarray, "p q"]:
-        """Derivatives of what has `moved` by some of the lens's free parameters."""
+    def slopes(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
+        """Derivatives of what has `moved` by the lens's free parameters."""
         slopes = dict(zip(self.free, np.eye(len(self.free)), strict=True))
         if "sag" in self.free:
             _, by_sag, by_radius = cap_curvature(values)
@@ -161,7 +161,7 @@ class LinearLensLight:
             slopes["sag"] = by_sag * slopes["sag"]
             slopes["sag"] += (by_radius - at_by_radius) * slopes.get("aperture_radius", 0.0)
             slopes["sag"] /= at_by_sag
-        return np.array([*slopes.values()])[:, [self.free.index(name) for name in names]]
+        return np.array([*slopes.values()]).reshape(len(self.free), len(self.free))
 
 
 def cap_curvature(values: Mapping[str, float]) -> tuple[float, float, float]:
@@ -430,7 +430,7 @@ class Light:
             near = self.cells.tiles_near(at_px, math.inf)[:1]
         own: dict[str, Any] = {
             "own": np.zeros(len(self.own)),
-            "spread": self._of_cone if self.lens is None else self.lens.slopes(values, self.own),
+            "spread": self._of_cone if self.lens is None else self.lens.slopes(values),
         }
         parts = []
         for tile in near:
