@@ -57,7 +57,10 @@ def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) ->
     lens: Any = None
     if table is not None:
         lens = SimpleNamespace(
-            at=lambda values: table, reach_mm=lambda distance: 2.0, free=(), tables=1
+            at=lambda values: table,
+            reach_mm=lambda distance: 2.0,
+            slopes=lambda values: np.zeros((0, 0)),
+            tables=1,
         )
     cells = Cells.over((96, 96), max(1, round(radius_px / 16)), beyond=True)
     values = dict.fromkeys(POSE, 0.0) | {"half_angle": HALF_ANGLE, "b": B, "spread": length}
