@@ -129,30 +129,29 @@ def minimise(
     *,
     tolerance: float,
     most_steps: int = MOST_STEPS,
-    least: Float[np.ndarray, "p"] | float = -np.inf,
 ) -> Minimum:
-    """Levenberg-Marquardt with Nielsen's damping, within lower bounds.
+    """Levenberg-Marquardt with Nielsen's damping.
 
     It ends when an undamped step would lower the cost by less than the tolerance. If the cost is
     chi squared, this is the square of the step in standard errors (Nielsen 1999, "Damping parameter
-    in Marquardt's method"). A step that leaves the bounds ends on them, and the other parameters'
-    steps allow for that.
+    in Marquardt's method").
 
     Args:
         evaluate: function that returns the normal equations at a point.
-        start: first guess, within the bounds.
+        start: first guess.
         most_steps: evaluations after which it ends anyway.
-        least: lower bounds.
     """
     x, at = start, evaluate(start)
     first = at.cost
     damping, growth = _DAMPING, 2.0
     for steps in range(most_steps):
-        _, gain = _step(at, least - x, 0.0)
+        gain = expected_gain(at)
         if gain < tolerance:
             return Minimum(x, at, first, gain, steps, True)
-        step, expected = _step(at, least - x, damping)
+        damped = at.information + damping * np.diag(np.diag(at.information))
+        step = -_solved(damped, at.gradient)
         tried = evaluate(x + step)
+        expected = -(2 * at.gradient + at.information @ step) @ step
         ratio = (at.cost - tried.cost) / expected
         if ratio > 0:
             x, at = x + step, tried
@@ -161,23 +160,12 @@ def minimise(
             damping, growth = damping * growth, 2 * growth
             if damping > _MOST_DAMPING:
                 break
-    return Minimum(x, at, first, _step(at, least - x, 0.0)[1], steps + 1, False)
+    return Minimum(x, at, first, expected_gain(at), steps + 1, False)
 
 
-def _step(
-    at: NormalEquations, least: Float[np.ndarray, "p"], damping: float
-) -> tuple[Float[np.ndarray, "p"], float]:
-    """A step that goes no lower than `least`, and by how much it lowers the quadratic cost."""
-    information, gradient = at.information, at.gradient
-    damped = information + damping * np.diag(np.diag(information))
-    step, free = np.zeros(len(gradient)), np.ones(len(gradient), bool)
-    while True:
-        own = np.ix_(free, free)
-        step[free] = -_solved(damped[own], (gradient + damped[:, ~free] @ step[~free])[free])
-        beyond = free & (step < least)
-        if not beyond.any():
-            return step, float(-(2 * gradient + information @ step) @ step)
-        step[beyond], free = least[beyond], free & ~beyond
+def expected_gain(at: NormalEquations) -> float:
+    """By how much an undamped step would lower the cost, to first order."""
+    return float(at.gradient @ _solved(at.information, at.gradient))
 
 
 def _solved(

@@ -217,7 +217,7 @@ NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale": 1.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
 _HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
-NARROWEST = 0.99  # a rim's radius over the core's that a fit may take: linear as well
+_CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
 
 
 def beam_names(lens: bool) -> tuple[str, ...]:
@@ -259,6 +259,8 @@ def possible(values: Mapping[str, float]) -> bool:
     """
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
-        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0 and values["rim_height"] >= 0
+        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0
+        and values["aperture_radius"] >= (1.0 - _CUT) * values["core_radius"]
+        and values["rim_height"] >= 0
     )
     return positive and lens and values["reflectance"] < 1

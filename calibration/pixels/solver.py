@@ -28,7 +28,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
-from calibration.pixels.data import NARROWEST, Footage, possible
+from calibration.pixels.data import Footage, possible
 from calibration.pixels.light import (
     NEAREST_MM,
     SHIFT,
@@ -230,10 +230,6 @@ class BeamSolver:
         """
         start, size, best = self.point, len(self.names), math.inf
         begin = self.coordinates(start.values)
-        least = np.full(size + len(STATES) * len(self.numbers), -np.inf)
-        if "aperture_radius" in self.names:
-            rim = self.names.index("aperture_radius")
-            least[rim] = NARROWEST / self.sizes[rim] - begin[rim]
 
         def evaluate(x: np.ndarray) -> NormalEquations:
             nonlocal best
@@ -255,9 +251,8 @@ class BeamSolver:
                 best, self.point, self.now, self.equations = found.cost, point, at, found
             return found
 
-        found = minimise(
-            evaluate, np.zeros(least.size), tolerance=tolerance, most_steps=most_steps, least=least
-        )
+        start_at = np.zeros(size + len(STATES) * len(self.numbers))
+        found = minimise(evaluate, start_at, tolerance=tolerance, most_steps=most_steps)
         self.map = self.now.map
         return found
 
@@ -322,21 +317,17 @@ class BeamSolver:
         """What the fit steps in: the free parameters over their sizes.
 
         In place of the sag it is the sag over the square of the rim's radius, nearly half of the
-        cap's curvature. The light follows this, so the valley of equal light is almost straight. In
-        place of the rim's radius it is that radius over the core's, because this has a bound.
+        cap's curvature. The light follows this, so the valley of equal light is almost straight.
         """
         own = dict(values)
         if self.lens is not None:
             own["sag"] /= own["aperture_radius"] ** 2
-            own["aperture_radius"] /= own["core_radius"]
         return np.array([own[name] for name in self.names]) / self.sizes
 
     def _values(self, at: Float[np.ndarray, "p"]) -> dict[str, float]:
         """All parameters at these coordinates."""
         own = dict(zip(self.names, (at * self.sizes).tolist(), strict=True))
         values = self.point.values | own
-        if "aperture_radius" in own:
-            values["aperture_radius"] *= values["core_radius"]
         if "sag" in own:
             values["sag"] *= values["aperture_radius"] ** 2
         return values
@@ -344,10 +335,6 @@ class BeamSolver:
     def by_coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
         """Derivatives of the free parameters by their coordinates."""
         slopes = dict(zip(self.names, np.diag(self.sizes), strict=True))
-        if "aperture_radius" in slopes:
-            core, rim = values["core_radius"], values["aperture_radius"]
-            slopes["aperture_radius"] = core * slopes["aperture_radius"]
-            slopes["aperture_radius"] += rim / core * slopes.get("core_radius", 0.0)
         if "sag" in slopes:
             sag, rim = values["sag"], values["aperture_radius"]
             slopes["sag"] = rim**2 * slopes["sag"]
@@ -504,6 +491,4 @@ def _size(name: str, values: Mapping[str, float], priors: Mapping[str, Prior]) -
     value = values[name]
     own = {"u": 1.0, "v": 1.0, "illumination": 0.01, "sag": max(value, 0.01)}
     size = priors[name].sigma if name in priors else own.get(name) or abs(value) or 1.0
-    if name == "aperture_radius":
-        return size / values["core_radius"]
     return size / values["aperture_radius"] ** 2 if name == "sag" else size

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from calibration.solvers import NormalEquations, gauss_newton_in_blocks, minimise
+from calibration.solvers import gauss_newton_in_blocks
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -48,27 +48,3 @@ def test_a_tolerance_that_no_step_meets_is_not_reached(blocks):
     start = jnp.array([0.5, 0.0]), jnp.tile(jnp.array([1.0, 0.0]), (4, 1))
     *_, converged = gauss_newton_in_blocks(decays, *start, blocks, tolerance=-1.0)
     assert not converged
-
-
-def test_a_bounded_minimum_is_the_one_that_scipy_finds():
-    times = np.linspace(0.0, 3.0, 40)
-    data = 2.0 * np.exp(-0.7 * times) + 0.1
-
-    def residual(x):
-        return x[0] * np.exp(-x[1] * times) + x[2] - data
-
-    def equations(x):
-        slopes = np.stack([np.exp(-x[1] * times), -x[0] * times * np.exp(-x[1] * times)])
-        slopes = np.vstack([slopes, np.ones_like(times)])
-        rest = residual(x)
-        return NormalEquations(float(rest @ rest), slopes @ rest, slopes @ slopes.T)
-
-    # Without the bound the second is 0.7, so it ends on the bound, and the others give way.
-    least = np.array([0.0, 0.9, -1.0])
-    start = np.array([1.0, 1.5, 0.0])
-    found = minimise(equations, start, tolerance=1e-16, least=least)
-    expected = least_squares(residual, start, bounds=(least, np.inf), xtol=1e-15, gtol=1e-15)
-    assert found.converged
-    assert found.x[1] == 0.9
-    # SciPy stays within the bounds, 1e-8 from them.
-    np.testing.assert_allclose(found.x, expected.x, rtol=1e-6)
