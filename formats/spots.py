@@ -7,15 +7,14 @@ so that any reader of tables can read the file.
 from __future__ import annotations
 
 import csv
-import importlib
 import io
+import itertools
 import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from enum import Enum
-from io import FileIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
@@ -218,16 +217,11 @@ COLUMNS = (
     *_LATER,
     "schema_version",
 )
-FIRST_COLUMNS = (
-    *("frame", "file_name", "time_s", "distance_mm", *_INTERVAL),
-    *(*_ELLIPSE, "reason"),
-)
-"""The columns that people look at, in front in `spots_table`."""
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
     **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause", "wall_memory"), str),
 }
-"""Type of a Parquet column; the others are floats."""
+"""Type of a column; the others are floats."""
 
 
 class RecordedPose(NamedTuple):
@@ -315,8 +309,7 @@ def write_spots(path: str | Path, records: Iterable[SpotRecord]) -> None:
     with written_whole(Path(path), replace=True) as partial:
         lines = partial.with_name("lines.csv") if is_parquet(path) else partial
         with lines.open("w", encoding="utf-8", newline="") as file:
-            file.write(_csv_line(None))
-            file.writelines(map(_csv_line, records))
+            file.writelines(map(_csv_line, itertools.chain([COLUMNS], map(_cells, records))))
         if is_parquet(path):
             _parquet_of_csv(lines, partial)
 
@@ -354,34 +347,33 @@ def spots_stream(path: Path, *, replace: bool = False) -> Iterator[Callable[[Spo
         ) from error
     written = 0
 
+    def append(cells: Iterable[object]) -> None:
+        """Write a line wholly or not at all."""
+        end, data = file.tell(), _csv_line(cells).encode()
+        try:
+            while data:
+                data = data[file.write(data) :]
+        except BaseException as error:
+            file.truncate(end)
+            file.seek(end)
+            if isinstance(error, OSError):
+                raise OSError(error.errno, error.strerror, f"{path}") from error
+            raise
+
     def write(record: SpotRecord) -> None:
         nonlocal written
-        _append(file, _csv_line(record), path)
+        append(_cells(record))
         written += 1
 
     try:
         with file:
-            _append(file, _csv_line(None), path)
+            append(COLUMNS)
             yield write
     finally:
         if written:
             _finish(partial, path, replace=replace)
         else:
             partial.unlink()
-
-
-def _append(file: FileIO, line: str, path: Path) -> None:
-    """Write a line wholly or not at all."""
-    end, data = file.tell(), line.encode()
-    try:
-        while data:
-            data = data[file.write(data) :]
-    except BaseException as error:
-        file.truncate(end)
-        file.seek(end)
-        if isinstance(error, OSError):
-            raise OSError(error.errno, error.strerror, f"{path}") from error
-        raise
 
 
 def _finish(partial: Path, path: Path, *, replace: bool) -> None:
@@ -404,11 +396,11 @@ def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
     """The records as a table with the columns of a spots file, what is looked at first in front."""
     import pandas as pd
 
-    table = pd.DataFrame(map(_line, records), columns=[*COLUMNS])
-    for name in COLUMNS:
-        if (kind := _KINDS.get(name, float)) is not str:
-            table[name] = table[name].replace("", "nan").astype(float).astype(kind)
-    return table[[*FIRST_COLUMNS, *(name for name in COLUMNS if name not in FIRST_COLUMNS)]]
+    table = pd.DataFrame(map(_cells, records), columns=[*COLUMNS])
+    numbers = [name for name in COLUMNS if _KINDS.get(name, float) is not str]
+    table = table.astype({name: _KINDS.get(name, float) for name in numbers})
+    first = ["frame", "file_name", "time_s", "distance_mm", *_INTERVAL, *_ELLIPSE, "reason"]
+    return table[[*first, *table.columns.drop(first)]]
 
 
 def read_spots(path: str | Path) -> list[SpotRecord]:
@@ -434,12 +426,13 @@ def _pyarrow() -> Any:
         InputError: it is not installed.
     """
     try:
-        importlib.import_module("pyarrow.parquet")
+        import pyarrow.csv
+        import pyarrow.parquet
     except ModuleNotFoundError as error:
         raise InputError(
             "Parquet needs the package pyarrow: pip install 'eyespot[parquet]'. CSV needs nothing."
         ) from error
-    return importlib.import_module("pyarrow")
+    return pyarrow
 
 
 def is_parquet(path: str | Path) -> bool:
@@ -447,26 +440,43 @@ def is_parquet(path: str | Path) -> bool:
     return Path(path).suffix.lower() == ".parquet"
 
 
-def _csv_line(record: SpotRecord | None) -> str:
-    """The line of a record in a CSV file; without a record, the line of the column names."""
+def _cells(record: SpotRecord) -> list[Any]:
+    """A record's value in each column; what it does not have is NaN."""
+    spot, pose = record.result, record.pose
+    values: dict[str, Any] = {"schema_version": SCHEMA_VERSION}
+    if isinstance(spot, Spot):
+        values |= {name: getattr(spot, name) for name in _VALUES}
+        values |= zip(_COVARIANCES, spot.covariance[_UPPER], strict=True)
+    if pose is not None:
+        of_pose = *pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared
+        values |= zip(_POSES, of_pose, strict=True)
+    return [
+        _KINDS.get(name, float)(values.get(name, getattr(record, name, math.nan)))
+        for name in COLUMNS
+    ]
+
+
+def _csv_line(cells: Iterable[object]) -> str:
+    """A line of a CSV file, in which NaN is an empty cell."""
     text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerow(_line(record) if record else COLUMNS)
+    known = ("" if isinstance(cell, float) and math.isnan(cell) else cell for cell in cells)
+    csv.writer(text, lineterminator="\n").writerow(known)
     return text.getvalue()
 
 
 def _parquet_of_csv(lines: Path, path: Path) -> None:
     """Write the Parquet file with the lines of a CSV file, a part at a time."""
-    pa, csv_reader = _pyarrow(), importlib.import_module("pyarrow.csv")
+    pa = _pyarrow()
     kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
     schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])
     # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
-    convert = csv_reader.ConvertOptions(column_types=schema, null_values=[""])
-    parse = csv_reader.ParseOptions(newlines_in_values=True)
+    convert = pa.csv.ConvertOptions(column_types=schema, null_values=[""])
+    parse = pa.csv.ParseOptions(newlines_in_values=True)
     # As open files: pyarrow takes no names that are not UTF-8.
     with (
         lines.open("rb") as source,
         path.open("wb") as sink,
-        csv_reader.open_csv(source, convert_options=convert, parse_options=parse) as parts,
+        pa.csv.open_csv(source, convert_options=convert, parse_options=parse) as parts,
         pa.parquet.ParquetWriter(sink, schema) as file,
     ):
         for part in parts:
@@ -500,24 +510,6 @@ def _check_columns(names: Collection[str]) -> None:
             f"not a spots file: column {missing[0]!r} is missing"
             f" ({len(missing)} of {len(COLUMNS)} are). Write it with write_spots."
         )
-
-
-def _line(record: SpotRecord) -> list[str]:
-    spot, pose = record.result, record.pose
-    values: dict[str, Any] = {"schema_version": SCHEMA_VERSION}
-    if isinstance(spot, Spot):
-        values |= {name: getattr(spot, name) for name in _VALUES}
-        values |= zip(_COVARIANCES, spot.covariance[_UPPER], strict=True)
-    if pose is not None:
-        of_pose = *pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared
-        values |= zip(_POSES, of_pose, strict=True)
-    cells = []
-    for name in COLUMNS:
-        value = values[name] if name in values else getattr(record, name, math.nan)
-        if name not in _KINDS:
-            value = "" if math.isnan(value) else repr(float(value))
-        cells.append(str(value))
-    return cells
 
 
 def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
