@@ -131,8 +131,17 @@ GREY = -1
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Weights of red, green and blue, as in cv2's RGB2GRAY."""
 
-_SRGB_EXPONENT = 2.4
 _BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
+
+
+def light_of_srgb(value: np.ndarray) -> np.ndarray:
+    """Light of a value in sRGB (IEC 61966-2-1), both as fractions of full scale."""
+    return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+
+
+def srgb_of_light(light: np.ndarray) -> np.ndarray:
+    """The inverse of `light_of_srgb`."""
+    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -207,12 +216,9 @@ class Response:
 
     def _inverted(self, fraction: np.ndarray) -> np.ndarray:
         # Floats may exceed full scale, but not grow without limit.
-        exponent = self.gamma if self.curve == "gamma" else _SRGB_EXPONENT
+        exponent = self.gamma if self.curve == "gamma" else 2.4
         fraction = np.clip(fraction, np.float32(0), np.float32(_BRIGHTEST ** (1 / exponent)))
-        if self.curve == "gamma":
-            return fraction ** np.float32(self.gamma)
-        above = ((fraction + np.float32(0.055)) / np.float32(1.055)) ** np.float32(_SRGB_EXPONENT)
-        return np.where(fraction <= 0.04045, fraction / np.float32(12.92), above)
+        return fraction**exponent if self.curve == "gamma" else light_of_srgb(fraction)
 
     def channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:
         """Light of one channel (0, 1, 2), or of the grey mean (GREY), as `light`."""

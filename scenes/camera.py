@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
+from formats.camera import light_of_srgb, srgb_of_light
 from formats.inputs import InputError
 from scenes.description.scene import Scene
 from scenes.description.settings import CameraSettings
@@ -68,12 +69,12 @@ def light_information(
     return np.asarray(information)
 
 
-def _measured(shape: tuple[int, int], bayer: str) -> NDArray[np.float64]:
-    """1 for the colour that each pixel measures, H x W x 3."""
-    measured = np.zeros((*shape, 3))
+def _measured(shape: tuple[int, int], bayer: str) -> NDArray[np.bool_]:
+    """Whether a pixel measures a colour, H x W x 3."""
+    measured = np.zeros((*shape, 3), bool)
     for position, colour in enumerate(bayer):
         row, column = divmod(position, 2)
-        measured[row::2, column::2, "RGB".index(colour)] = 1.0
+        measured[row::2, column::2, "RGB".index(colour)] = True
     return measured
 
 
@@ -88,8 +89,7 @@ def full_wells(fraction: NDArray[np.float64], settings: CameraSettings) -> NDArr
     if settings.response == "linear":
         straight = fraction
     elif settings.response == "srgb":
-        power = ((fraction + 0.055) / 1.055) ** 2.4
-        straight = np.where(fraction <= 0.04045, fraction / 12.92, power)
+        straight = light_of_srgb(fraction)
     else:
         straight = fraction**settings.response
     black = settings.black_level_dn / settings.full_scale_dn
@@ -102,8 +102,7 @@ def response_table(settings: CameraSettings) -> NDArray[np.uint8] | NDArray[np.u
         return None
     straight = np.arange(CONVERTER_MAX + 1) / CONVERTER_MAX
     if settings.response == "srgb":
-        power = 1.055 * straight ** (1 / 2.4) - 0.055
-        curved = np.where(straight <= 0.0031308, 12.92 * straight, power)
+        curved = srgb_of_light(straight)
     else:
         curved = straight ** (1.0 / settings.response)
     output = np.rint(curved * settings.full_scale_dn)
@@ -128,11 +127,8 @@ def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
             "a Bayer mosaic needs an image of H x W x 3 with even H and W; got shape "
             f"{linear.shape}. Set bayer to 'none' or the size to even numbers."
         )
-    raw = np.empty(linear.shape[:2], linear.dtype)
-    for position, colour in enumerate(bayer):
-        row, column = divmod(position, 2)
-        raw[row::2, column::2] = linear[row::2, column::2, "RGB".index(colour)]
-    return raw
+    shape = linear.shape[:2]
+    return linear[_measured(shape, bayer)].reshape(shape)
 
 
 def demosaiced(raw: NDArray[Any], *, bayer: str) -> NDArray[Any]:

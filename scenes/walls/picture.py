@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from formats.camera import light_of_srgb, srgb_of_light
 from formats.images import read_image
 from formats.inputs import InputError, shortened
 from optics.wall_light.unknown_wall import texture
@@ -38,9 +39,7 @@ def wall_image(
         SceneError: the file is missing or not an image.
     """
     image, full_scale = _image(path)
-    coded = np.atleast_3d(image).astype(np.float32) / full_scale
-    # IEC 61966-2-1.
-    linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4)
+    linear = light_of_srgb(np.atleast_3d(image).astype(np.float32) / full_scale)
     ratio = (width_mm / linear.shape[1]) / (extent_mm / pixels)
     if ratio < 1:  # finer than the map: average, so that no pixel is skipped
         size = [max(1, round(side * ratio)) for side in linear.shape[1::-1]]
@@ -118,7 +117,7 @@ def _fundus(seed: int, palette: Any) -> np.ndarray:
     return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=PICTURE_PX, palette=palette)
 
 
-_LEAST = 0.0031308  # linear, below which sRGB is straight (IEC 61966-2-1)
+_LEAST = 0.0031308  # of a reflectance in a random wall
 
 
 def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
@@ -137,8 +136,7 @@ def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
     amplitude = np.sqrt(np.maximum(np.fft.fft2(covariance).real, 0.0))
     white = np.random.default_rng(seed).standard_normal((pixels, pixels))
     log_reflectance = np.fft.ifft2(np.fft.fft2(white) * amplitude).real
-    linear = np.clip(0.5 * np.exp(log_reflectance), _LEAST, 1.0)
-    coded = 1.055 * linear ** (1 / 2.4) - 0.055
+    coded = srgb_of_light(np.clip(0.5 * np.exp(log_reflectance), _LEAST, 1.0))
     cv2.imwrite(str(path), np.round(65535 * coded).astype(np.uint16))
 
 

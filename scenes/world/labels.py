@@ -13,8 +13,9 @@ import numpy as np
 
 import optics
 from formats.calibration import LENS_PARAMETERS, Calibration
+from formats.camera import GREY_WEIGHTS
 from scenes.description.scene import Scene
-from scenes.description.settings import CameraSettings, SceneError
+from scenes.description.settings import SceneError
 from scenes.world.motion import longest_exposure
 from scenes.world.world import World
 
@@ -83,8 +84,6 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
     return labels
 
 
-_GREY = np.array([0.299, 0.587, 0.114])
-"""Luma weights of ITU-R BT.601, which OpenCV's grey conversion uses."""
 _PAPER_THRESHOLD_DN = 200.0
 """The paper's segmentation threshold for 8-bit images (Zhou et al. 2020, section III-B)."""
 
@@ -138,10 +137,14 @@ def paper_exposure(world: World) -> float:
     scene, exposures = world.scene, world.scene.exposures
     peak = peak_irradiance(world, distance=exposures.paper_distance_mm)
     radiance = world.wall_colour / math.pi * exposures.paper_level * peak
+    black = scene.camera.black_level_dn / scene.camera.full_scale_dn
     low, high = 0.0, 4.0 / (radiance.min() * exposures.sensitivity_mm2_sr_mj)
     for _ in range(60):
         middle = 0.5 * (low + high)
-        grey = _GREY @ _digital(radiance * exposures.sensitivity_mm2_sr_mj * middle, scene.camera)
+        light = radiance * exposures.sensitivity_mm2_sr_mj * middle
+        # Noise-free values of a linear camera on the 8-bit scale.
+        digital = 255.0 * np.minimum(black + (1.0 - black) * light, 1.0)
+        grey = GREY_WEIGHTS @ digital
         low, high = (middle, high) if grey < _PAPER_THRESHOLD_DN else (low, middle)
     longest = longest_exposure(scene)
     if "paper" in exposures.kinds and high > longest:
@@ -151,12 +154,6 @@ def paper_exposure(world: World) -> float:
             "'paper' from exposures.kinds."
         )
     return high
-
-
-def _digital(full_wells: np.ndarray, camera: CameraSettings) -> np.ndarray:
-    """Noise-free value of a linear camera on the 8-bit scale, clipped at full scale."""
-    black = camera.black_level_dn / camera.full_scale_dn
-    return 255.0 * np.minimum(black + (1.0 - black) * full_wells, 1.0)
 
 
 def study_calibration(
