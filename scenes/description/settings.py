@@ -18,6 +18,13 @@ _LEAST = 1e-6  # of lengths and speeds that something is divided by
 
 Positive = Annotated[float, Field(ge=_LEAST, le=_MOST_MM)]
 """A length in mm, or a speed in mm/s."""
+_Seconds = Annotated[float, Field(ge=0, le=_MOST_S)]
+_Hertz = Annotated[float, Field(ge=_LEAST, le=MOST_HZ)]
+_Share = Annotated[float, Field(ge=0, le=1)]
+_Part = Annotated[float, Field(ge=0, lt=1)]
+"""A share below 1."""
+_Any = Annotated[float, Field(ge=1e-9, le=1e9)]
+"""A positive number that has no other limits."""
 Angle = Annotated[float, Field(ge=-3600, le=3600)]
 Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
@@ -90,11 +97,8 @@ class Hand(_NamedMotion):
     tremor_rms_mm: float = Field(
         0.18, ge=0, le=_MOST_MM, description="Tremor before the robot damps it."
     )
-    damping: float = Field(
-        0.95,
-        ge=0,
-        le=1,
-        description="Fraction of the tremor that the robot removes (an assumption).",
+    damping: _Share = Field(
+        0.95, description="Fraction of the tremor that the robot removes (an assumption)."
     )
     trocar_mm: Annotated[float, AllowInfNan(), Field(gt=0)] = Field(20.0, description=_TROCAR)
     seed: Seed = Field(0, description="Random seed of the motion.")
@@ -143,29 +147,18 @@ Motion = Annotated[
 class Clocks(SceneTable):
     """Clocks of the camera and of the robot. Times are those of the camera's clock."""
 
-    camera_hz: float = Field(
-        10.0,
-        ge=_LEAST,
-        le=MOST_HZ,
-        description="Frame rate; a withdrawal sets its own number of frames.",
+    camera_hz: _Hertz = Field(
+        10.0, description="Frame rate; a withdrawal sets its own number of frames."
     )
-    camera_jitter_s: float = Field(
-        0.0,
-        ge=0,
-        le=_MOST_S,
-        description="Standard deviation of the times at which frames are taken.",
+    camera_jitter_s: _Seconds = Field(
+        0.0, description="Standard deviation of the times at which frames are taken."
     )
-    kinematics_hz: float = Field(
-        200.0, ge=_LEAST, le=MOST_HZ, description="Poses per second from the robot."
+    kinematics_hz: _Hertz = Field(200.0, description="Poses per second from the robot.")
+    kinematics_offset_s: Annotated[float, Field(ge=-_MOST_S, le=_MOST_S)] = Field(
+        0.0, description="Time by which the robot's clock is ahead of the camera's."
     )
-    kinematics_offset_s: float = Field(
-        0.0,
-        ge=-_MOST_S,
-        le=_MOST_S,
-        description="Time by which the robot's clock is ahead of the camera's.",
-    )
-    kinematics_jitter_s: float = Field(
-        0.0, ge=0, le=_MOST_S, description="Standard deviation of the time stamps of poses."
+    kinematics_jitter_s: _Seconds = Field(
+        0.0, description="Standard deviation of the time stamps of poses."
     )
     seed: Seed = Field(0, description="Random seed of both jitters.")
 
@@ -190,11 +183,8 @@ class CameraSettings(SceneTable):
     dark_signal_e: _NonNegative = Field(
         0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
     )
-    prnu: float = Field(
-        0.0,
-        ge=0,
-        lt=1,
-        description="PRNU: standard deviation of the pixels' gain, relative to its mean.",
+    prnu: _Part = Field(
+        0.0, description="PRNU: standard deviation of the pixels' gain, relative to its mean."
     )
     dsnu_e: _NonNegative = Field(
         0.0, description="DSNU: standard deviation of the pixels' dark signal, electrons."
@@ -211,11 +201,8 @@ class CameraSettings(SceneTable):
         "none",
         description="Bayer filter: colours of the first two rows. Other colours are interpolated.",
     )
-    jpeg_quality: int = Field(
-        0,
-        ge=0,
-        le=100,
-        description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG.",
+    jpeg_quality: Annotated[int, Field(ge=0, le=100)] = Field(
+        0, description="JPEG quality, with 4:2:2 colour as in USB video; 0: no JPEG."
     )
 
     @property
@@ -356,10 +343,8 @@ class Phantom(SceneTable):
     """The wall that the light falls on."""
 
     kind: Literal["eyeball", "plane"] = "eyeball"
-    radius_mm: float = Field(
+    radius_mm: Annotated[float, Field(ge=0.1, le=1000)] = Field(
         11.5,
-        ge=0.1,
-        le=1000,
         description="r, radius of the eyeball, or its semi-axis along Z. The plane passes through "
         "its pole.",
     )
@@ -385,19 +370,16 @@ class Phantom(SceneTable):
         description="What the wall shows: a drawn fundus, one grey, wall_image, or a photograph of "
         "a fundus, 4.9 x 8.7 mm about the pole.",
     )
-    reflectance: float = Field(
-        0.5, ge=0, lt=1, description="Reflectance of the uniform wall, or of white in an image."
+    reflectance: _Part = Field(
+        0.5, description="Reflectance of the uniform wall, or of white in an image."
     )
     wall_image: FileName = Field(
         "",
         description="Image file (sRGB) for wall 'image'. Its centre lies at the pole, its top "
         "towards +Y.",
     )
-    wall_image_mm: float = Field(
-        24.0,
-        ge=1e-3,
-        le=1e4,
-        description="Width of the image, measured along the wall through the pole.",
+    wall_image_mm: Annotated[float, Field(ge=1e-3, le=1e4)] = Field(
+        24.0, description="Width of the image, measured along the wall through the pole."
     )
     texture_seed: Seed = Field(1, description="Random seed of the fundus drawn on the wall.")
     coat: Literal["none", "wet", "glossy"] = Field(
@@ -456,9 +438,7 @@ class SourceSettings(SceneTable):
     cone_apex_offset_mm: Place = Field(
         -5.117, description="b, from the tip to the apex of the ideal cone along the beam."
     )
-    power_mw: float = Field(
-        1.0, ge=1e-9, le=1e9, description="Optical power that leaves the fibre's core."
-    )
+    power_mw: _Any = Field(1.0, description="Optical power that leaves the fibre's core.")
     medium: Literal["air", "water", "vitreous"] = Field(
         "air", description="Medium between the fibre and the wall."
     )
@@ -499,11 +479,8 @@ class SecondTool(SceneTable):
     trocar_azimuth_deg: Angle = Field(
         135.0, description="Direction of the trocar from the eye's axis; 0: +X."
     )
-    trocar_polar_deg: float = Field(
-        48.0,
-        ge=0,
-        lt=90,
-        description="Angle between the trocar and the eye's axis, seen from the eye's centre.",
+    trocar_polar_deg: Annotated[float, Field(ge=0, lt=90)] = Field(
+        48.0, description="Angle between the trocar and the eye's axis, seen from the eye's centre."
     )
 
 
@@ -540,10 +517,8 @@ class MicroscopeSettings(SceneTable):
     illumination_mw_mm2: float = Field(
         0.05, ge=0, le=1e9, description="Irradiance of the microscope light at the pole."
     )
-    vignetting: float = Field(
+    vignetting: _Part = Field(
         0.0,
-        ge=0,
-        lt=1,
         description="Fraction of light lost in the corners of the image. The loss grows with the "
         "square of the distance from the image centre.",
     )
@@ -551,18 +526,14 @@ class MicroscopeSettings(SceneTable):
         (0.0, 0.0, 0.0, 0.0, 0.0),
         description="Distortion coefficients k1, k2, p1, p2, k3 after Brown, as in OpenCV.",
     )
-    numerical_aperture: float = Field(
+    numerical_aperture: Annotated[float, Field(ge=0, le=0.3)] = Field(
         0.0,
-        ge=0,
-        le=0.3,
         description="Numerical aperture in air, towards the eye; 0: a pinhole, sharp at all "
         "heights. Above 0 the wall is blurred where it is out of focus; set samples to 64 then.",
     )
     focus_mm: Place = Field(0.0, description="Height above the pole that is in focus.")
-    samples: int = Field(
+    samples: Annotated[int, Field(ge=1, le=4096)] = Field(
         4,
-        ge=1,
-        le=4096,
         description="Samples per pixel, on a square grid: 1, 4, 9, 16 ... From 4 on, the mean of "
         "a lens's light over a pixel is exact up to the third degree.",
     )
@@ -576,22 +547,17 @@ class Exposures(SceneTable):
         description="Exposures of each frame: paper, one fixed exposure; metered, by the peak of "
         "the spot in each frame.",
     )
-    paper_level: float = Field(
+    paper_level: Annotated[float, Field(ge=1e-6, le=1e6)] = Field(
         0.48,
-        ge=1e-6,
-        le=1e6,
         description="The fixed exposure gives grey level 200 at this fraction of the beam's peak "
         "irradiance at paper_distance_mm.",
     )
     paper_distance_mm: Positive = Field(5.0, description="Distance that paper_level refers to.")
-    metered_peak: float = Field(
-        0.8,
-        ge=1e-6,
-        le=1,
-        description="Peak of the spot in metered frames, as a fraction of full scale.",
+    metered_peak: Annotated[float, Field(ge=1e-6, le=1)] = Field(
+        0.8, description="Peak of the spot in metered frames, as a fraction of full scale."
     )
-    sensitivity_mm2_sr_mj: float = Field(
-        200.0, ge=1e-9, le=1e9, description="Full wells per second and per mW/(mm2 sr) of radiance."
+    sensitivity_mm2_sr_mj: _Any = Field(
+        200.0, description="Full wells per second and per mW/(mm2 sr) of radiance."
     )
     bound: bool = Field(
         False,
