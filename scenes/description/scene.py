@@ -43,22 +43,16 @@ class Unrest(SceneTable):
         (0.0, 0.0),
         description="Velocity at which the whole image drifts, X and Y, measured at the pole.",
     )
-    shake_px: float = Field(
-        0.0,
-        ge=0,
-        le=100,
-        description="Standard deviation of the image's shake in x and y; new in each frame.",
+    shake_px: Annotated[float, Field(ge=0, le=100)] = Field(
+        0.0, description="Standard deviation of the image's shake in x and y; new in each frame."
     )
     rotation_deg_s: tuple[_Turning, _Turning, _Turning] = Field(
         (0.0, 0.0, 0.0),
         description="Angular velocity of the eyeball around its centre, as a vector. The wall's "
         "picture turns, the tip does not. Only for a sphere that is seen without [viewing].",
     )
-    power_swing: float = Field(
-        0.0,
-        ge=0,
-        le=0.3,
-        description="Relative standard deviation of the source's power; new in each frame.",
+    power_swing: Annotated[float, Field(ge=0, le=0.3)] = Field(
+        0.0, description="Relative standard deviation of the source's power; new in each frame."
     )
     seed: Seed = Field(0, description="Random seed of shake and power.")
 
@@ -183,122 +177,108 @@ class Scene(SceneTable):
 
     @model_validator(mode="after")
     def _looks_through_what_it_can(self) -> Scene:
-        if not self.viewing.through_an_eye:
-            if self.viewing.reflexes:
+        viewing, height = self.viewing, self.microscope.pinhole_height_mm
+        distortion, lit = self.microscope.distortion, self.microscope.light
+        if not viewing.through_an_eye:
+            if viewing.reflexes:
                 raise InputError(
                     "viewing.reflexes needs an eye whose surfaces reflect; got eye 'none'. Set "
                     "viewing.eye, for example to navarro."
                 )
-            if self.viewing.lens != "none":
+            if viewing.lens != "none":
                 raise InputError(
-                    f"viewing.lens needs an eye behind it; got lens {self.viewing.lens!r} with eye "
+                    f"viewing.lens needs an eye behind it; got lens {viewing.lens!r} with eye "
                     "'none'. Set viewing.eye, for example to navarro."
                 )
             return self
-        for wanted, key, got in (
+        needs: list[tuple[bool, str, object]] = [
             (self.phantom.kind == "eyeball", "phantom.kind = 'eyeball'", self.phantom.kind),
-            (
-                not any(self.microscope.distortion),
-                "microscope.distortion = zeros",
-                list(self.microscope.distortion),
-            ),
-            (
-                not self.viewing.reflexes or math.isfinite(self.microscope.pinhole_height_mm),
-                "a finite microscope.pinhole_height_mm for viewing.reflexes",
-                self.microscope.pinhole_height_mm,
-            ),
-            (
-                not self.viewing.reflexes or self.microscope.light == "coaxial",
-                "microscope.light = 'coaxial' for viewing.reflexes",
-                self.microscope.light,
-            ),
+            (not any(distortion), "microscope.distortion = zeros", list(distortion)),
             (self.source.kind != "photons", "source.kind = 'lens' or 'cone'", self.source.kind),
-        ):
-            if not wanted:
+        ]
+        if viewing.reflexes:
+            finite = "a finite microscope.pinhole_height_mm for viewing.reflexes"
+            coaxial = "microscope.light = 'coaxial' for viewing.reflexes"
+            needs += [(math.isfinite(height), finite, height), (lit == "coaxial", coaxial, lit)]
+        for met, need, got in needs:
+            if not met:
                 raise InputError(
-                    f"viewing.eye = {self.viewing.eye!r} needs {key}; got {got!r}. Set it, or "
+                    f"viewing.eye = {viewing.eye!r} needs {need}; got {got!r}. Set it, or "
                     "viewing.eye = 'none'."
                 )
         return self
 
     @model_validator(mode="after")
-    def _turns_what_it_can(self) -> Scene:
-        round_and_bare = self.phantom.kind == "eyeball" and not self.phantom.stretched
-        if self.unrest.turns and not (round_and_bare and not self.viewing.through_an_eye):
+    def _is_possible(self) -> Scene:
+        phantom, microscope, tool = self.phantom, self.microscope, self.second_tool
+        r, c, height = phantom.radius_mm, self.spot.eccentricity_mm, microscope.pinhole_height_mm
+        is_sphere = phantom.kind == "eyeball" and not phantom.stretched
+        if self.unrest.turns and (not is_sphere or self.viewing.through_an_eye):
             raise InputError(
                 "unrest.rotation_deg_s turns a spherical eyeball that is seen without [viewing]; "
-                f"got phantom.kind {self.phantom.kind!r}, stretch {list(self.phantom.stretch)} and "
+                f"got phantom.kind {phantom.kind!r}, stretch {list(phantom.stretch)} and "
                 f"viewing.eye {self.viewing.eye!r}. Set rotation_deg_s to zeros; drift_mm_s and "
                 "shake_px work with all of them."
             )
-        return self
-
-    @model_validator(mode="after")
-    def _is_possible(self) -> Scene:
-        r, c = self.phantom.radius_mm, self.spot.eccentricity_mm
-        narrowest = r * min(1.0, *self.phantom.stretch)
+        narrowest = r * min(1.0, *phantom.stretch)
         if c >= narrowest:
             raise InputError(
                 "spot.eccentricity_mm must be smaller than the eyeball's radius; got "
                 f"{c:g} mm with radius {narrowest:g} mm. Lower eccentricity_mm."
             )
-        if abs(self.microscope.pinhole_height_mm + r) < r * 0.5:
+        if abs(height + r) < r * 0.5:
             raise InputError(
                 f"microscope.pinhole_height_mm must lie {r / 2:g} mm or more (half a radius) above "
-                f"or below the retina, which is at {-r:g} mm; got "
-                f"{self.microscope.pinhole_height_mm:g} mm. Raise or lower it."
+                f"or below the retina, which is at {-r:g} mm; got {height:g} mm. Raise or lower it."
             )
-        if math.isinf(self.microscope.pinhole_height_mm) and any(self.microscope.distortion):
+        if math.isinf(height) and any(microscope.distortion):
             raise InputError(
                 "microscope.distortion is measured in focal lengths, and a telecentric "
-                f"microscope has none; got {list(self.microscope.distortion)} with "
+                f"microscope has none; got {list(microscope.distortion)} with "
                 "pinhole_height_mm = inf. Set it to zeros or lower pinhole_height_mm."
             )
-        if self.phantom.wall == "image" and not self.phantom.wall_image:
+        if phantom.wall == "image" and not phantom.wall_image:
             raise InputError(
                 "phantom.wall = 'image' needs phantom.wall_image. Set it to the path of the image."
             )
-        traced = self.source.kind == "photons" or self.phantom.indirect == "traced"
-        if self.phantom.spread != "none" and traced:
+        traced = self.source.kind == "photons" or phantom.indirect == "traced"
+        if phantom.spread != "none" and traced:
             raise InputError(
-                "phantom.spread does not apply to traced light; got spread "
-                f"{self.phantom.spread!r} with source.kind {self.source.kind!r} and indirect "
-                f"{self.phantom.indirect!r}. Set spread = 'none', or the other two to 'lens' and "
-                "'closed form'."
+                f"phantom.spread does not apply to traced light; got spread {phantom.spread!r} "
+                f"with source.kind {self.source.kind!r} and indirect {phantom.indirect!r}. Set "
+                "spread = 'none', or the other two to 'lens' and 'closed form'."
             )
-        if self.phantom.pupil_radius_mm and self.phantom.kind == "plane":
+        if phantom.pupil_radius_mm and phantom.kind == "plane":
             raise InputError(
                 "phantom.pupil_radius_mm applies to the eyeball phantom only; got "
-                f"{self.phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
+                f"{phantom.pupil_radius_mm:g} mm with kind 'plane'. Set it to 0."
             )
-        if self.phantom.pupil_radius_mm >= r:
+        if phantom.pupil_radius_mm >= r:
             raise InputError(
                 "phantom.pupil_radius_mm must be smaller than phantom.radius_mm; got "
-                f"{self.phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
+                f"{phantom.pupil_radius_mm:g} mm with radius {r:g} mm. Lower it."
             )
-        if self.second_tool.visible and math.hypot(*self.second_tool.tip_mm) >= r:
+        if tool.visible and math.hypot(*tool.tip_mm) >= r:
             raise InputError(
                 f"second_tool.tip_mm must lie inside the eye of radius {r:g} mm; got "
-                f"{list(self.second_tool.tip_mm)}, {math.hypot(*self.second_tool.tip_mm):.2f} mm "
-                "from its centre. Move it."
+                f"{list(tool.tip_mm)}, {math.hypot(*tool.tip_mm):.2f} mm from its centre. Move it."
             )
-        if self.phantom.kind == "eyeball":
-            if not self.phantom.stretched and (self.phantom.tilt_deg or any(self.phantom.shift_mm)):
-                raise InputError(
-                    "phantom.tilt_deg and shift_mm apply to a plane or a stretched eyeball; got "
-                    f"{self.phantom.tilt_deg:g} deg and {list(self.phantom.shift_mm)} mm with a "
-                    "sphere. Set them to 0, or choose kind = 'plane'."
-                )
-            if self.phantom.stretched and self.phantom.spread != "none":
-                raise InputError(
-                    "phantom.spread does not apply to a stretched eyeball; got spread "
-                    f"{self.phantom.spread!r} with stretch {list(self.phantom.stretch)}. Set "
-                    "spread = 'none'."
-                )
-        elif math.radians(self.phantom.tilt_deg + self.spot.incidence_deg) >= math.pi / 2:
+        if is_sphere and (phantom.tilt_deg or any(phantom.shift_mm)):
             raise InputError(
-                "phantom.tilt_deg + spot.incidence_deg must be below 90; got "
-                f"{self.phantom.tilt_deg:g} + {self.spot.incidence_deg:g} deg, so the beam may "
-                "miss the plane. Lower one of them."
+                "phantom.tilt_deg and shift_mm apply to a plane or a stretched eyeball; got "
+                f"{phantom.tilt_deg:g} deg and {list(phantom.shift_mm)} mm with a sphere. Set them "
+                "to 0, or choose kind = 'plane'."
+            )
+        if phantom.stretched and phantom.spread != "none":
+            raise InputError(
+                "phantom.spread does not apply to a stretched eyeball; got spread "
+                f"{phantom.spread!r} with stretch {list(phantom.stretch)}. Set spread = 'none'."
+            )
+        steepest = phantom.tilt_deg + self.spot.incidence_deg
+        if phantom.kind == "plane" and math.radians(steepest) >= math.pi / 2:
+            raise InputError(
+                f"phantom.tilt_deg + spot.incidence_deg must be below 90; got {phantom.tilt_deg:g} "
+                f"+ {self.spot.incidence_deg:g} deg, so the beam may miss the plane. Lower one of "
+                "them."
             )
         return self
