@@ -129,14 +129,7 @@ def _filled(limit: Any, waist: Any, index: Any):
     return extent, lambda squared: dr.exp(-2 * squared / waist**2) * edge / (1 - dr.exp(-edge))
 
 
-LENS = (
-    "core_radius",
-    "glue_length",
-    "aperture_radius",
-    "sag",
-    "glue_index",
-    "numerical_aperture",
-)
+LENS = ("core_radius", "glue_length", "aperture_radius", "sag", "glue_index", "numerical_aperture")
 """Parameters of the lens that can be free, named as in `optics.GlueLens`."""
 
 POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")

@@ -95,16 +95,13 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
         medium_index: n0, refractive index of the medium.
     """
     glass = optics.load_lens(lens)
+    names = ("values", "medium_index", "contact_radius", "slope")
 
     def compute() -> dict[str, Any]:
         table = optics.irradiance_table(glass, medium_index=medium_index)
-        return {
-            "values": np.asarray(table.values),
-            "medium_index": np.asarray(table.medium_index),
-            "contact_radius": np.asarray(table.contact_radius),
-            "slope": np.asarray(table.slope),
-            "transmitted": np.asarray(optics.transmitted_power(glass, medium_index=medium_index)),
-        }
+        transmitted = optics.transmitted_power(glass, medium_index=medium_index)
+        kept = {name: getattr(table, name) for name in names} | {"transmitted": transmitted}
+        return {name: np.asarray(value) for name, value in kept.items()}
 
     # The key is made of all that the result depends on: lens, medium and code.
     numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
@@ -112,12 +109,7 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
     for source in LIGHT_FILES:
         key.update((Path(optics.__file__).parent / source).read_bytes())
     kept = kept_arrays(cache_file("lens_light", key.hexdigest()), compute)
-    table = optics.IrradianceTable(
-        values=kept["values"],
-        medium_index=kept["medium_index"],
-        contact_radius=kept["contact_radius"],
-        slope=kept["slope"],
-    )
+    table = optics.IrradianceTable(**{name: kept[name] for name in names})
     return LensLight(table, float(kept["transmitted"]))
 
 
@@ -297,19 +289,7 @@ _CONTACT_MM = 1e-6
 def _check_poses(
     geometry: SceneGeometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
 ) -> None:
-    """Refuse a motion that enters the wall.
-
-    The rim of a visible fibre may touch the wall but not enter it. Without a visible instrument,
-    only the tip is checked.
-
-    Args:
-        times: n times, s.
-        tip: n x 3, mm.
-        axis: n x 3, unit vectors.
-
-    Raises:
-        SceneError: the wall is entered; the message gives the first time and what to change.
-    """
+    """Refuse a motion in which the tip, or a visible fibre's rim, enters the wall."""
     instrument = geometry.scene.instrument
     rim = instrument.fibre_diameter_mm / 2 if instrument.visible else 0.0
     wall = geometry.wall
@@ -360,19 +340,7 @@ def _check_spots(
 ) -> None:
     """Refuse a scene in which a part of a spot has no light, is hidden, or leaves the window.
 
-    No light is behind the tip. The iris, or a lens's edge, may hide a part. A spot may leave the
-    window if window_offset_px is set.
-
-    Args:
-        times: n times, s.
-        contours: points of the spots' contours on the wall, n x points x 3, mm.
-        contours_px: their images, n x points x 2, px.
-        tip: n x 3, mm.
-        axis: n x 3, unit vectors.
-
-    Raises:
-        SceneError: that is so; the message gives the first time and what to change. Or the
-            distortion folds the image.
+    No light is behind the tip. A spot may leave the window if window_offset_px is set.
     """
     ahead = np.sum((contours - tip[:, None]) * axis[:, None], axis=-1).min(axis=1)
     if not np.all(ahead > -_CONTACT_MM):
