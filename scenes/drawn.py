@@ -10,10 +10,8 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from statistics import NormalDist
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from formats.spots import Spot
@@ -26,23 +24,6 @@ Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 def erf_edge(sigma_px: float) -> Profile:
     """Uniform disc with an edge blurred by a Gaussian."""
     return lambda t, distance: ndtr(-distance / sigma_px)
-
-
-def domed_edge(sigma_px: float, drop: float) -> Profile:
-    """Disc whose light falls by `drop` from the centre to the rim, with the same blur."""
-    # On the contour, dome times edge is 1/2, so the middle of the edge lies further inside.
-    shift = NormalDist().inv_cdf(0.5 / (1 - drop))
-    return lambda t, distance: (1 - drop * t * t) * ndtr(shift - distance / sigma_px)
-
-
-def flank(width: float) -> Profile:
-    """Plateau with a linear flank, `width` radii wide, as behind a flat glue lens."""
-    return lambda t, distance: np.clip(0.5 + (1 - t) / width, 0, 1)
-
-
-def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Gaussian profile."""
-    return np.exp(-math.log(2) * t * t)
 
 
 SHAPE = (480, 640)
@@ -183,40 +164,3 @@ def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.nda
     column = rng.integers(retina.shape[1] - shape[1] + 1)
     wall = retina[row : row + shape[0], column : column + shape[1]].astype(float)
     return wall / wall.mean(axis=(0, 1)).max()
-
-
-def with_shaft(
-    drawing: Drawing, rng: np.random.Generator, reach: float, width_px: float
-) -> Drawing:
-    """A drawing with a shaft. Its tip ends `reach` semi-minor axes before the spot's centre."""
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    truth, heading = drawing.truth, rng.uniform(0, 2 * math.pi)
-    away = reach * truth.semi_minor
-    tip = truth.x + away * math.cos(heading), truth.y + away * math.sin(heading)
-    right, down = u - tip[0], v - tip[1]
-    along = right * math.cos(heading) + down * math.sin(heading)
-    across = down * math.cos(heading) - right * math.sin(heading)
-    hidden = np.clip(np.minimum(along, width_px / 2 - np.abs(across)) + 0.5, 0, 1)
-    return replace(drawing, seen=1 - hidden)
-
-
-def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawing:
-    """A drawing with a sector of 90 degrees in shadow; its edges are blurred by 1.5 px."""
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    direction = np.arctan2(v - drawing.truth.y, u - drawing.truth.x) - rng.uniform(0, 2 * math.pi)
-    lit = (direction % (2 * math.pi) > math.pi / 2).astype(float)
-    return replace(drawing, lit=gaussian_filter(lit, 1.5))
-
-
-def with_glints(
-    drawing: Drawing, rng: np.random.Generator, *, on_edge: bool, number: int = 4
-) -> Drawing:
-    """A drawing with bright discs of 3 to 9 px radius on the contour, or within 1.6 radii."""
-    v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
-    glints = np.zeros(SHAPE)
-    for _ in range(number):
-        angle, radius = rng.uniform(0, 2 * math.pi), rng.uniform(3, 9)
-        away = drawing.truth.semi_minor * (1.0 if on_edge else rng.uniform(0.2, 1.6))
-        x, y = drawing.truth.x + away * math.cos(angle), drawing.truth.y + away * math.sin(angle)
-        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = 250
-    return replace(drawing, glints=gaussian_filter(glints, 1.0))

@@ -1,14 +1,35 @@
-"""Grey images of one spot by formula, and the spot that the estimator finds in a frame."""
+"""Images of one spot by formula, what may hide it, and the spot that the estimator finds."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.special import ndtr
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from formats.spots import Spot
-from scenes.drawn import Drawing, Truth, bell, erf_edge, light_of
+from scenes.drawn import SHAPE, Drawing, Profile, Truth, erf_edge, light_of
+
+
+def domed_edge(sigma_px: float, drop: float) -> Profile:
+    """Disc whose light falls by `drop` from the centre to the rim, with the same blur."""
+    # On the contour, dome times edge is 1/2, so the middle of the edge lies further inside.
+    shift = NormalDist().inv_cdf(0.5 / (1 - drop))
+    return lambda t, distance: (1 - drop * t * t) * ndtr(shift - distance / sigma_px)
+
+
+def flank(width: float) -> Profile:
+    """Plateau with a linear flank, `width` radii wide, as behind a flat glue lens."""
+    return lambda t, distance: np.clip(0.5 + (1 - t) / width, 0, 1)
+
+
+def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
+    """Gaussian profile."""
+    return np.exp(-math.log(2) * t * t)
 
 
 def spot_image(
@@ -67,3 +88,40 @@ def spot_in(
     spot, _ = measure(frame, TrackState(at_px=at), settings or SubpixelSettings())
     assert isinstance(spot, Spot), spot
     return spot
+
+
+def with_shaft(
+    drawing: Drawing, rng: np.random.Generator, reach: float, width_px: float
+) -> Drawing:
+    """A drawing with a shaft. Its tip ends `reach` semi-minor axes before the spot's centre."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    truth, heading = drawing.truth, rng.uniform(0, 2 * math.pi)
+    away = reach * truth.semi_minor
+    tip = truth.x + away * math.cos(heading), truth.y + away * math.sin(heading)
+    right, down = u - tip[0], v - tip[1]
+    along = right * math.cos(heading) + down * math.sin(heading)
+    across = down * math.cos(heading) - right * math.sin(heading)
+    hidden = np.clip(np.minimum(along, width_px / 2 - np.abs(across)) + 0.5, 0, 1)
+    return replace(drawing, seen=1 - hidden)
+
+
+def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawing:
+    """A drawing with a sector of 90 degrees in shadow; its edges are blurred by 1.5 px."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    direction = np.arctan2(v - drawing.truth.y, u - drawing.truth.x) - rng.uniform(0, 2 * math.pi)
+    lit = (direction % (2 * math.pi) > math.pi / 2).astype(float)
+    return replace(drawing, lit=gaussian_filter(lit, 1.5))
+
+
+def with_glints(
+    drawing: Drawing, rng: np.random.Generator, *, on_edge: bool, number: int = 4
+) -> Drawing:
+    """A drawing with bright discs of 3 to 9 px radius on the contour, or within 1.6 radii."""
+    v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
+    glints = np.zeros(SHAPE)
+    for _ in range(number):
+        angle, radius = rng.uniform(0, 2 * math.pi), rng.uniform(3, 9)
+        away = drawing.truth.semi_minor * (1.0 if on_edge else rng.uniform(0.2, 1.6))
+        x, y = drawing.truth.x + away * math.cos(angle), drawing.truth.y + away * math.sin(angle)
+        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = 250
+    return replace(drawing, glints=gaussian_filter(glints, 1.0))

@@ -8,7 +8,8 @@ import pytest
 
 from estimator import SubpixelSettings, TrackState, measure
 from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import SHAPE, Drawing, Truth, bell, frame_of
+from scenes.drawn import SHAPE, Drawing, Truth, frame_of
+from tests.drawn_spots import bell
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
 _MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))

@@ -22,12 +22,14 @@ from scenes.drawn import (
     Truth,
     any_truth,
     any_wall,
-    bell,
-    domed_edge,
     erf_edge,
-    flank,
     frame_of,
     light_of,
+)
+from tests.drawn_spots import (
+    bell,
+    domed_edge,
+    flank,
     with_glints,
     with_quarter_in_shadow,
     with_shaft,
