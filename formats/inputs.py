@@ -76,14 +76,16 @@ def in_file(name: object, kind: type[InputError] = InputError) -> Iterator[None]
         raise kind(f"{name}: {error}") from error
 
 
-def check_regular(path: Path) -> int:
+def check_regular(
+    path: Path, *, most_bytes: int | None = None, remedy: str = "Check that it is the right file."
+) -> None:
     """Refuse what is no regular file: a pipe would wait for ever, a device may never end.
 
-    Returns:
-        Size of the file, bytes.
+    Args:
+        remedy: for a file of more than `most_bytes`.
 
     Raises:
-        InputError: a folder, pipe, device or socket, or a name that no file can have.
+        InputError: a folder, pipe, device or socket, a name that no file can have, or too large.
         OSError: there is no such file, or it may not be looked at.
     """
     try:
@@ -93,7 +95,8 @@ def check_regular(path: Path) -> int:
     if not stat.S_ISREG(found.st_mode):
         what = "a folder" if stat.S_ISDIR(found.st_mode) else "a pipe, device or socket"
         raise InputError(f"{what}, not a file. Give the path of a file.")
-    return found.st_size
+    if most_bytes is not None and found.st_size > most_bytes:
+        raise InputError(f"larger than {most_bytes:,} bytes ({found.st_size:,}). {remedy}")
 
 
 def read_data(path: Path, *, most_bytes: int) -> bytes:
@@ -103,11 +106,7 @@ def read_data(path: Path, *, most_bytes: int) -> bytes:
         InputError: too large, or not a regular file.
         OSError: the file cannot be read.
     """
-    size = check_regular(path)
-    if size > most_bytes:
-        raise InputError(
-            f"larger than {most_bytes:,} bytes ({size:,}). Check that it is the right file."
-        )
+    check_regular(path, most_bytes=most_bytes)
     with path.open("rb") as file:
         return file.read(most_bytes)
 
@@ -315,11 +314,7 @@ def csv_rows(
         OSError: the file cannot be read.
     """
     with in_file(path):
-        size = check_regular(path)
-        if size > _MOST_CSV_BYTES:
-            raise InputError(
-                f"larger than {_MOST_CSV_BYTES:,} bytes ({size:,}). Split it, or write fewer rows."
-            )
+        check_regular(path, most_bytes=_MOST_CSV_BYTES, remedy="Split it, or write fewer rows.")
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.DictReader(file, strict=True)
         try:

@@ -44,10 +44,9 @@ def opened_bag(path: Path) -> Iterator[AnyReader]:
     with in_file(path):
         files = [inside(path, file.name) for file in path.iterdir()] if path.is_dir() else [path]
     for file in files:
+        most = _MOST_YAML_BYTES if file.suffix == ".yaml" else None
         with in_file(file):
-            size = check_regular(file)
-            if file.suffix == ".yaml" and size > _MOST_YAML_BYTES:
-                raise InputError(f"larger than {_MOST_YAML_BYTES:,} bytes. {_REMEDY}")
+            check_regular(file, most_bytes=most, remedy=_REMEDY)
     with _damage_reported(f"{path}"):
         reader = AnyReader([path], default_typestore=types)
         reader.open()

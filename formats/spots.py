@@ -31,6 +31,7 @@ from formats.inputs import (
     shortened,
 )
 from formats.whole_files import (
+    append_line,
     damage_reported,
     give_name,
     refuse_existing,
@@ -348,17 +349,10 @@ def spots_stream(path: Path, *, replace: bool = False) -> Iterator[Callable[[Spo
     written = 0
 
     def append(cells: Iterable[object]) -> None:
-        """Write a line wholly or not at all."""
-        end, data = file.tell(), _csv_line(cells).encode()
         try:
-            while data:
-                data = data[file.write(data) :]
-        except BaseException as error:
-            file.truncate(end)
-            file.seek(end)
-            if isinstance(error, OSError):
-                raise OSError(error.errno, error.strerror, f"{path}") from error
-            raise
+            append_line(file, _csv_line(cells))
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, f"{path}") from error
 
     def write(record: SpotRecord) -> None:
         nonlocal written

@@ -51,6 +51,7 @@ from formats.inputs import (
 from formats.manifest import MANIFEST, differences, read_manifest, write_manifest
 from formats.whole_files import (
     STOPPED,
+    append_line,
     empty,
     errors_named,
     give_name,
@@ -468,15 +469,9 @@ class StackWriter:
             _write_image(self._partial / labels.file_name, image, _PNG)
             # Last, because a line means that the files it names are complete.
             line = json.dumps(labels.row()) + "\n"
-            path = self._partial / _LABELS
             with self._one_at_a_time:
-                before = path.stat().st_size
-                try:
-                    with path.open("a", encoding="utf-8") as file:
-                        file.write(line)
-                except OSError:
-                    os.truncate(path, before)  # the next line would end a half one
-                    raise
+                with (self._partial / _LABELS).open("ab", buffering=0) as file:
+                    append_line(file, line)
                 self._lines[labels.file_name] = line
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: object) -> None:

@@ -13,6 +13,7 @@ import os
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from io import FileIO
 from pathlib import Path
 from typing import Any
 
@@ -99,8 +100,8 @@ def require_space(path: Path, needed_bytes: float) -> None:
     free = shutil.disk_usage(folder).free
     if free < needed_bytes:
         raise InputError(
-            f"{path} needs at least {_megabytes(needed_bytes)}, but its disk has "
-            f"{_megabytes(free)} left. Free some space, or choose another disk."
+            f"{path} needs at least {needed_bytes / 1e6:,.1f} MB, but its disk has "
+            f"{free / 1e6:,.1f} MB left. Free some space, or choose another disk."
         )
 
 
@@ -182,6 +183,18 @@ def give_name(made: Path, path: Path, *, replace: bool = False) -> None:
         raise
 
 
+def append_line(file: FileIO, line: str) -> None:
+    """Append a line to an unbuffered file, wholly or not at all."""
+    end, data = file.seek(0, os.SEEK_END), line.encode()
+    try:
+        while data:
+            data = data[file.write(data) :]
+    except BaseException:
+        file.truncate(end)
+        file.seek(end)
+        raise
+
+
 def empty(folder: Path) -> None:
     """Remove what is in a folder, but not the folder."""
     for path in folder.iterdir():
@@ -245,10 +258,6 @@ def _is_at(handle: int, folder: Path) -> bool:
     except FileNotFoundError:
         return False
     return os.path.samestat(os.fstat(handle), there)
-
-
-def _megabytes(size: float) -> str:
-    return f"{size / 1e6:,.1f} MB"
 
 
 def cache_file(folder: str, key: str) -> Path:
