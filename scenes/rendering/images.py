@@ -20,8 +20,8 @@ class Images:
     """One scene, loaded once into Mitsuba. Only pixels that the tip can change are rendered again.
 
     Attributes:
+        mitsuba_scene: the scene as it is loaded.
         random: whether light is sampled randomly, so that all pixels differ between images.
-        reach: finds the pixels that a pose changes; None if all pixels are rendered each time.
 
     Raises:
         SceneError: the scene is too slow for a scalar variant.
@@ -56,11 +56,16 @@ class Images:
         )
         # Scalar variants cannot render arrays of pixels.
         self._in_arrays = not (self.random or variant.startswith("scalar"))
-        self.reach = None
+        self._reach = None
         if scene.unrest.still and self._in_arrays:
             self._move(PARKED_MM, DOWN)
             self._still = self._whole_image(seed=0)
-            self.reach = reach.Reach.of(world, self.mitsuba_scene, wall=self._still[1])
+            self._reach = reach.Reach(world, self.mitsuba_scene, wall=self._still[1])
+
+    @property
+    def by_colour(self) -> list[Images]:
+        """Images for each set of lines of sight: these alone."""
+        return [self]
 
     def at(
         self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
@@ -77,11 +82,11 @@ class Images:
             Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
         """
         self.place(tip=tip, axis=axis, moment=moment)
-        if self.reach is None:
+        if self._reach is None:
             radiance, wall = self._whole_image(seed)
         else:
             radiance, wall = (still.copy() for still in self._still)
-            pixels = self.reach.pixels(tip=tip, axis=axis)
+            pixels = self._reach.pixels(tip=tip, axis=axis)
             radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
         reflexes = self._reflexes
         if moment is not None and self.world.scene.unrest.shifts:
@@ -129,20 +134,15 @@ class Images:
 class ColourImages:
     """Images of a scene in which each colour has its own lines of sight, rendered apart.
 
+    The attributes are those of `Images`, `mitsuba_scene` as green sees it.
+
     Args:
         colours: the scene as red, green and blue see it (`World.colours`).
-
-    Attributes:
-        by_colour: the images in red, green and blue.
-        mitsuba_scene: the scene as green sees it, loaded.
-        random: as of `Images`.
-        reach: as of `Images`, for green.
     """
 
     def __init__(self, colours: Sequence[World], *, variant: str) -> None:
         self.by_colour = [Images(world, variant=variant) for world in colours]
-        green = self.by_colour[1]
-        self.mitsuba_scene, self.random, self.reach = green.mitsuba_scene, green.random, green.reach
+        self.mitsuba_scene, self.random = self.by_colour[1].mitsuba_scene, self.by_colour[1].random
 
     def at(
         self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None

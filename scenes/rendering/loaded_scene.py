@@ -50,6 +50,15 @@ def radiance_along(mitsuba_scene: Any, *, start: np.ndarray, direction: np.ndarr
     return np.array(colours).reshape(-1, 3)
 
 
+def _seen_at(mitsuba_scene: Any, place: Any) -> tuple[Any, Any]:
+    """Radiance at places of the image, px, and 1 where the wall is seen."""
+    sensor = mitsuba_scene.sensors()[0]
+    on_film = mi.Point2f(place / mi.Vector2f(sensor.film().size()))
+    ray, part = sensor.sample_ray(0.0, 0.5, on_film, mi.Point2f(0.5))
+    light, _, seen = mitsuba_scene.integrator().sample(mitsuba_scene, sensor.sampler(), ray)
+    return light * part, seen[0]
+
+
 @dr.syntax
 def pixel_means(
     mitsuba_scene: Any, pixels: np.ndarray, *, samples: int, smooth: bool
@@ -72,20 +81,17 @@ def pixel_means(
     Returns:
         Radiance, n x 3, and the fraction of each pixel that shows the wall, n.
     """
-    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
-    size = mi.Vector2f(sensor.film().size())
     side = math.isqrt(samples - 1) + 1
-    index, width = mi.UInt32(pixels), sensor.film().size()[0]
+    index, width = mi.UInt32(pixels), mitsuba_scene.sensors()[0].film().size()[0]
     middle = mi.Vector2f(index % width, index // width) + 0.5
     apart = 1 / math.sqrt(side**2 - 1) if smooth and side > 1 else 1 / side
     radiance, wall = dr.zeros(mi.Color3f, pixels.size), dr.zeros(mi.Float, pixels.size)
     sample = mi.UInt32(0)
     while sample < side * side:
         place = middle + apart * (mi.Vector2f(sample % side, sample // side) + 0.5 - side / 2)
-        ray, part = sensor.sample_ray(0.0, 0.5, mi.Point2f(place / size), mi.Point2f(0.5))
-        light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
-        radiance += light * part
-        wall += seen[0]
+        light, seen = _seen_at(mitsuba_scene, place)
+        radiance += light
+        wall += seen
         sample += 1
     colours, part = dr.ravel(radiance / side**2), wall / side**2
     dr.eval(colours, part)  # in one kernel
@@ -106,17 +112,14 @@ def fine_image(
         Radiance, rows x columns x 3, and 1 where the wall is seen, rows x columns; both float32.
     """
     top, bottom, left, right = window
-    sensor, integrator = mitsuba_scene.sensors()[0], mitsuba_scene.integrator()
     rows, columns = (bottom - top) * factor, (right - left) * factor
     index, corner = dr.arange(mi.UInt32, rows * columns), mi.Vector2f(left, top)
     # As data, so that every window uses the same kernel.
     side = mi.UInt32(columns)
     dr.make_opaque(side, corner)
     place = (mi.Vector2f(index % side, index // side) + 0.5) / factor + corner
-    size = mi.Vector2f(sensor.film().size())
-    ray, part = sensor.sample_ray(0.0, 0.5, mi.Point2f(place / size), mi.Point2f(0.5))
-    light, _, seen = integrator.sample(mitsuba_scene, sensor.sampler(), ray)
-    colours, wall = dr.ravel(light * part), mi.Float(seen[0])
+    light, seen = _seen_at(mitsuba_scene, place)
+    colours, wall = dr.ravel(light), mi.Float(seen)
     dr.eval(colours, wall)
     return np.array(colours).reshape(rows, columns, 3), np.array(wall).reshape(rows, columns)
 

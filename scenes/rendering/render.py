@@ -191,19 +191,17 @@ class Renderer:
             float(np.ptp(spot_px)),
         )
 
-    def fine_wall(self, frame: int, *, window: tuple[int, int, int, int], factor: int) -> FineWall:
+    def fine_wall(self, frame: int, *, window: ImageWindow, factor: int) -> FineWall:
         """The wall in a part of a frame without the beam, finer than pixels.
 
         The reflectance follows from two images, of which one has even light from all sides added.
 
         Args:
-            window: top, bottom, left and right, px.
             factor: places along a side of a pixel.
         """
         pose = PARKED_MM, DOWN, self.world.unrest.at(frame, self.world.times[frame])
-        part = ImageWindow(*window)
-        unlit, lit = (self._fine(part, factor, pose, added) for added in (0.0, _ALL_SIDES))
-        return FineWall(unlit, lit - unlit, part, factor)
+        unlit, lit = (self._fine(window, factor, pose, added) for added in (0.0, _ALL_SIDES))
+        return FineWall(unlit, lit - unlit, window, factor)
 
     def fine_light(
         self, frame: int, wall: FineWall, *, exposure_s: float, sub_frames: int
@@ -247,7 +245,7 @@ class Renderer:
 
         tip, axis, moment = pose
         colours = []
-        for images in getattr(self.images, "by_colour", [self.images]):
+        for images in self.images.by_colour:
             images.place(tip=tip, axis=axis, moment=moment)
             with more_even_light(images.mitsuba_scene, added):
                 radiance, wall = fine_image(images.mitsuba_scene, window, factor=factor)
