@@ -146,7 +146,8 @@ class PhotonImage:
     spline three pixels wide instead of a box, and that light reflected by the cap is lost (under
     0.5 % of it would come out later). A seed fixes the random numbers of all photons, so the image
     is a smooth function of the parameters. The photons are a scrambled Sobol sequence, which has
-    less noise than independent ones.
+    less noise than independent ones. A method raises an InputError, which names the value, if no
+    lens has the parameters that it is given.
 
     Args:
         scene: a scene with a lens as source, and without instruments in view.
@@ -195,9 +196,6 @@ class PhotonImage:
 
         Args:
             parameters: values in the order of `free`.
-
-        Raises:
-            InputError: no lens has these values; the message names the value.
         """
         image = np.zeros(self.shape)
         for _, pixels, light in self._passes(parameters):
@@ -209,9 +207,6 @@ class PhotonImage:
 
         Args:
             parameters: p values in the order of `free`.
-
-        Raises:
-            InputError: no lens has these values; the message names the value.
         """
         image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
         for leaves, pixels, light in self._passes(parameters, derivatives=True):
@@ -237,9 +232,6 @@ class PhotonImage:
 
         Returns:
             p derivatives.
-
-        Raises:
-            InputError: no lens has these values; the message names the value.
         """
         border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
         weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))

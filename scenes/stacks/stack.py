@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ def metered_time(scene: Scene, camera: CameraSensor, light: np.ndarray, mask: np
 # Frames that may wait for noise and encoding. More would only use memory.
 _QUEUE = 4
 _LINEAR_BYTES = 4  # float32, not compressed
+_PACKAGES = ("eyespot", "mitsuba", "drjit", "jax", "numpy")  # whose versions a stack states
 
 
 def render_stack(
@@ -82,7 +83,7 @@ def render_stack(
                 "files": _files(scene),
                 "run": {
                     "variant": variant,
-                    "versions": _versions(),
+                    "versions": {name: version(name) for name in _PACKAGES},
                     "approximations": scene.approximations,
                 },
             },
@@ -213,11 +214,6 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
         }
         content |= {key: value for key, value in placed.items() if value}
     return content
-
-
-def _versions() -> dict[str, str]:
-    packages = ("eyespot", "mitsuba", "drjit", "jax", "numpy")
-    return {name: importlib.metadata.version(name) for name in packages}
 
 
 def check_scene(scene: Scene) -> None:

@@ -197,10 +197,9 @@ def _scan(geometry: SceneGeometry, motion: Scan) -> PosesAt:
 def _hand(geometry: SceneGeometry, motion: Hand) -> PosesAt:
     spot, axis = geometry.aim
     rng = np.random.default_rng(motion.seed)
-    tremor = _BandLimitedMotion.random(
-        rng, _TREMOR_HZ, rms=(1 - motion.damping) * motion.tremor_rms_mm
-    )
-    slow = _BandLimitedMotion.random(rng, _VOLUNTARY_HZ, rms=1.0)
+    damped_mm = (1 - motion.damping) * motion.tremor_rms_mm
+    tremor = _BandLimitedMotion(rng, _TREMOR_HZ, rms=damped_mm)
+    slow = _BandLimitedMotion(rng, _VOLUNTARY_HZ, rms=1.0)
     last = _moments(geometry.scene)[-1]
     fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
     size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
@@ -242,26 +241,20 @@ def _recording(motion: Recorded) -> tuple[NDArray[np.float64], NDArray[np.float6
     return stamps, np.array([[*pose.position_mm, *pose.axis] for pose in found])
 
 
-class _BandLimitedMotion(NamedTuple):
-    """Random motion in three dimensions, with frequencies in a band.
+class _BandLimitedMotion:
+    """Random motion in three dimensions: sinusoids with frequencies drawn evenly from a band.
 
-    It is a sum of sinusoids, so it is known exactly at any time. Its RMS is the root of the three
-    coordinates' summed mean squares.
+    It is known exactly at any time. Its RMS is the root of the three coordinates' summed mean
+    squares.
     """
 
-    rate: NDArray[np.float64]  # n, rad/s
-    cosine: NDArray[np.float64]  # n x 3, mm
-    sine: NDArray[np.float64]  # n x 3, mm
-
-    @classmethod
-    def random(
-        cls, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float
-    ) -> _BandLimitedMotion:
-        """Frequencies drawn uniformly from a band, with random phases and directions."""
-        rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)
+    def __init__(
+        self, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float
+    ) -> None:
+        self.rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)  # rad/s
         cosine, sine = rng.standard_normal((2, _LINES, 3))
         size = rms / math.sqrt(np.sum(cosine**2 + sine**2) / 2)
-        return cls(rate, size * cosine, size * sine)
+        self.cosine, self.sine = size * cosine, size * sine  # n x 3, mm
 
     def position(self, times: NDArray[np.float64]) -> NDArray[np.float64]:
         phase = times[:, None] * self.rate
