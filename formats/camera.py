@@ -309,14 +309,9 @@ class CameraNoise:
         Raises:
             InputError: the camera correlates the noise of pixels or has fixed-pattern noise.
         """
-        unsupported = {
-            "bayer": camera["bayer"] != "none",
-            "jpeg_quality": camera["jpeg_quality"] > 0,
-            "prnu": camera["prnu"] > 0,
-            "dsnu_e": camera["dsnu_e"] > 0,
-        }
-        if any(unsupported.values()):
-            names = ", ".join(f"{name} = {camera[name]}" for name, on in unsupported.items() if on)
+        correlating = ("bayer", "jpeg_quality", "prnu", "dsnu_e")
+        names = ", ".join(f"{k} = {camera[k]}" for k in correlating if camera[k] not in ("none", 0))
+        if names:
             raise InputError(
                 f"the image fit needs independent noise in every pixel; this camera has {names}. "
                 "Record raw frames, divided by a flat field, or fit the spots (--model cone)."

@@ -384,25 +384,21 @@ def _ours(content: dict[str, Any]) -> MicroscopeFile:
         remedy="Restore the key. With a viewing_path, or without pinhole_height_mm (a telecentric "
         "microscope), camera_matrix is null.",
     )
-    height, full_scale = file.pinhole_height_mm, file.full_scale
-    if full_scale is None and file.camera is not None and file.camera.bit_depth > _BYTE:
-        full_scale = file.camera.full_scale
-    as_they_are = (
-        *("camera_matrix", "distortion", "scale_mm_px", "eye_radius_mm"),
-        *("paper_exposure_s", "viewing_path"),
-        *("retina_semi_axes_mm", "retina_tilt_deg", "retina_tilt_azimuth_deg"),
-    )
-    microscope = MicroscopeFile(
-        width_px=int(file.width_px),
-        height_px=int(file.height_px),
-        principal_point_px=_pair(file.principal_point_px),
-        pinhole_height_mm=math.inf if height is None else height,
-        response=replace(file.response, full_scale=full_scale),
-        plane_normal=None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
-        retina_shift_mm=file.retina_shift_mm or (0.0, 0.0),
-        noise=None if file.camera is None else CameraNoise(file.camera, file.response),
-        **{name: getattr(file, name) for name in as_they_are},
-    )
+    values: dict[str, Any] = dict(file)
+    camera, full_scale = values.pop("camera"), values.pop("full_scale")
+    if full_scale is None and camera is not None and camera.bit_depth > _BYTE:
+        full_scale = camera.full_scale
+    values |= {
+        "width_px": int(file.width_px),
+        "height_px": int(file.height_px),
+        "principal_point_px": tuple(file.principal_point_px.tolist()),
+        "pinhole_height_mm": math.inf if telecentric else file.pinhole_height_mm,
+        "response": replace(file.response, full_scale=full_scale),
+        "plane_normal": None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
+        "retina_shift_mm": file.retina_shift_mm or (0.0, 0.0),
+        "noise": None if camera is None else CameraNoise(camera, file.response),
+    }
+    microscope = MicroscopeFile(**values)
     _check_agreement(microscope)
     return microscope
 
@@ -460,8 +456,7 @@ def _from_calibration(
                 f"{value}."
             )
     height, radius = (value or 0.0 for value in given.values())
-    matrix = camera.matrix
-    fx, fy, skew = matrix[0, 0], matrix[1, 1], matrix[0, 1]
+    (fx, skew, u), (_, fy, v), _ = camera.matrix.tolist()
     if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
         raise InputError(
             f"camera_matrix must have square pixels without skew to {_SQUARE:g} of fx; got fx = "
@@ -471,18 +466,13 @@ def _from_calibration(
     return MicroscopeFile(
         width_px=size[0],
         height_px=size[1],
-        camera_matrix=matrix,
+        camera_matrix=camera.matrix,
         distortion=camera.distortion,
         distortion_model=camera.model,
         # Below the pole, the pinhole that the eye shows sees a pixel under the same angle.
         scale_mm_px=abs(height + radius) / math.sqrt(fx * fy),
-        principal_point_px=_pair(matrix[:2, 2]),
+        principal_point_px=(u, v),
         pinhole_height_mm=height,
         eye_radius_mm=radius,
         plane_normal=plane_normal,
     )
-
-
-def _pair(values: np.ndarray) -> tuple[float, float]:
-    first, second = values.tolist()
-    return first, second
