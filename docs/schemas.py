@@ -172,37 +172,31 @@ def schema_of(kind: FileKind) -> dict[str, Any]:
     for place in kind.meanings:
         explained |= attributes_of(named(place))
     explained |= MEANINGS.get(kind.slug, {})
-    _explain(schema, explained)
+    for part in _parts(schema):
+        for key, value in part.get("properties", {}).items():
+            if isinstance(value, dict) and key in explained:
+                value.setdefault("description", explained[key])
     return {"$schema": DIALECT, **schema, "title": kind.title}
 
 
-def _explain(part: Any, meanings: dict[str, str]) -> None:
-    """Describe the properties that have no description, in a schema and all parts of it."""
-    if isinstance(part, list):
-        for one in part:
-            _explain(one, meanings)
-    if isinstance(part, dict):
-        for key, value in part.get("properties", {}).items():
-            if isinstance(value, dict) and key in meanings:
-                value.setdefault("description", meanings[key])
-        for value in part.values():
-            _explain(value, meanings)
+def _parts(schema: Any) -> Iterator[dict[str, Any]]:
+    """A schema and all objects in it."""
+    if isinstance(schema, dict):
+        yield schema
+        schema = list(schema.values())
+    if isinstance(schema, list):
+        for one in schema:
+            yield from _parts(one)
 
 
 def _of_models(kind: FileKind) -> dict[str, Any]:
     models = [named(place) for place in kind.models]
     schema: dict[str, Any] = TypeAdapter(reduce(or_, models)).json_schema()
-    _loosen(schema)
+    for part in _parts(schema):
+        # Where pydantic chooses one of several options by a function, a value may meet several.
+        if {} in part.get("oneOf", []):
+            part["anyOf"] = part.pop("oneOf")
     return schema
-
-
-def _loosen(part: Any) -> None:
-    """Let a value meet several options, where pydantic chooses one by a function."""
-    inner = part.values() if isinstance(part, dict) else part if isinstance(part, list) else ()
-    if isinstance(part, dict) and {} in part.get("oneOf", []):
-        part["anyOf"] = part.pop("oneOf")
-    for one in list(inner):
-        _loosen(one)
 
 
 def _with_origin(schema: dict[str, Any]) -> dict[str, Any]:
