@@ -146,11 +146,11 @@ class Scene(SceneTable):
         """
         if not isinstance(content, Mapping):
             return content
-        viewing, phantom = content.get("viewing", {}), content.get("phantom", {})
-        if isinstance(viewing, Viewing):
-            viewing = viewing.model_dump()
-        if isinstance(phantom, Phantom):
-            phantom = phantom.model_dump(exclude_unset=True)
+        tables = (content.get(name, {}) for name in ("viewing", "phantom", "microscope"))
+        viewing, phantom, microscope = (
+            table.model_dump(exclude_unset=True) if isinstance(table, SceneTable) else table
+            for table in tables
+        )
         if not (isinstance(viewing, Mapping) and isinstance(phantom, Mapping)):
             return content
         if viewing.get("eye", "none") == "none":
@@ -167,9 +167,6 @@ class Scene(SceneTable):
                     f"phantom.{key} contradicts the eye {viewing['eye']!r}, whose retina has "
                     f"{key} {own}; got {said}. Remove it, or choose another eye."
                 )
-        microscope = content.get("microscope", {})
-        if isinstance(microscope, MicroscopeSettings):
-            microscope = microscope.model_dump(exclude_unset=True)
         usual = MicroscopeSettings.model_fields["pinhole_height_mm"].default
         if isinstance(microscope, Mapping) and microscope.get("pinhole_height_mm", usual) == usual:
             microscope = {**microscope, "pinhole_height_mm": REAL_PINHOLE_HEIGHT_MM}
