@@ -138,11 +138,9 @@ _SCALE_MM_PX = 0.0067
 _RETINA_PX = 2000
 
 
-def any_truth(
-    rng: np.random.Generator, semi_minor: float, axis_ratio: float = 1.1, about: float = 5.0
-) -> Truth:
+def any_truth(rng: np.random.Generator, semi_minor: float, axis_ratio: float = 1.1) -> Truth:
     """A random ellipse of a given size near the middle of the frame."""
-    dx, dy = rng.uniform(-about, about, 2)
+    dx, dy = rng.uniform(-5.0, 5.0, 2)
     return Truth(
         x=SHAPE[1] / 2 + dx,
         y=SHAPE[0] / 2 + dy,

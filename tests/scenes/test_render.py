@@ -163,7 +163,7 @@ def test_a_stack_holds_every_exposure_of_every_frame_and_its_checksums(tmp_path)
     image, mask = stack.image(metered), stack.mask(metered) > 0
     # 80 % of 255 at the peak; noise of 3 DN on top of it at the 99.9th percentile.
     assert 195 < np.percentile(image[mask], 95) < 215
-    with pytest.raises(InputError, match="exists"):
+    with pytest.raises(InputError, match="already exists"):
         render_stack(settings, tmp_path / "stack")
 
 

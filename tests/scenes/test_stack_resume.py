@@ -217,11 +217,6 @@ def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
         stack.verify()
 
 
-def test_an_existing_stack_is_not_written_over(whole):
-    with pytest.raises(InputError, match="already exists"):
-        render_stack(scene(), whole.folder)
-
-
 def test_a_linear_frame_is_the_light_behind_its_image(whole):
     settings = scene()
     for row in whole.labels[:4]:
