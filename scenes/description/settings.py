@@ -177,8 +177,7 @@ class CameraSettings(SceneTable):
 
     full_well_e: _Positive = Field(5000.0, description="Full well: electrons at full scale.")
     read_noise_e: _NonNegative = Field(
-        10.0,
-        description="Read noise: temporal standard deviation of a dark pixel, electrons.",
+        10.0, description="Read noise: temporal standard deviation of a dark pixel, electrons."
     )
     dark_signal_e: _NonNegative = Field(
         0.0, description="Dark signal: mean thermal electrons per pixel and exposure."
@@ -353,8 +352,7 @@ class Phantom(SceneTable):
         description="Semi-axes of the eyeball along X and Y, over radius_mm; (1, 1) is a sphere.",
     )
     shift_mm: tuple[Place, Place] = Field(
-        (0.0, 0.0),
-        description="Shift of a stretched eyeball across the axis, X and Y.",
+        (0.0, 0.0), description="Shift of a stretched eyeball across the axis, X and Y."
     )
     tilt_deg: float = Field(
         0.0, ge=0, lt=60, description="Tilt of the plane phantom, or of a stretched eyeball."

@@ -474,10 +474,8 @@ def _entry_of_window(world: World) -> float:
     Lines outside the field of a viewing path do not count.
     """
     wall, camera, settings = world.wall, world.microscope, world.scene.microscope
-    u = np.linspace(-0.5, settings.width_px - 0.5, 65)
-    v = np.linspace(-0.5, settings.height_px - 0.5, 65)
-    pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
-    pixels = np.concatenate([pixels - view for view in _extreme_views(world)])
+    grid = world.window_grid(65).reshape(-1, 2)
+    pixels = np.concatenate([grid - view for view in _extreme_views(world)])
     point, direction = camera.ray(pixels)
     inside = wall.intersect(point, direction)
     seen = inside.status != optics.MISS  # the lines begin below the wall

@@ -194,18 +194,10 @@ def _branches(
         (first, heading - side * (angle - minor_turn), major, parent.arcade),
         (second, heading + side * minor_turn, minor_over_major * major, None),
     )
+    x, y = place
+    child = parent._replace(relatives=frozenset((parent.name, first, second)), side=-side)
     return [
-        _Vessel(
-            name=name,
-            relatives=frozenset((parent.name, first, second)),
-            x=place[0],
-            y=place[1],
-            heading=direction,
-            calibre=calibre,
-            vein=parent.vein,
-            side=-side,
-            arcade=arcade,
-        )
+        child._replace(name=name, x=x, y=y, heading=direction, calibre=calibre, arcade=arcade)
         for name, direction, calibre, arcade in children
         if calibre > _SMALLEST_CALIBRE_MM
     ]

@@ -28,12 +28,10 @@ _PLACES = 400
 
 
 class Reflections(NamedTuple):
-    """Reflexes of a round lamp of even radiance in the pinhole's plane.
+    """Reflexes of a round lamp in the pinhole's plane at every surface of the path.
 
     Attributes:
-        camera: the microscope behind the path.
-        radiance: of the lamp, in the unit of the images, mW/(mm2 sr).
-        reflexes: at every surface of the path.
+        radiance: of the lamp, even, in the unit of the images, mW/(mm2 sr).
     """
 
     scene: Scene
@@ -185,17 +183,6 @@ def _through_the_eye(scene: Scene, wall: optics.Surface, *, channel: int) -> Pat
     return camera
 
 
-def colour_shifts(cameras: tuple[PathCamera, ...], points: np.ndarray) -> np.ndarray:
-    """Where red and blue show points, relative to green, 2 x n x 2, px.
-
-    Args:
-        cameras: for red, green and blue.
-        points: on the wall, n x 3, mm.
-    """
-    red, green, blue = (np.asarray(camera.project(points)) for camera in cameras)
-    return np.stack([red - green, blue - green])
-
-
 _RIM_POINTS = 64
 
 
@@ -312,17 +299,17 @@ class SceneGeometry:
         """Where the brightest reflex shows the lamp's centre, (x, y) px; NaN without one."""
         return np.full(2, np.nan) if self.reflections is None else self.reflections.brightest_px()
 
+    def window_grid(self, count: int) -> np.ndarray:
+        """Points of the microscope's window from edge to edge, count x count x 2, px."""
+        sizes = self.scene.microscope.width_px, self.scene.microscope.height_px
+        u, v = (np.linspace(-0.5, size - 0.5, count) for size in sizes)
+        return np.stack(np.meshgrid(u, v), axis=-1)
+
     @cached_property
     def window_border(self) -> np.ndarray:
         """Points along the edge of the microscope's window, n x 2, px."""
-        settings = self.scene.microscope
-        u = np.linspace(-0.5, settings.width_px - 0.5, 33)
-        v = np.linspace(-0.5, settings.height_px - 0.5, 33)
-        level, upright = np.ones_like(u), np.ones_like(v)
-        return np.concatenate(
-            [np.stack([u, end * level], axis=1) for end in (v[0], v[-1])]
-            + [np.stack([end * upright, v], axis=1) for end in (u[0], u[-1])]
-        )
+        grid = self.window_grid(33)
+        return np.concatenate([grid[0], grid[-1], grid[:, 0], grid[:, -1]])
 
 
 def circle_across(axis: np.ndarray) -> np.ndarray:

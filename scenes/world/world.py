@@ -21,7 +21,6 @@ from scenes.world.geometry import (
     SceneGeometry,
     circle_across,
     colour_cameras,
-    colour_shifts,
     scene_pencils,
     scene_reflections,
 )
@@ -92,7 +91,6 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
 
     Args:
         lens: preset name or path of a lens file.
-        medium_index: n0, refractive index of the medium.
     """
     glass = optics.load_lens(lens)
     names = ("values", "medium_index", "contact_radius", "slope")
@@ -245,7 +243,9 @@ class World(SceneGeometry):
         """Centres of the spots in red and blue against green, 2 x n x 2, px; None by a pinhole."""
         if not self.scene.viewing.through_an_eye:
             return None
-        return colour_shifts(colour_cameras(self.scene, self.wall), np.asarray(self.truth.origin))
+        cameras = colour_cameras(self.scene, self.wall)
+        red, green, blue = (np.asarray(one.project(self.truth.origin)) for one in cameras)
+        return np.stack([red - green, blue - green])
 
     @cached_property
     def spread_spots(self) -> optics.SpreadSpot | None:
