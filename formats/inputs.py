@@ -362,7 +362,6 @@ def inside(folder: Path, name: str) -> Path:
     or pack a file of the one who opens it.
 
     Args:
-        folder: that the name is relative to.
         name: with `/` between its parts; the file or folder need not exist.
 
     Raises:

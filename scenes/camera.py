@@ -185,12 +185,8 @@ def fixed_patterns(
     Both are white and normal; row patterns, column patterns and defect pixels are not modelled.
 
     Args:
-        settings: the camera, whose `prnu` and `dsnu_e` are the standard deviations.
-        shape: shape of the images that the sensor takes.
+        shape: of the images that the sensor takes, and of both patterns.
         seed: random seed; it identifies the sensor.
-
-    Returns:
-        Two maps of that shape.
     """
     rng = np.random.default_rng(seed)
     gain = rng.standard_normal(shape, dtype=np.float32)
@@ -410,7 +406,6 @@ class CameraSensor:
 
         Args:
             light: radiance, H x W x 3, mW/(mm2 sr).
-            exposure_s: exposure time, s.
             noise_seed: random seed of the temporal noise of this one image.
         """
         return expose(

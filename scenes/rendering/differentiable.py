@@ -146,8 +146,10 @@ class PhotonImage:
     spline three pixels wide instead of a box, and that light reflected by the cap is lost (under
     0.5 % of it would come out later). A seed fixes the random numbers of all photons, so the image
     is a smooth function of the parameters. The photons are a scrambled Sobol sequence, which has
-    less noise than independent ones. A method raises an InputError, which names the value, if no
-    lens has the parameters that it is given.
+    less noise than independent ones.
+
+    Its methods take the p values of the free parameters in the order of `free`. They raise an
+    InputError, which names the value, if no lens has these.
 
     Args:
         scene: a scene with a lens as source, and without instruments in view.
@@ -192,22 +194,14 @@ class PhotonImage:
         self._wall, self._sensor = _wall_and_sensor(scene)
 
     def value(self, parameters: np.ndarray) -> np.ndarray:
-        """Radiance, H x W x 3, mW/(mm2 sr).
-
-        Args:
-            parameters: values in the order of `free`.
-        """
+        """Radiance, H x W x 3, mW/(mm2 sr)."""
         image = np.zeros(self.shape)
         for _, pixels, light in self._passes(parameters):
             image += self._splatted(pixels, light)
         return image
 
     def value_and_jacobian(self, parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Radiance, and its derivatives in forward mode, H x W x 3 x p.
-
-        Args:
-            parameters: p values in the order of `free`.
-        """
+        """Radiance, and its derivatives in forward mode, H x W x 3 x p."""
         image, jacobian = np.zeros(self.shape), np.zeros((*self.shape, len(self.free)))
         for leaves, pixels, light in self._passes(parameters, derivatives=True):
             columns = []
@@ -227,7 +221,6 @@ class PhotonImage:
         """Derivatives of sum(cotangent * image) in reverse mode; its time does not depend on p.
 
         Args:
-            parameters: p values in the order of `free`.
             cotangent: H x W x 3.
 
         Returns:

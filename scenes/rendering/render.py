@@ -75,12 +75,7 @@ class LinearFrame(NamedTuple):
 
 
 class Exposed(NamedTuple):
-    """Light during an exposure.
-
-    Attributes:
-        radiance: mean over the exposure, H x W x 3, mW/(mm2 sr).
-        sub_frames: number of sub-frames in the mean.
-    """
+    """Light during an exposure: the mean of sub-frames, H x W x 3, mW/(mm2 sr)."""
 
     radiance: np.ndarray
     sub_frames: int
@@ -125,7 +120,6 @@ class Renderer:
 
         Args:
             sharp: the frame rendered at the middle of the exposure.
-            exposure_s: exposure time, s.
         """
         exposed = Exposed(sharp.radiance, 1)
         spot_px, tip_px, uneven_px = self._shift(frame, exposure_s)
@@ -209,7 +203,6 @@ class Renderer:
         """Light of the beam on that wall during an exposure.
 
         Args:
-            exposure_s: exposure time, s.
             sub_frames: equal parts of the exposure; their middles are averaged.
 
         Returns:

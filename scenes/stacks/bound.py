@@ -255,7 +255,6 @@ class Bounds:
 
         Args:
             light: noise-free, during the exposure.
-            exposure_s: exposure time, s.
         """
         ellipse = self._ellipses[frame]
         window = self._window([ellipse])

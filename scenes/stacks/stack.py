@@ -302,7 +302,6 @@ class LiveCamera:
             tips: at the beginning, middle and end of the exposure, 3 x 3, mm, eye frame. The light
                 is their mean by Simpson's rule.
             axes: of the beam, likewise; unit vectors from the tip towards the wall.
-            exposure_s: exposure time, s.
             frame: number of the image, for its noise.
 
         Returns:

@@ -167,11 +167,10 @@ def study_calibration(
     """A calibration for `estimator.Ranger`.
 
     Args:
-        model: name of the model, as in calibration files.
-        values: its parameters, in their units.
+        values: parameters of the model in the units of `QUANTITIES`.
         medium: a name in `optics.MEDIA`.
         covariance: covariance of the values; None if they are known exactly.
-        fitted_on: origin of the values, as a text.
+        fitted_on: origin of the values.
     """
     known = {name: float(value) for name, value in values.items()}
     return Calibration(

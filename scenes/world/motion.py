@@ -29,12 +29,7 @@ _MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after 
 
 
 class Poses(NamedTuple):
-    """Tip and axis at several times, eye frame.
-
-    Attributes:
-        tip: n x 3, mm.
-        axis: n x 3, unit vectors from the tip towards the wall.
-    """
+    """Tip (mm) and axis (unit vectors towards the wall) at several times, n x 3, eye frame."""
 
     tip: NDArray[np.float64]
     axis: NDArray[np.float64]
