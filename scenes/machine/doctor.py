@@ -27,24 +27,6 @@ MEMORY_NEEDED = 4 * GIB
 HOME = Path(__file__).resolve().parents[2]
 """Folder of the packages: the checkout, or site-packages."""
 
-# Each variant is tried in its own process, because one that fails may abort its process.
-_TRY_VARIANT = """
-import sys
-import numpy
-from scenes.machine.variant import RendererUnavailable, load_mitsuba
-try:
-    mi = load_mitsuba(sys.argv[1])
-except RendererUnavailable as unavailable:
-    sys.exit(str(unavailable))
-scene = mi.load_dict({
-    "type": "scene", "integrator": {"type": "path"}, "light": {"type": "constant"},
-    "ball": {"type": "sphere", "center": [0, 0, 4]},
-    "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
-})
-brightness = numpy.asarray(mi.render(scene, spp=4)).mean()
-sys.exit(0 if 0 < brightness < 2 else f"a grey ball in white light has brightness {brightness}")
-"""
-
 
 class State(StrEnum):
     """Severity of a finding; only MISSING prevents `eyespot validate`."""
@@ -147,13 +129,9 @@ def llvm_findings() -> Iterator[Finding]:
 
 
 def _variant(variant: str, state_of_failure: State, remedy: str) -> Finding:
-    child = subprocess.run(
-        [sys.executable, "-c", _TRY_VARIANT, variant],
-        cwd=HOME,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    # In its own process, because a variant that fails may abort it.
+    command = [sys.executable, "-m", "scenes.machine.variant", variant]
+    child = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
     what = f"Mitsuba {variant}"
     if child.returncode == 0:
         return Finding(what, "renders")

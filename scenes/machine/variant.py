@@ -1,6 +1,7 @@
 """Loads Mitsuba with a libLLVM that does not abort the process. All code loads Mitsuba here.
 
-As a script, it checks whether the main variant can be loaded (exit code 0 or 1).
+As a script, it checks whether a variant, the main one by default, renders (exit code 0 or 1). One
+that fails may abort its process.
 """
 
 from __future__ import annotations
@@ -8,6 +9,8 @@ from __future__ import annotations
 import os
 import sys
 from types import ModuleType
+
+import numpy as np
 
 from formats.inputs import InputError
 from scenes.machine.llvm import (
@@ -105,6 +108,18 @@ def _check_loaded_llvm(*, needed: bool) -> None:
 
 if __name__ == "__main__":
     try:
-        print(f"Mitsuba {load_mitsuba().__version__} can render.")
+        mi = load_mitsuba(*sys.argv[1:])
     except RendererUnavailable as unavailable:
         sys.exit(str(unavailable))
+    film = {"type": "hdrfilm", "width": 8, "height": 8}
+    grey_ball_in_white_light = {
+        "type": "scene",
+        "integrator": {"type": "path"},
+        "light": {"type": "constant"},
+        "ball": {"type": "sphere", "center": [0, 0, 4]},
+        "camera": {"type": "perspective", "film": film},
+    }
+    brightness = np.asarray(mi.render(mi.load_dict(grey_ball_in_white_light), spp=4)).mean()
+    if not 0 < brightness < 2:
+        sys.exit(f"a grey ball in white light has brightness {brightness}")
+    print(f"Mitsuba {mi.__version__} can render.")
