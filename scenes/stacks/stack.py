@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 import optics
+from formats.camera import CameraSheet
 from formats.inputs import InputError
 from formats.manifest import fingerprint
 from formats.stack import FrameLabels, Stack, StackWriter, read_stack
@@ -168,8 +169,7 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
     scene, camera, wall = world.scene, world.microscope, world.wall
     settings, phantom = scene.microscope, scene.phantom
     # What the estimator may know of the camera: its data sheet.
-    names = ("full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn", "bit_depth")
-    sheet = scene.camera.model_dump(include={*names, "prnu", "dsnu_e"})
+    sheet = scene.camera.model_dump(include={*CameraSheet.model_fields})
     sheet |= {"bayer": scene.camera.bayer != "none", "jpeg": scene.camera.jpeg_quality > 0}
     height: float | None = settings.pinhole_height_mm
     if isinstance(camera, PathCamera):  # the paraxial pinhole
