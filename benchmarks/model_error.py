@@ -24,6 +24,9 @@ COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""
 
 
+_Values = jax.Array | np.ndarray
+
+
 class Geometry(NamedTuple):
     """Microscope, eye and cone that one table of errors shares; mm and rad."""
 
@@ -66,7 +69,7 @@ def exact_spots(
 ) -> pd.DataFrame:
     """Spots for `model_errors` at each c and d (mm), of the size of the exact contour."""
     c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
-    seen = semi_minor(geometry, c=c, d=d)
+    seen = np.asarray(semi_minor(geometry, c=c, d=d))
     return pd.DataFrame({"c_mm": c, "d_mm": d, "semi_minor_px": seen, "medium": medium})
 
 
@@ -84,8 +87,9 @@ def model_errors(
             `paper.spots_of` that are used.
     """
     c, d, e = spots[["c_mm", "d_mm", "semi_minor_px"]].to_numpy(float).T
-    found, where = estimates(geometry, c=c, semi_minor_px=e), place(geometry, c=c, d=d)
-    about = {"source": source, "refit": False, "medium": spots.medium.iloc[0], **where}
+    about = {"source": source, "refit": False, "medium": spots.medium.iloc[0]}
+    about |= place(geometry, c=c, d=d)
+    found = jax.tree.map(np.asarray, estimates(geometry, c=c, semi_minor_px=e))
     tables = [
         pd.DataFrame({"model": m, **about, "estimate_mm": found[m], "error_mm": found[m] - d})
         for m in models
@@ -93,17 +97,48 @@ def model_errors(
     return pd.concat(tables, ignore_index=True)
 
 
-def semi_minor(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> np.ndarray:
+@jax.jit
+def semi_minor(geometry: Geometry, *, c: _Values, d: _Values) -> jax.Array:
     """e1' of the exact contour at eccentricities and distances (mm), px."""
-    return np.asarray(_semi_minor(geometry, c, d))
+    forward = partial(_at_geometry, optics.exact_semi_minor, geometry)
+    return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
 
 
-def estimates(
-    geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray
-) -> dict[str, np.ndarray]:
+@jax.jit
+def estimates(geometry: Geometry, *, c: _Values, semi_minor_px: _Values) -> dict[str, jax.Array]:
     """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
-    values = _estimates(geometry, c, semi_minor_px)
-    return {model: np.asarray(distance) for model, distance in values.items()}
+    exact = partial(_at_geometry, optics.exact_distance, geometry)
+    closed = partial(
+        optics.closed_form_distance,
+        semi_minor_px=semi_minor_px,
+        scale=geometry.scale,
+        k=optics.slope(geometry.half_angle),
+        b=geometry.apex_offset,
+        eccentricity=c,
+        eye_radius=geometry.eye_radius,
+        inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
+    )
+    return {model: closed(model) for model in optics.CLOSED_FORMS} | {
+        "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px)
+    }
+
+
+def _at_geometry(
+    function: Callable[..., jax.Array], geometry: Geometry, **arguments: jax.Array
+) -> jax.Array:
+    return function(
+        optics.Sphere(geometry.eye_radius),
+        optics.microscope(
+            scale=geometry.scale,
+            pinhole_height=geometry.pinhole_height,
+            eye_radius=geometry.eye_radius,
+        ),
+        incidence=geometry.incidence,
+        incidence_azimuth=geometry.incidence_azimuth,
+        half_angle=geometry.half_angle,
+        apex_offset=geometry.apex_offset,
+        **arguments,
+    )
 
 
 def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
@@ -146,52 +181,6 @@ def degrees(radians: float) -> float:
     return round(math.degrees(radians), 9)
 
 
-@jax.jit
-def _semi_minor(geometry: Geometry, c: jax.Array, d: jax.Array) -> jax.Array:
-    forward = partial(_at_geometry, optics.exact_semi_minor, geometry)
-    return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
-
-
-@jax.jit
-def _estimates(geometry: Geometry, c: jax.Array, semi_minor_px: jax.Array) -> dict[str, jax.Array]:
-    known: dict[str, Any] = {
-        "semi_minor_px": semi_minor_px,
-        "scale": geometry.scale,
-        "k": optics.slope(geometry.half_angle),
-        "b": geometry.apex_offset,
-        "eccentricity": c,
-        "eye_radius": geometry.eye_radius,
-    }
-    kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
-    exact = partial(_at_geometry, optics.exact_distance, geometry)
-    on_a_plane = {name: known[name] for name in ("semi_minor_px", "scale", "k", "b")}
-    return {
-        "planar": optics.planar_distance(**on_a_plane),
-        "small_plane": optics.small_plane_distance(**known),
-        "corrected": optics.corrected_distance(**known, inverse_working_distance=kappa),
-        "stereographic": optics.stereographic_distance(**known),
-        "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px),
-    }
-
-
-def _at_geometry(
-    function: Callable[..., jax.Array], geometry: Geometry, **arguments: jax.Array
-) -> jax.Array:
-    return function(
-        optics.Sphere(geometry.eye_radius),
-        optics.microscope(
-            scale=geometry.scale,
-            pinhole_height=geometry.pinhole_height,
-            eye_radius=geometry.eye_radius,
-        ),
-        incidence=geometry.incidence,
-        incidence_azimuth=geometry.incidence_azimuth,
-        half_angle=geometry.half_angle,
-        apex_offset=geometry.apex_offset,
-        **arguments,
-    )
-
-
 # Figures.
 
 CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
@@ -219,22 +208,15 @@ def pinhole_title(z_f_mm: float) -> str:
     return "telecentric" if np.isinf(z_f_mm) else f"$z_F$ = {z_f_mm:g} mm"
 
 
-def model_error_figure(
-    analytic: pd.DataFrame,
-    rendered: pd.DataFrame,
-    *,
-    azimuth_deg: float | None = None,
-) -> Figure:
+def model_error_figure(analytic: pd.DataFrame, rendered: pd.DataFrame) -> Figure:
     """Signed error against c: a row for each pinhole, a column for each of the models `SHOWN`.
 
-    Args:
-        azimuth_deg: of the beam's tilt (default: the first one).
+    Tilted beams are shown at the first azimuth of their tilt.
     """
     tilted = analytic.incidence_deg.max()
     leaning = analytic[analytic.incidence_deg == tilted]
     square = analytic[analytic.incidence_deg != tilted]
-
-    azimuth = leaning.azimuth_deg.iloc[0] if azimuth_deg is None else azimuth_deg
+    azimuth = leaning.azimuth_deg.iloc[0]
 
     def draw(axes: Axes, height: float, model: str) -> None:
         page.limit_lines(axes, ACCEPTABLE_ERROR_MM)

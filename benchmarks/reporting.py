@@ -73,8 +73,7 @@ def small_multiples(
     """A grid of panels, one for each pair of a row and a column.
 
     Args:
-        rows: keys of the rows; [""] for a single row.
-        columns: keys of the columns; [""] for a single column.
+        rows: keys of the rows, as `columns` those of the columns; [""] for a single one.
         title: title of a panel; by default the row and the column.
         x: label of the axis below the last row, the same for all or by column.
         y: label of the axis left of the first column, the same for all or by row.
@@ -154,14 +153,12 @@ def listed(values: float | Iterable[float], spec: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class Claim:
-    """One result of a run.
+    """One result of a run, and whether it is as expected.
 
     Attributes:
         name: subject of the claim, the same in every run.
         sentence: what was found, with its numbers in ASCII; `text` typesets them.
-        value: measured value; if there are several, each must lie within the bounds.
-        low: least value for which the claim holds.
-        high: greatest value for which the claim holds.
+        value: what was measured; each of several values must lie from `low` to `high`.
     """
 
     name: str
@@ -240,7 +237,7 @@ def column_of(name: str, values: pd.Series) -> Column:
 
 
 class Table:
-    """The named columns of a frame, by default headed as in its CSV file (`column_of`)."""
+    """The named columns of a frame as texts, by default headed as in its CSV file (`column_of`)."""
 
     def __init__(
         self,
@@ -252,30 +249,18 @@ class Table:
         if not isinstance(columns, Mapping):
             columns = {name: column_of(name, frame[name]) for name in columns}
         self.columns, self.caption, self.data = list(columns.values()), caption, data
-        self.rows = list(frame[list(columns)].itertuples(index=False, name=None))
-
-    @property
-    def cells(self) -> list[list[str]]:
-        """The rows as texts."""
-        return [
-            [column.cell(value) for column, value in zip(self.columns, row, strict=True)]
-            for row in self.rows
-        ]
-
-    @property
-    def alignments(self) -> list[str]:
-        """Class of each column's cells: numbers are aligned to the right."""
-        values = [[row[n] for row in self.rows] for n in range(len(self.columns))]
-        return ["" if all(isinstance(v, str) for v in column) else "n" for column in values]
+        values = [frame[name].tolist() for name in columns]
+        texts = ([c.cell(v) for v in of] for c, of in zip(self.columns, values, strict=True))
+        self.cells = list(zip(*texts, strict=True))
+        # Class of each column's cells: numbers are aligned to the right.
+        self.alignments = ["" if all(isinstance(v, str) for v in of) else "n" for of in values]
 
 
 class Picture(NamedTuple):
-    """A figure of the report; written as figures/NAME.png and .svg.
+    """A figure of the report, or several side by side; written as figures/NAME.png and .svg.
 
-    Attributes:
-        figure: or several, which stand one below the other on a narrow screen.
-        caption: its message first; "z_F" and "d_r" get their subscripts.
-        inline: format in the page; frames with a camera's noise are ten times smaller as JPEG.
+    Its caption begins with its message; "z_F" and "d_r" get their subscripts. `inline` is the
+    format in the page: frames with a camera's noise are ten times smaller as JPEG.
     """
 
     name: str
@@ -308,7 +293,7 @@ class Report:
         lead: the method, in a sentence or two.
         first: what people look at first: a strip of frames if there is one, a figure of at most
             four panels, a table of at most eight rows.
-        claims: checks and further results, computed in this run; a table at the end.
+        claims: checks and further results; a table at the end.
         data: CSV files to write, by name, with units in the columns' names; None is a file that the
             study has already written.
     """
@@ -367,8 +352,8 @@ def write_page(
     """Write report.html, the report's CSV files, and its figures in figures/.
 
     Args:
-        report: the report; its figures use the style of the caller's `rc_context`.
-        versions: versions of the packages that the results depend on.
+        report: its figures use the style of the caller's `rc_context`.
+        versions: of the packages that the results depend on.
         summary_file: file for programs, which the caller writes.
         study: the run, if it is one of a study, and the scene that it starts from.
     """

@@ -258,7 +258,7 @@ def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(
     assert opening[0] == "answer"
     assert [tag for tag, _ in page.tags[:first]].count("img") == 3  # a film and two panels
     for part in made.first:
-        assert not isinstance(part, Table) or len(part.rows) <= 8
+        assert not isinstance(part, Table) or len(part.cells) <= 8
         assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 4
     for part in (part for section in made.sections for part in section.parts):
         assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 6

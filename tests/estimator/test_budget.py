@@ -194,7 +194,7 @@ def test_the_correction_is_the_error_that_the_study_finds(model):
     geometry = Geometry(SCALE, 200.0, R_EYE, HALF_ANGLE, B, incidence, towards)
     given = {"c": np.array([c]), "d": np.array([d])}
     seen_px = semi_minor(geometry, **given)
-    error = estimates(geometry, c=given["c"], semi_minor_px=seen_px)[model][0] - d
+    error = float(estimates(geometry, c=given["c"], semi_minor_px=seen_px)[model][0]) - d
     view = microscope()
     beam = optics.beam_at_spot(
         view.wall(),
