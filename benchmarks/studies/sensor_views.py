@@ -143,13 +143,12 @@ def _views(seen: ViewingPath, *, bare: bool, inverted: bool) -> Views:
         # A stereo inverter turns both images, and exchanges them; else near would look far.
         for x in ((half, -half) if inverted else (-half, half))
     )
-    down = jnp.array([0.0, 0.0, 1.0])
+    up = jnp.array([0.0, 0.0, 1.0])
     every = centre, left, right
-    return Views(*(centred(camera, camera.pole_height * down, (0.0, 0.0)) for camera in every))
+    return Views(*(centred(camera, camera.pole_height * up, (0.0, 0.0)) for camera in every))
 
 
 project = eqx.filter_jit(lambda camera, points: camera.project(points))
-"""Image of points by a camera, compiled."""
 
 
 def centred(
@@ -222,11 +221,9 @@ def outline(one: InstrumentPlace, camera: optics.Camera, *, shadow: bool = False
 
 
 def found_shift(image: np.ndarray, outline: Outline, *, dark: bool) -> np.ndarray:
-    """Shift of an outline at which the grey image, H x W, is steepest across it, px.
+    """Shift of a labelled outline at which the grey image, H x W, is steepest across it, px.
 
-    Args:
-        outline: where the labels say that it is.
-        dark: whether the inside is known to be darker than the outside.
+    `dark`: the inside is known to be darker than the outside.
     """
     points, normals = outline
     down, right = np.gradient(gaussian_filter(image, _SMOOTH_PX))
@@ -246,10 +243,9 @@ def found_shift(image: np.ndarray, outline: Outline, *, dark: bool) -> np.ndarra
         scores = np.array([[steepness(found + np.array([x, y])) for x in steps] for y in steps])
         row, column = np.unravel_index(int(np.argmax(scores)), scores.shape)
         found = found + np.array([steps[column], steps[row]])
-    if 0 < column < len(steps) - 1:
-        found[0] += _STEP_PX * _vertex(*scores[row, column - 1 : column + 2])
-    if 0 < row < len(steps) - 1:
-        found[1] += _STEP_PX * _vertex(*scores[row - 1 : row + 2, column])
+    for axis, (line, place) in enumerate(((scores[row], column), (scores[:, column], row))):
+        if 0 < place < len(steps) - 1:
+            found[axis] += _STEP_PX * _vertex(*line[place - 1 : place + 2])
     return found
 
 
@@ -442,7 +438,6 @@ def _lines_of_sight(wall: optics.Surface, camera: Any, pixels: Any) -> tuple[Any
 
 
 WALL = optics.Sphere(RADIUS_MM)
-"""The true wall."""
 _EDGE = 32  # points of a spot's edge that must be in view
 _SHAFT = 200  # points of the shaft's axis
 
@@ -473,14 +468,10 @@ class ReadingOutcome(StrEnum):
     """What became of a reading."""
 
     READ = "read"
-    OUT_OF_VIEW = "out of view"
-    """A mark lies outside the window, or the iris hides it."""
-    HIDDEN = "hidden"
-    """The instrument hides the shadow of its tip, or too much of the spot."""
-    NO_SPOT = "no spot"
-    """The estimator found none; spots.csv has the reason."""
-    NO_TEXTURE = "no texture"
-    """The two images of the wall cannot be matched."""
+    OUT_OF_VIEW = "out of view"  # a mark lies outside the window, or the iris hides it
+    HIDDEN = "hidden"  # the instrument hides its tip's shadow, or too much of the spot
+    NO_SPOT = "no spot"  # the estimator found none; spots.csv has the reason
+    NO_TEXTURE = "no texture"  # the two images of the wall cannot be matched
 
 
 class Known(NamedTuple):
@@ -499,8 +490,8 @@ class Known(NamedTuple):
 class Marks(NamedTuple):
     """What is measured in the images, px.
 
-    In the central image the spot's edge, n x 2, the tip and its shadow; in the left and the right
-    image the tip, and a point of the wall near O, 2 x 2.
+    In the central image the spot's edge, n x 2, the tip and its shadow; in the pair the tip, and a
+    point of the wall near O, 2 x 2.
     """
 
     contour: Numbers
@@ -588,30 +579,32 @@ def nearest_point(first: tuple[Numbers, Numbers], second: tuple[Numbers, Numbers
 # Which sensors see their marks: the window, the iris, and the instrument in front.
 
 
+_SEEN = ReadingOutcome.READ, ReadingOutcome.HIDDEN, ReadingOutcome.OUT_OF_VIEW
+
+
 def outcomes_at(places: InstrumentPlace, seen: Views) -> dict[Sensor, list[ReadingOutcome]]:
     """Whether each sensor can see its marks, for places with a leading axis."""
-    kinds = ReadingOutcome.READ, ReadingOutcome.HIDDEN, ReadingOutcome.OUT_OF_VIEW
-    hidden, in_view = jax.tree.map(np.asarray, _hidden_and_in_view(places, seen))
     return {
-        sensor: [kinds[k] for k in np.where(inside, hidden & (sensor == Sensor.SHADOW), 2)]
-        for sensor, inside in in_view.items()
+        sensor: [_SEEN[n] for n in of.tolist()] for sensor, of in _outcomes(places, seen).items()
     }
 
 
 @eqx.filter_jit
-def _hidden_and_in_view(places: InstrumentPlace, seen: Views) -> tuple[Any, dict[Sensor, Any]]:
-    def at(one: InstrumentPlace) -> tuple[Any, dict[Sensor, Any]]:
+def _outcomes(places: InstrumentPlace, seen: Views) -> dict[Sensor, Any]:
+    """Indices of `_SEEN`."""
+
+    def at(one: InstrumentPlace) -> dict[Sensor, Any]:
         shadow = shadow_of(one.tip, one.lamp)
         edge = optics.cone_contour(beam_of(one), WALL, points=_EDGE).point
         marks = jnp.stack([one.spot, one.tip, shadow])
         by_centre = _in_view(seen.centre, jnp.concatenate([marks, edge]))
-        inside = {
-            Sensor.SPOT: jnp.all(by_centre[3:]),
-            Sensor.SHADOW: by_centre[1] & by_centre[2],
-            Sensor.STEREO: jnp.all(_in_view(seen.left, marks[:2]))
-            & jnp.all(_in_view(seen.right, marks[:2])),
+        in_pair = jnp.stack([_in_view(camera, marks[:2]) for camera in seen[1:]])
+        hidden = _hides(one, seen.centre, shadow).astype(int)
+        return {
+            Sensor.SPOT: jnp.where(jnp.all(by_centre[3:]), 0, 2),
+            Sensor.SHADOW: jnp.where(by_centre[1] & by_centre[2], hidden, 2),
+            Sensor.STEREO: jnp.where(jnp.all(in_pair), 0, 2),
         }
-        return _hides(one, seen.centre, shadow), inside
 
     return jax.vmap(at)(places)
 

@@ -30,7 +30,6 @@ from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, withdrawal
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import sensor_views
 from benchmarks.studies.sensor_views import (
-    CONE,
     CONTOUR_PX,
     CONVERGENCE_DEG,
     MARK_PX,
@@ -47,17 +46,9 @@ from benchmarks.studies.sensor_views import (
     Sensor,
     Views,
     Wrong,
-    by_shadow,
-    by_spot,
-    by_stereo,
-    centred,
     found_shift,
-    marks_of,
-    outcomes_at,
     outline,
     place,
-    project,
-    views,
 )
 from benchmarks.study import OutputFolder, Quick, Seed, Study
 from estimator.run.progress_bar import progress
@@ -68,7 +59,6 @@ from scenes import Scene
 _POINTS = 128
 _LAMP_OFF_MM, _AXIS_OFF_DEG, _RADIUS_OFF_MM = 1.0, 1.0, 0.5
 _DIRECTIONS = 4  # in which something is displaced
-_AFFECTED = {Wrong.LAMP: (Sensor.SHADOW,)}
 
 
 def expected(
@@ -76,16 +66,13 @@ def expected(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Rows of expected.csv and of wrong.csv for one path.
 
-    The first are standard deviations of marks of the stated noise, with everything known; the
-    second are errors of exact marks if one assumption is wrong, RMS over directions.
-
-    Args:
-        pinholes: cameras at the same places without a path.
-        draws: of the noise at each place.
+    The first are standard deviations over `draws` of the stated noise, with everything known; the
+    second are errors of exact marks if one assumption is wrong, RMS over directions. `pinholes` are
+    cameras at the same places without a path.
     """
     pairs = product((0.0, 1.5, 3.0), (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0))
     places = stacked([place(eccentricity=c, distance=d) for c, d in pairs])
-    true, outcomes = _marks(places, seen), outcomes_at(places, seen)
+    true, outcomes = _marks(places, seen), sensor_views.outcomes_at(places, seen)
     rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
     noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
     right = Known(seen, np.asarray(RADIUS_MM), places.lamp, places.axis)
@@ -95,14 +82,12 @@ def expected(
     ]
     off = math.tan(math.radians(_AXIS_OFF_DEG))
     turned = [places.axis + aside for aside in _aside(places.axis, off)]
+    turned = [axis / np.linalg.norm(axis, axis=-1, keepdims=True) for axis in turned]
     lamps = [places.lamp + aside for aside in _aside(places.lamp_axis, _LAMP_OFF_MM)]
     assumed = {
         Wrong.PATH: [] if path == "pinhole" else [right._replace(views=pinholes)],
         Wrong.LAMP: [right._replace(lamp=lamp) for lamp in lamps],
-        Wrong.AXIS: [
-            right._replace(axis=axis / np.linalg.norm(axis, axis=-1, keepdims=True))
-            for axis in turned
-        ],
+        Wrong.AXIS: [right._replace(axis=axis) for axis in turned],
         Wrong.RADIUS: [_in_larger_sphere(right, _RADIUS_OFF_MM)],
     }
     where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
@@ -116,7 +101,8 @@ def expected(
     biases = []
     for wrong, ones in assumed.items():
         read = [_read(true, one) for one in ones]
-        for sensor in _AFFECTED.get(wrong, tuple(Sensor)) if ones else ():
+        affected = [Sensor.SHADOW] if wrong == Wrong.LAMP else list(Sensor)
+        for sensor in affected if ones else ():
             error = np.array([one[sensor] for one in read]) - places.distance
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
@@ -134,14 +120,13 @@ def stacked(every: Sequence[InstrumentPlace]) -> InstrumentPlace:
 
 @eqx.filter_jit
 def _marks(places: InstrumentPlace, seen: Views) -> Marks:
-    return jax.vmap(lambda one: marks_of(one, seen, points=_POINTS))(places)
+    return jax.vmap(lambda one: sensor_views.marks_of(one, seen, points=_POINTS))(places)
 
 
 def _in_larger_sphere(known: Known, by: float) -> Known:
     """What is known, in the frame of a larger sphere through the same pole; mm.
 
-    Its centre lies higher above the pole, so that the cameras and the lamp, which stay in place,
-    lie lower in its frame.
+    Its centre lies higher above the pole, so cameras and lamp, which stay, lie lower in its frame.
     """
     lowered = [
         eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - by)
@@ -158,9 +143,9 @@ def _read(marks: Marks, known: Known) -> dict[Sensor, Any]:
     def one(own: Marks, lamp: Any, axis: Any) -> dict[Sensor, Any]:
         here = known._replace(lamp=lamp, axis=axis)
         return {
-            Sensor.SPOT: by_spot(optics.ellipse_of_contour(own.contour), here),
-            Sensor.SHADOW: by_shadow(own.tip, own.shadow, here),
-            Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, here),
+            Sensor.SPOT: sensor_views.by_spot(optics.ellipse_of_contour(own.contour), here),
+            Sensor.SHADOW: sensor_views.by_shadow(own.tip, own.shadow, here),
+            Sensor.STEREO: sensor_views.by_stereo(own.tip_pair, own.wall_pair, here),
         }
 
     return jax.vmap(one)(marks, known.lamp, known.axis)
@@ -176,11 +161,18 @@ def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:
 # The rendered part: all three sensors read distances from pictures of the same places.
 
 READING = "sensor path wall c_mm d_mm outcome error_mm mark_error_px".split()
-"""Columns of readings.csv; error = estimate - truth.
+"""Columns of readings.csv; error = estimate - truth, empty if nothing was read.
 
-The marks' errors are the largest of the reading's marks: the semi-minor axis for the spot, the
-place of tip and shadow otherwise; empty if nothing was read.
+`mark_error_px` is of the semi-minor axis for the spot, of tip or shadow (the larger) otherwise.
 """
+
+
+class Read(NamedTuple):
+    """What became of a reading: the distance, mm, and the error of its marks, px."""
+
+    outcome: ReadingOutcome
+    distance: float = math.nan
+    off: float = math.nan
 
 
 class Trial(NamedTuple):
@@ -198,16 +190,9 @@ class Trial(NamedTuple):
         """For folders and files."""
         return f"{self.path}-{self.wall}-{self.c:g}".replace(" ", "-")
 
-    def row(
-        self,
-        sensor: Sensor,
-        one: InstrumentPlace,
-        outcome: ReadingOutcome,
-        d: float = math.nan,
-        off: float = math.nan,
-    ) -> tuple[Any, ...]:
-        """Row of readings.csv of a read distance (mm) with its marks' error (px)."""
-        true = float(one.distance)
+    def row(self, sensor: Sensor, one: InstrumentPlace, read: Read) -> tuple[Any, ...]:
+        """Row of readings.csv."""
+        (outcome, d, off), true = read, float(one.distance)
         return sensor, self.path, self.wall, self.c, true, outcome, d - true, off
 
 
@@ -218,13 +203,14 @@ def by_pictures(
     readings, kept = [], {}
     with progress("Photographing", total=sum(len(trial.places) for trial in every)) as advance:
         for trial in every:
-            in_view = outcomes_at(stacked(trial.places), trial.seen)
+            in_view = sensor_views.outcomes_at(stacked(trial.places), trial.seen)
             for k, one in enumerate(trial.places):
                 taken = sensor_views.pictures(trial.scene, one, trial.seen)
                 for sensor, measure in ((Sensor.SHADOW, _shadow), (Sensor.STEREO, _stereo)):
-                    outcome = in_view[sensor][k]
-                    done = measure(one, taken) if outcome == ReadingOutcome.READ else (outcome,)
-                    readings.append(trial.row(sensor, one, *done))
+                    read = Read(in_view[sensor][k])
+                    if read.outcome == ReadingOutcome.READ:
+                        read = measure(one, taken)
+                    readings.append(trial.row(sensor, one, read))
                 if trial.wall == every[0].wall and trial.c == every[0].c:
                     kept[trial.path, float(one.distance)] = taken
                 advance(note=trial.name)
@@ -245,8 +231,8 @@ def _withdrawal(trial: Trial) -> Scene:
     return scenes.changed(
         trial.scene,
         {
-            "source.cone_k": 1.0 / math.tan(CONE["half_angle"]),
-            "source.cone_apex_offset_mm": CONE["apex_offset"],
+            "source.cone_k": 1.0 / math.tan(sensor_views.CONE["half_angle"]),
+            "source.cone_apex_offset_mm": sensor_views.CONE["apex_offset"],
             "spot.incidence_deg": math.degrees(math.acos(out)),
             "spot.incidence_azimuth_deg": math.degrees(math.atan2(across, along)),
             **withdrawal(start_mm=start, travel_mm=travel, frames=len(trial.places)),
@@ -258,23 +244,20 @@ def _known(one: InstrumentPlace, seen: Views) -> Known:
     return Known(seen, jnp.asarray(RADIUS_MM), jnp.asarray(one.lamp), jnp.asarray(one.axis))
 
 
-Read = tuple[ReadingOutcome] | tuple[ReadingOutcome, float, float]
-"""What became of a reading; the distance, mm, and the error of its marks, px."""
-
-
 def _spot(one: InstrumentPlace, seen: Views, row: Any) -> Read:
     """The reading of a row of `spots_of`."""
     if not row.used:
-        return (ReadingOutcome.HIDDEN if row.result else ReadingOutcome.NO_SPOT,)
-    centre = centred(seen.centre, one.spot)
+        return Read(ReadingOutcome.HIDDEN if row.result else ReadingOutcome.NO_SPOT)
+    centre = sensor_views.centred(seen.centre, one.spot)
     ellipse = optics.Ellipse(
         centre=jnp.array([row.x_px, row.y_px]),
         semi_major=jnp.asarray(row.semi_major_px),
         semi_minor=jnp.asarray(row.semi_minor_px),
         angle=jnp.asarray(row.angle_rad),
     )
-    distance = float(by_spot(ellipse, _known(one, seen._replace(centre=centre))))
-    return ReadingOutcome.READ, distance, abs(row.semi_minor_px - row.half_max_semi_minor_px)
+    distance = float(sensor_views.by_spot(ellipse, _known(one, seen._replace(centre=centre))))
+    off = abs(row.semi_minor_px - row.half_max_semi_minor_px)
+    return Read(ReadingOutcome.READ, distance, off)
 
 
 def _shadow(one: InstrumentPlace, taken: Pictures) -> Read:
@@ -282,20 +265,20 @@ def _shadow(one: InstrumentPlace, taken: Pictures) -> Read:
     tip, shadow = (
         found_shift(image, outline(one, camera, shadow=dark), dark=dark) for dark in (False, True)
     )
-    distance = by_shadow(
+    distance = sensor_views.by_shadow(
         _image(camera, one.tip) + tip,
         _image(camera, np.asarray(sensor_views.shadow_of(one.tip, one.lamp))) + shadow,
         _known(one, taken.seen),
     )
     off = max(np.linalg.norm(shift) for shift in (tip, shadow))
-    return ReadingOutcome.READ, float(distance), float(off)
+    return Read(ReadingOutcome.READ, float(distance), float(off))
 
 
 def _stereo(one: InstrumentPlace, taken: Pictures) -> Read:
     images = [sensor_views.grey(photograph) for photograph in (taken.left, taken.right)]
     height = sensor_views.wall_height(images[0], images[1], one, taken.seen)
     if height is None:
-        return (ReadingOutcome.NO_TEXTURE,)
+        return Read(ReadingOutcome.NO_TEXTURE)
     pair = [taken.seen.left, taken.seen.right]
     shifts = [
         found_shift(image, outline(one, camera), dark=False)
@@ -305,19 +288,16 @@ def _stereo(one: InstrumentPlace, taken: Pictures) -> Read:
     (tip,) = sensor_views.in_space(jnp.stack(places)[:, None], taken.seen)
     wall = optics.Sphere(RADIUS_MM - height)
     distance = float(sensor_views.distance_along(wall, tip, _known(one, taken.seen)))
-    return ReadingOutcome.READ, distance, max(float(np.linalg.norm(shift)) for shift in shifts)
+    off = max(float(np.linalg.norm(shift)) for shift in shifts)
+    return Read(ReadingOutcome.READ, distance, off)
 
 
 def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
-    return np.asarray(project(camera, point[None]))[0]
-
-
-# What the page shows.
+    return np.asarray(sensor_views.project(camera, point[None]))[0]
 
 
 Tables = Mapping[str, pd.DataFrame]
 """`expected`, `wrong` and `readings`, as in the CSV files."""
-
 
 # Figures.
 
@@ -533,7 +513,7 @@ def sensors(
     paths = [*PATHS][:2] if quick else [*PATHS]
     with study.timed("expected"):
         how: dict[str, Any] = {"draws": 50 if quick else 200, "seed": study.seed}
-        cameras = {path: views(path) for path in paths}
+        cameras = {path: sensor_views.views(path) for path in paths}
         found = [expected(path, seen, cameras["pinhole"], **how) for path, seen in cameras.items()]
         noise, wrong = (pd.concat(of, ignore_index=True) for of in zip(*found, strict=True))
     walls = ["printed paper", "uniform"] if quick else ["printed paper", "retina", "uniform"]
@@ -546,7 +526,7 @@ def sensors(
     with study.timed("render and measure spots"):
         spots = study.tracked({trial.name: _withdrawal(trial) for trial in every})
         readings = [
-            trial.row(Sensor.SPOT, one, *_spot(one, trial.seen, row))
+            trial.row(Sensor.SPOT, one, _spot(one, trial.seen, row))
             for trial in every
             for one, row in zip(trial.places, rows_of(spots[trial.name]), strict=True)
         ]
