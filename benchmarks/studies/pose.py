@@ -27,8 +27,8 @@ from scipy.stats import qmc
 import optics
 import scenes
 from benchmarks import reporting as page
-from benchmarks.paper import MICROSCOPE_MM, mean, require_roomy_eyeball, rms, write_results
-from benchmarks.reporting import listed, number, rows_of, where
+from benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, rms, write_results
+from benchmarks.reporting import listed, number, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration.spots.tool_pose import (
     Tool,
@@ -52,15 +52,11 @@ from scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.
 
-HALF_WIDTH_MM = 5.0
-"""Half the side of the square around the microscope's axis in which O lies: 10 mm x 10 mm."""
-NEAREST_MM, FARTHEST_MM = 0.5, 5.5
-"""Distances from tip to wall along the beam: 5 mm of depth."""
+HALF_WIDTH_MM = 5.0  # of the square around the microscope's axis in which O lies
+NEAREST_MM, FARTHEST_MM = 0.5, 5.5  # distances from tip to wall along the beam
 INCIDENCE_DEG = (10.0, 30.0)
-NOISE_PX = 0.05
-"""Standard deviation across the contour of each of 128 points."""
-LARGEST_C_MM = 5.0
-"""Largest eccentricity of the rendered spots."""
+NOISE_PX = 0.05  # standard deviation across the contour of each of 128 points
+LARGEST_C_MM = 5.0  # of the rendered spots
 PRIOR_DEG = 5.0
 """Standard deviation of the direction prior across the axis, as for a rough robot calibration."""
 
@@ -81,9 +77,7 @@ class AxisPrior(StrEnum):
 SIGMA_RAD = {AxisPrior.ROUGH: math.radians(PRIOR_DEG), AxisPrior.NONE: 1e6, AxisPrior.KNOWN: 1e-6}
 """The solver's standard deviation of a prior across the axis, rad."""
 
-_MIRRORED_DEG = 2.0
-"""An axis farther off than this, and nearer to the mirror image than to the truth, is mirrored."""
-
+_MIRRORED_DEG = 2.0  # an axis that is nearer to the truth than this is not mirrored
 _FIBRE_MM, _SPLAY_DEG = 0.5, 10.0
 
 
@@ -98,14 +92,14 @@ def tools_of(half_angle: float, apex_offset: float) -> tuple[Tool, Tool]:
 
 
 class Place(NamedTuple):
-    """A pose of the working volume, and where its axis meets the wall, with the normal there."""
+    """A pose of the working volume, the wall's normal where its axis meets it, and `where` that is.
+
+    `where` has the columns c_mm, d_mm, incidence_deg and azimuth_deg of pose_error.csv.
+    """
 
     pose: ToolPose
-    c_mm: float
-    d_mm: float
-    incidence_deg: float
-    azimuth_deg: float
     outward: np.ndarray
+    where: dict[str, float]
 
 
 def place_at(
@@ -131,7 +125,8 @@ def place_at(
     )
     tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
     outward = (tip + d * axis) / float(wall.radius)
-    return Place(ToolPose(tip, axis, roll), c, d, incidence_deg, azimuth_deg, outward)
+    at = {"c_mm": c, "d_mm": d, "incidence_deg": incidence_deg, "azimuth_deg": azimuth_deg}
+    return Place(ToolPose(tip, axis, roll), outward, at)
 
 
 Estimate = tuple[np.ndarray, np.ndarray, float, float]
@@ -143,27 +138,19 @@ def pose_error(
 ) -> dict[str, Any]:
     """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
 
-    `mirrored`: whether the solution has the reversed incidence. The bounds are the Cramér-Rao
-    standard deviations of the same quantities for the row's noise. `sigma_distance_mm` is the
-    standard deviation that the estimator reports.
-
-    Args:
-        covariance: the bound, of tip and axis or of the tip only.
-        noise_px: of the contour's points.
-        about: the first columns: source, spots, prior, z_f_mm.
+    `mirrored`: whether the solution has the reversed incidence. The bounds, of tip and axis or of
+    the tip only, are the Cramér-Rao standard deviations for the noise of the contour's points.
+    `sigma_distance_mm` is what the estimator states. `about` has the first columns.
     """
     true, (tip, axis, distance, sigma_distance) = np.asarray(place.pose.axis), found
     return {
         **about,
-        "c_mm": place.c_mm,
-        "d_mm": place.d_mm,
-        "incidence_deg": place.incidence_deg,
-        "azimuth_deg": place.azimuth_deg,
+        **place.where,
         "noise_px": noise_px,
         "mirrored": is_mirrored(axis, true, place.outward),
         "tip_error_mm": float(np.linalg.norm(tip - np.asarray(place.pose.tip))),
         "axis_error_deg": angle_deg(axis, true),
-        "distance_error_mm": float(distance - place.d_mm),
+        "distance_error_mm": float(distance - place.where["d_mm"]),
         "tip_bound_mm": tip_bound(covariance),
         "axis_bound_deg": axis_bound_deg(covariance),
         "sigma_distance_mm": float(sigma_distance),
@@ -236,15 +223,13 @@ def errors(
     clean, bounds, known = map(np.asarray, _contours_and_bounds(tool, poses, wall, view))
     noise = NOISE_PX * rng.standard_normal(clean.shape[:-1])
     noisy = clean + noise[..., None] * np.asarray(contour_normals(clean))
-    drawn = np.stack([drawn_prior(np.asarray(place.pose.axis), rng) for place in every])
-    truth = np.stack([np.asarray(place.pose.axis) for place in every])
-    height = float(view.pinhole_height)
-    rows = []
+    truth = np.asarray(poses.axis)
+    drawn = np.stack([drawn_prior(axis, rng) for axis in truth])
+    height, rows = float(view.pinhole_height), []
     if tool.cones > 1:
         ellipses, spreads = _ellipses(noisy)
-    for prior in AxisPrior:
+    for prior, sigma in SIGMA_RAD.items():
         axes, covariances = (truth, known) if prior == AxisPrior.KNOWN else (drawn, bounds)
-        sigma = SIGMA_RAD[prior]
         if tool.cones == 1:
             cone = tool.half_angle, tool.apex_offset
             best = _one_by_contour(noisy[:, 0], axes, np.asarray(sigma), wall, view, *cone)
@@ -258,9 +243,10 @@ def errors(
                 for i, axis in enumerate(axes)
             ]
         about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
-        for place, one, covariance in zip(every, found, covariances, strict=True):
-            row = pose_error(place, one, covariance=covariance, noise_px=NOISE_PX, **about)
-            rows.append(row)
+        rows += [
+            pose_error(place, one, covariance=bound, noise_px=NOISE_PX, **about)
+            for place, one, bound in zip(every, found, covariances, strict=True)
+        ]
     return rows
 
 
@@ -327,10 +313,8 @@ STILL = {
     "exposures.kinds": ["metered"],
     "microscope.width_px": 800,  # three spots need more room than one
     "microscope.height_px": 720,
-    "clocks.camera_hz": 1.0,
+    "clocks.camera_hz": 1.0,  # a frame a second, in which the tool stands still
 }
-"""A frame a second, in which the tool stands still."""
-
 _REST_S = 0.45  # time at rest before and after the middle of an exposure
 _INCIDENCES_DEG = (10.0, 20.0, 30.0)
 _FAR_MM = 4.0  # farther, splayed spots leave the window
@@ -340,11 +324,9 @@ _POINTS = 128
 
 def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
     """Poses with their axis through one point of the wall, at several distances and incidences."""
-    surface = World(scene).wall
-    assert isinstance(surface, optics.Sphere)  # by the study's check
     return [
         place_at(
-            surface,
+            optics.Sphere(scene.phantom.radius_mm),
             c=c,
             around_deg=scene.spot.azimuth_deg,
             d=1.0 + (_FAR_MM - 1.0) * (i + 0.5) / poses,
@@ -395,12 +377,8 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
 def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
     """Write one beam a second, at rest while the camera exposes."""
     file.parent.mkdir(exist_ok=True)
-    lit = [
-        pose
-        for place in every
-        for tool in tools
-        for pose in np.hstack([*map(np.asarray, _tips_and_axes(tool, place.pose))]).tolist()
-    ]
+    beams = [_beams(tool, place.pose) for place in every for tool in tools]
+    lit = np.concatenate([np.hstack([beam.tip, beam.axis]) for beam in beams]).tolist()
     # The first frame is due at the first row, the last at the last.
     rows = [
         (time, *pose)
@@ -422,9 +400,8 @@ def _errors(
     # semi-axis is the sum of two independent terms of the radius, of 1 and of cos 2t, whose
     # variances are 1/n and 2/n of the noise's.
     sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
-    true = np.asarray(place.pose.axis)
-    rows = []
-    for kind in AxisPrior:
+    true, rows = np.asarray(place.pose.axis), []
+    for kind, sigma_rad in SIGMA_RAD.items():
         known = kind == AxisPrior.KNOWN
         axis = true if known else prior
         covariance = np.asarray(
@@ -432,7 +409,7 @@ def _errors(
         )
         # With a fixed axis the ranger may end with the cone's apex on the wall; see `fit_tool`.
         if tool.cones == 1 and not known:
-            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=SIGMA_RAD[kind])
+            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=sigma_rad)
             pose = alone.poses[0]
             found = pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm
         else:
@@ -440,7 +417,7 @@ def _errors(
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
             spread = _mismatch_covariances(ellipses, spread)
-            found = by_ellipses(tool, ellipses, spread, surface, view, axis, SIGMA_RAD[kind])
+            found = by_ellipses(tool, ellipses, spread, surface, view, axis, sigma_rad)
             if known:
                 # A shift of the tip along the wall does not change the distance, to first order.
                 per_mm = place.outward / float(place.outward @ true)
@@ -451,18 +428,12 @@ def _errors(
     return rows
 
 
-@partial(jax.jit, static_argnums=0)
-def _tips_and_axes(tool: Tool, pose: ToolPose) -> tuple[jax.Array, jax.Array]:
-    lit = tool_beams(tool, pose)
-    return lit.tip, lit.axis
-
-
+_beams = partial(jax.jit, static_argnums=0)(tool_beams)
 _mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
 
 
 NAMES = {1: "one spot", 3: "three spots"}
 REQUIRED_TIP_MM, REQUIRED_AXIS_DEG, REQUIRED_DISTANCE_MM = 0.010, 0.1, 0.005
-"""Required root mean square errors of rendered spots."""
 
 
 def check(scene: Scene) -> None:
@@ -476,14 +447,12 @@ def check(scene: Scene) -> None:
 
 def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
     """Errors on exact contours, with the scene's pinhole and with a microscope's."""
-    world, microscope, rows = World(study.scene), study.scene.microscope, []
-    wall, tools = world.wall, tools_of(*world.cone)
-    assert isinstance(wall, optics.Sphere)  # by `check`
+    microscope, rows = study.scene.microscope, []
+    wall = optics.Sphere(study.scene.phantom.radius_mm)
+    tools = tools_of(*World(study.scene).cone)
     for height in dict.fromkeys((microscope.pinhole_height_mm, MICROSCOPE_MM)):
         view = optics.microscope(
-            scale=microscope.scale_mm_px,
-            pinhole_height=height,
-            eye_radius=study.scene.phantom.radius_mm,
+            scale=microscope.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
         )
         for tool, count in zip(tools, (one, three), strict=True):
             every = places(wall, count=count, seed=study.seed)
@@ -505,15 +474,15 @@ def scatter(rows: pd.DataFrame) -> pd.Series:
     return pd.Series(
         {
             **first[["source", "spots", "prior"]],
-            "z_f_mm": first.z_f_mm if rows.z_f_mm.nunique() == 1 else np.nan,
+            "z_f_mm": first.z_f_mm,
             "poses": len(rows),
             "mirrored": 1.0 - len(right) / len(rows),
             "tip_mm": rms(right.tip_error_mm),
-            "tip_mean_mm": mean(right.tip_error_mm),
+            "tip_mean_mm": right.tip_error_mm.mean(),
             "tip_bound_mm": rms(right.tip_bound_mm),
             "tip_all_mm": rms(rows.tip_error_mm),
             "axis_deg": rms(right.axis_error_deg),
-            "axis_mean_deg": mean(right.axis_error_deg),
+            "axis_mean_deg": right.axis_error_deg.mean(),
             "axis_bound_deg": rms(right.axis_bound_deg),
             "distance_mm": rms(rows.distance_error_mm),
             "sigma_distance_mm": rms(rows.sigma_distance_mm),
@@ -523,7 +492,6 @@ def scatter(rows: pd.DataFrame) -> pd.Series:
 
 # Figures.
 
-_COLOURS = {1: page.BLUE, 3: page.VERMILION}
 _MARKS: dict[str, dict[str, Any]] = {
     "analytic": {"marker": ".", "ms": 4, "alpha": 0.45},
     "rendered": {"marker": "x", "ms": 6},
@@ -531,20 +499,20 @@ _MARKS: dict[str, dict[str, Any]] = {
 _QUANTITIES = {"error of the tip (mm)": "tip_{}_mm", "error of the axis (°)": "axis_{}_deg"}
 
 
-def _by_incidence(errors: pd.DataFrame) -> Figure:
+def _by_incidence(rough: pd.DataFrame) -> Figure:
     """Errors of tip and axis against the incidence, for the first row's pinhole."""
-    height = errors.z_f_mm.iloc[0]
+    height = rough.z_f_mm.iloc[0]
     edges = np.linspace(*INCIDENCE_DEG, 6)
 
     def draw(axes: Axes, _: str, quantity: str) -> None:
         error, bound = (_QUANTITIES[quantity].format(name) for name in ("error", "bound"))
-        for spots, colour in _COLOURS.items():
+        for spots, colour in ((1, page.BLUE), (3, page.VERMILION)):
             for source, marks in _MARKS.items():
-                rows = where(errors, source=source, spots=spots, prior=AxisPrior.ROUGH)
+                rows = where(rough, source=source, spots=spots)
                 shown = rows[~rows.mirrored & (rows.z_f_mm == height)]
                 points = shown.incidence_deg, shown[error]
                 axes.plot(*points, ls="", color=colour, label=f"{NAMES[spots]}, {source}", **marks)
-            rows = where(errors, source="analytic", spots=spots, prior=AxisPrior.ROUGH)
+            rows = where(rough, source="analytic", spots=spots)
             bins = pd.cut(rows.incidence_deg, edges.tolist(), right=False)
             bounds = rows[bound].groupby(bins, observed=False).agg(rms)
             axes.plot(0.5 * (edges[:-1] + edges[1:]), bounds, color=colour, lw=1.6)
@@ -567,7 +535,8 @@ def _report(errors: pd.DataFrame) -> page.Report:
     keys = ["prior", "source", "spots", "z_f_mm"]
     # A summary by prior, source, number of spots and pinhole.
     scatters = pd.DataFrame([scatter(rows) for _, rows in errors.groupby(keys, sort=False)])
-    one, three = (_summary(errors, "rendered", spots, AxisPrior.ROUGH) for spots in REPORTED)
+    rough = where(errors, prior=AxisPrior.ROUGH)
+    one, three = (scatter(where(rough, source="rendered", spots=spots)) for spots in REPORTED)
     return page.Report(
         title="How accurately do one spot and three spots give the tool's pose?",
         answer=f"One rendered spot gives the tip to {number(1e3 * one.tip_mm, 1)} µm and the axis "
@@ -582,7 +551,7 @@ def _report(errors: pd.DataFrame) -> page.Report:
         first=[
             page.Picture(
                 "incidence",
-                _by_incidence(errors),
+                _by_incidence(rough),
                 "A tilted beam tells tip and axis better than a square one. Dots: contours with "
                 f"noise of {NOISE_PX:g} px. Crosses: rendered frames. Lines: root mean square of "
                 f"the Cramér–Rao bound. Direction prior {PRIOR_DEG:g}°, without mirrored "
@@ -596,7 +565,7 @@ def _report(errors: pd.DataFrame) -> page.Report:
                 data=_FILE,
             ),
         ],
-        claims=list(_claims(errors)),
+        claims=list(_claims(errors, rough)),
         sections=[
             page.Section(
                 "The mirror solution",
@@ -618,14 +587,9 @@ def _report(errors: pd.DataFrame) -> page.Report:
     )
 
 
-def _summary(errors: pd.DataFrame, source: str, spots: int, prior: AxisPrior) -> Any:
-    rows = where(errors, source=source, spots=spots, prior=prior)
-    return rows_of(pd.DataFrame([scatter(rows)]))[0]
-
-
-def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
+def _claims(errors: pd.DataFrame, rough: pd.DataFrame) -> Iterator[page.Claim]:
     for source, (spots, (tip, axis)) in product(("analytic", "rendered"), REPORTED.items()):
-        found = _summary(errors, source, spots, AxisPrior.ROUGH)
+        found = scatter(where(rough, source=source, spots=spots))
         yield page.Claim(
             name=f"{source}, {NAMES[spots]}, tip",
             sentence=f"The mean error of the tip is {found.tip_mean_mm:.4f} mm (reported by "
@@ -643,8 +607,8 @@ def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
             value=found.axis_mean_deg,
             high=axis,
         )
-    found = _summary(errors, "rendered", 1, AxisPrior.ROUGH)
-    single = where(errors, source="rendered", spots=1, prior=AxisPrior.ROUGH)
+    single = where(rough, source="rendered", spots=1)
+    found = scatter(single)
     each = pd.DataFrame({deg: scatter(rows) for deg, rows in single.groupby("incidence_deg")}).T
     at = listed(each.index, "g")
     yield page.Claim(

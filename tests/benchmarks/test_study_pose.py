@@ -135,12 +135,14 @@ def test_places_fill_the_working_volume():
     every = pose.places(WALL, count=32, seed=3)
     for at in every:
         tip, axis = np.asarray(at.pose.tip), np.asarray(at.pose.axis)
-        spot = tip + at.d_mm * axis
+        spot = tip + at.where["d_mm"] * axis
         assert np.linalg.norm(spot) == pytest.approx(11.5)
         assert np.abs(spot[:2]).max() <= 5.0
-        assert math.degrees(math.acos(axis @ spot / 11.5)) == pytest.approx(at.incidence_deg)
+        assert math.degrees(math.acos(axis @ spot / 11.5)) == pytest.approx(
+            at.where["incidence_deg"]
+        )
     # A Sobol net of 32 puts one point into each of 32 equal parts of every axis.
-    d = [at.d_mm for at in every]
+    d = [at.where["d_mm"] for at in every]
     assert np.histogram(d, 32, (0.5, 5.5))[0].tolist() == [1] * 32
 
 
