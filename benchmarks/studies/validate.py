@@ -48,9 +48,10 @@ _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # of the parts of the range that are tried
 class ValidateFindings:
     """All results of a run.
 
-    `spots` are those of every trial in every way (columns trial, source, kind, group, way, and
-    those of `paper.spots_of`); `planes` and `spheres` the content of table_1.csv and table_2.csv;
-    `analytic` and `rendered` the models' errors on exact contours and on spots of the ideal cone.
+    `spots`: of every trial in every way, `paper.spots_of` with trial, source, kind, group, way and
+    the distance since contact by the fit that used the frame, `estimate_mm`; `planes`, `spheres`:
+    content of table_1.csv and table_2.csv; `analytic`, `rendered`: the models' errors on exact
+    contours and on spots of the ideal cone.
     """
 
     stacks: Path
@@ -80,22 +81,24 @@ _PLANES = (
     "source way trial delta_k_mm_px delta_k_error_mm_px paper_delta_k_mm_px b_mm b_error_mm "
     "paper_b_mm r_squared paper_r_squared rmse_mm paper_rmse_mm contact_radius_px spots converged"
 ).split()
+_SIZES = "standard_deviation", "mean_absolute_error", "max_error"
 _SPHERES = (
-    "source way trial c_true_mm c_fitted_mm c_error_mm c_expected_mm standard_deviation_mm "
-    "paper_standard_deviation_mm mean_absolute_error_mm paper_mean_absolute_error_mm max_error_mm "
-    "paper_max_error_mm spots converged at_bound"
-).split()
+    *("source", "way", "trial", "c_true_mm", "c_fitted_mm", "c_error_mm", "c_expected_mm"),
+    *(f"{papers}{size}_mm" for size in _SIZES for papers in ("", "paper_")),
+    *("spots", "converged", "at_bound"),
+)
 
 
 def fit_tables(
     trials: Sequence[paper.StaticTrial], spots: pd.DataFrame
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
     """Tables I and II for every source and way with enough spots, beside the paper's values.
 
-    `c_expected_mm` is the c whose factor cos(phi) equals the correct first-order factor of the true
-    c, or 0 if that is above 1.
+    Before them the spots with `estimate_mm`. `c_expected_mm` is the c whose factor cos(phi) equals
+    the correct first-order factor of the true c, or 0 if that is above 1.
     """
     scenes, planes, spheres = {(t.source, t.group): t.scene for t in trials}, [], []
+    spots = spots.assign(estimate_mm=math.nan)
     for source, way in product(("lens", "cone"), paper.WAYS):
         seen = where(spots, used=True, source=source, way=way.name)
         enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
@@ -105,6 +108,8 @@ def fit_tables(
         for trial, rows in [*grouped(on_plane, "group"), (paper.ALL_PLANES, on_plane)]:
             e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
             line, papers = fit_plane(semi_minor_px=e, distance=d_r), paper.TABLE_I[trial]
+            if trial != paper.ALL_PLANES:
+                spots.loc[rows.index, "estimate_mm"] = line.delta_k * e + line.b
             slope = line.delta_k, line.delta_k_error, papers.delta_k
             scatter = line.r_squared, papers.r_squared, line.rmse, papers.rmse
             fitted = *slope, line.b, line.b_error, papers.b, *scatter, -line.b / line.delta_k
@@ -113,14 +118,13 @@ def fit_tables(
             scene, printed = scenes[source, trial], paper.TABLE_II[trial]
             c, r = scene.spot.eccentricity_mm, scene.phantom.radius_mm
             e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
-            fit = fit_eccentricity(
-                semi_minor_px=e,
-                distance=d_r,
-                delta_k=line.delta_k,
-                b=line.b,
-                scale=scene.microscope.scale_mm_px,
-                eye_radius=r,
+            scale = scene.microscope.scale_mm_px
+            given: dict[str, Any] = {"b": line.b, "scale": scale, "eye_radius": r}
+            fit = fit_eccentricity(semi_minor_px=e, distance=d_r, delta_k=line.delta_k, **given)
+            estimate = optics.small_plane_distance(
+                semi_minor_px=e, k=line.delta_k / scale, eccentricity=fit.c, **given
             )
+            spots.loc[rows.index, "estimate_mm"] = np.asarray(estimate)
             kappa = 1.0 / (scene.microscope.pinhole_height_mm + r)
             right = float(
                 optics.corrected_factor(
@@ -128,22 +132,21 @@ def fit_tables(
                 )
             )
             places = c, fit.c, fit.c_error, r * math.sqrt(max(0.0, 1.0 - right**2))
-            sizes = "standard_deviation", "mean_absolute_error", "max_error"
-            beside = [getattr(of, size) for size in sizes for of in (fit, printed)]
+            beside = [getattr(of, size) for size in _SIZES for of in (fit, printed)]
             about = fit.spots, fit.converged, fit.at_bound
             spheres.append((source, way.name, trial, *places, *beside, *about))
-    return pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
+    return spots, pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
 
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
     geometry = model_error.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
-    tilts = [(0.0, 0.0), *((geometry.incidence, azimuth) for azimuth in paper.TILT_AZIMUTHS_DEG)]
+    tilts = [(0.0, 0.0)]
+    tilts += [(geometry.incidence, math.radians(azimuth)) for azimuth in paper.TILT_AZIMUTHS_DEG]
     c, d = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
     tables = []
-    for height, (incidence, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
-        tilt = {"incidence": incidence, "incidence_azimuth": math.radians(azimuth)}
-        own = geometry._replace(pinhole_height=height, **tilt)
+    for height, (tilt, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
+        own = geometry._replace(pinhole_height=height, incidence=tilt, incidence_azimuth=azimuth)
         spots = model_error.exact_spots(own, eccentricities=c, distances=d)
         tables.append(model_error.model_errors(own, spots, source="analytic"))
     return pd.concat(tables, ignore_index=True)
@@ -190,66 +193,32 @@ def _met(criteria: dict[paper.Criterion, page.Claim]) -> int:
 
 def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, float] | None:
     """First and last distance that share their radius with another distance, or None."""
-    largest_before = np.maximum.accumulate(np.concatenate([[-math.inf], radius[:-1]]))
-    least_after = np.minimum.accumulate(np.concatenate([radius[1:], [math.inf]])[::-1])[::-1]
-    shared = (radius <= largest_before) | (radius >= least_after)
-    if not shared.any():
-        return None
-    return float(distance[shared].min()), float(distance[shared].max())
+    of = pd.Series(radius)
+    shared = (of <= of.cummax().shift()) | (of >= of[::-1].cummin().shift()[::-1])
+    return (distance[shared].min(), distance[shared].max()) if shared.any() else None
 
 
-_SHORT = {
-    "semi_minor_px": "measured_px",
-    "half_max_semi_minor_px": "half_max_px",
-    "cone_semi_minor_px": "cone_px",
+_SHORT = {"semi_minor_px": "measured_px"} | {
+    f"{true}_semi_minor_px": f"{true}_px" for true in ("half_max", "cone")
 }
+# Of spots.csv: truth and measurement of every frame in every way.
 _SPOT_COLUMNS = (
     "trial source group way frame file_name c_mm d_mm d_r_mm visible_fraction saturated_fraction "
     "outcome measured_px half_max_px cone_px estimate_mm residual_mm"
 ).split()
 
 
-def spot_table(findings: ValidateFindings) -> pd.DataFrame:
-    """Content of spots.csv: truth and measurement of every frame in every way.
-
-    `estimate_mm` is the distance since contact by the fit that used the frame.
-    """
-    trials = {trial.name: trial for trial in findings.trials}
-    spheres = findings.spheres.set_index(["source", "way", "trial"]).c_fitted_mm
-    tables = []
-    for (name, way), rows in grouped(findings.spots, "trial", "way"):
-        trial, e = trials[name], rows.semi_minor_px.where(rows.used).to_numpy()
-        lines = paper.plane_rows(where(findings.planes, source=trial.source, way=way))
-        estimate = np.full(e.shape, math.nan)
-        if trial.kind == "plane" and trial.group in lines:
-            estimate = lines[trial.group].delta_k * e + lines[trial.group].b
-        elif (key := (trial.source, way, trial.group)) in spheres.index:
-            scale = trial.scene.microscope.scale_mm_px
-            small_plane = optics.small_plane_distance(
-                semi_minor_px=e,
-                scale=scale,
-                k=lines[paper.ALL_PLANES].delta_k / scale,
-                b=lines[paper.ALL_PLANES].b,
-                eccentricity=spheres[key],
-                eye_radius=trial.scene.phantom.radius_mm,
-            )
-            estimate = np.asarray(small_plane)
-        tables.append(rows.assign(estimate_mm=estimate, residual_mm=estimate - rows.d_r_mm))
-    return pd.concat(tables, ignore_index=True).rename(columns=_SHORT)[_SPOT_COLUMNS]
-
-
 def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFrame:
-    """Spots of every trial in every way whose exposure it has; of the grid in the best way."""
+    """Spots of every trial in every way; of the grid, which has one exposure, in the best way."""
     by_name = {trial.name: trial for trial in trials}
 
     def measure(name: str, stack: Stack) -> pd.DataFrame:
         trial, tables = by_name[name], []
         about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
         for way in paper.WAYS if trial.kind != "grid" else [paper.SUBPIXEL]:
-            if way.exposure in trial.scene.exposures.kinds:
-                file = study.spots_file(f"{name}-{way.slug}")
-                spots = paper.track_stack(stack, way, spots_file=file)
-                tables.append(spots.assign(**about, way=way.name))
+            file = study.spots_file(f"{name}-{way.slug}")
+            spots = paper.track_stack(stack, way, spots_file=file)
+            tables.append(spots.assign(**about, way=way.name))
         return pd.concat(tables)
 
     found = study.measured({trial.name: trial.scene for trial in trials}, measure)
@@ -259,14 +228,17 @@ def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFra
 # Figures.
 
 
-def film(findings: ValidateFindings, *, frames: int = 5) -> Figure:
+_FILM = 5  # frames
+
+
+def film(findings: ValidateFindings) -> Figure:
     """Frames of a withdrawal in the eyeball at one scale, with measured and true ellipses."""
     trial = [trial for trial in findings.trials if trial.group == "sphere 1"][-1]
     rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
-    rows = rows.iloc[np.linspace(0, len(rows) - 1, frames).round().astype(int)]
+    rows = rows.iloc[np.linspace(0, len(rows) - 1, _FILM).round().astype(int)]
     half = round(1.5 * rows.half_max_semi_major_px.max())
     stack = read_stack(findings.stacks / trial.name)
-    figure = Figure(figsize=(10.0, 10.0 / frames + 0.2), layout="constrained")
+    figure = Figure(figsize=(10.0, 10.0 / _FILM + 0.2), layout="constrained")
     axes, tiles = figure.subplots(), []
     for n, row in enumerate(rows_of(rows)):
         left, top = round(row.half_max_x_px) - half, round(row.half_max_y_px) - half
@@ -320,18 +292,14 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
 
         own = where(spots, outcome=paper.USED, source=source, way=way)
         own = own[own.group.isin(list(lines))]
-        for (trial, rows), colour, marker in zip(
-            grouped(own, "group"), model_error.TRIAL_COLOURS, "o^s", strict=False
-        ):
+        of_trials = zip(grouped(own, "group"), model_error.TRIAL_COLOURS, "o^s", strict=False)
+        for (trial, rows), colour, marker in of_trials:
             e, d = rows.measured_px, rows.d_r_mm
             axes.plot(e, d, ls="", marker=marker, ms=3, mfc="none", color=colour, label=trial)
             drawn(lines[trial], e, color=colour)
-        for source_of, colour, style, label in (
-            (lines, page.BLACK, "--", paper.ALL_PLANES),
-            (paper.TABLE_I, page.GREY, ":", "all planes of the paper"),
-        ):
-            line = source_of[paper.ALL_PLANES]
-            drawn(line, own.measured_px, color=colour, ls=style, label=label)
+        whole, e = paper.ALL_PLANES, own.measured_px
+        drawn(lines[whole], e, color=page.BLACK, ls="--", label=whole)
+        drawn(paper.TABLE_I[whole], e, color=page.GREY, ls=":", label=f"{whole} of the paper")
 
     return page.small_multiples(
         draw,
@@ -384,12 +352,11 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
     yield from _half_maximum(findings)
     for source in findings.sources:
         fits, trial = findings.lines(source, paper.LITERAL), findings.on_plane(source)
-        part = nearest_reproduction(findings, source)
         if len(fits) < 2 or trial is None:
             continue
         light = f"lens {trial.scene.source.lens}" if source == "lens" else "ideal cone"
         yield from paper.reproduction(fits, name=f"Table I by the {light}").values()
-        if part is not None:
+        if part := nearest_reproduction(findings, source):
             low, high, criteria = part
             digits = zip(criteria.values(), (".4f", ".2f", ".3f", ".3f"), strict=True)
             slope, b, straight, scatter = (listed(claim.value, spec) for claim, spec in digits)
@@ -447,10 +414,11 @@ def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
 
 
 def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
-    curve = _half_maximum_curve(findings)
-    if curve is None:
+    if (trial := findings.on_plane("lens")) is None:
         return
-    d, radius = curve
+    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
+    d, axis = rows[["d_mm", "half_max_semi_minor_px"]].to_numpy(float).T
+    radius = axis * trial.scene.microscope.scale_mm_px
     first, last = ambiguous_range(d, radius) or (math.nan, math.nan)
     chosen = sorted({0, int(np.argmin(radius)), len(d) - 1})
     edge, threshold = (
@@ -472,37 +440,22 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
     )
 
 
-def _half_maximum_curve(findings: ValidateFindings) -> tuple[np.ndarray, np.ndarray] | None:
-    """Distance and half-maximum radius (mm) of the lens on the first plane; None without a lens."""
-    trial = findings.on_plane("lens")
-    if trial is None:
-        return None
-    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
-    scale = trial.scene.microscope.scale_mm_px
-    return rows.d_mm.to_numpy(), rows.half_max_semi_minor_px.to_numpy() * scale
-
-
 # The page.
 
 
 def report(findings: ValidateFindings) -> page.Report:
-    """The report of a run.
-
-    Raises:
-        InputError: the stack of the film is missing or broken.
-    """
-    spots, rendered = spot_table(findings), findings.rendered
+    """The report of a run; InputError if the stack of the film is missing or broken."""
+    rendered, analytic = findings.rendered, findings.analytic
+    spots = findings.spots.assign(residual_mm=findings.spots.estimate_mm - findings.spots.d_r_mm)
+    spots = spots.rename(columns=_SHORT)[_SPOT_COLUMNS]
     # Up to which c each model keeps the acceptable error, by the pinhole's height; NaN: to the end.
-    kept, most = pd.DataFrame(index=model_error.COMPARED), findings.analytic.c_mm.max()
-    for height in _ANALYTIC_HEIGHTS_MM:
-        here = where(findings.analytic, z_f_mm=height)
-        kept[f"z_F = {height:g} mm"] = [
-            model_error.limit_eccentricity(where(here, model=model), ACCEPTABLE_ERROR_MM)
-            for model in kept.index
-        ]
+    by_model = analytic.groupby(["model", "z_f_mm"])[["c_mm", "error_mm"]]
+    kept = by_model.apply(model_error.limit_eccentricity, ACCEPTABLE_ERROR_MM).unstack()
+    kept = kept.reindex(index=model_error.COMPARED, columns=_ANALYTIC_HEIGHTS_MM)
     low, high, _ = map(float, kept.loc["small_plane"])
+    most = analytic.c_mm.max()
     limits = kept.map(lambda c: f"{most:g} +" if math.isnan(c) else number(c, 1))
-    limits = limits.reset_index(names="model")
+    limits = limits.rename(columns="z_F = {:g} mm".format).reset_index(names="model")
     exact = rendered.error_mm[rendered.model == "exact"]
     counts = findings.spots.groupby(["trial", "source", "way", "outcome"], sort=False).size()
     return page.Report(
@@ -539,7 +492,8 @@ def report(findings: ValidateFindings) -> page.Report:
                 "tilts; + is the end of the range.",
                 data="model_error.csv",
             ),
-            *_sentences(findings),
+            "The paper's cos φ is the right factor for a pinhole at the eyeball's centre only; a "
+            "c that is fitted to the same distances, as in the paper's Table II, hides the error.",
         ],
         claims=list(claims(findings)),
         sections=[
@@ -547,7 +501,7 @@ def report(findings: ValidateFindings) -> page.Report:
                 "The models against the exact geometry",
                 page.Picture(
                     "model_error",
-                    model_error.model_error_figure(findings.analytic, findings.rendered),
+                    model_error.model_error_figure(analytic, rendered),
                     "The sign of the error: small_plane makes distances too short. Exact contours "
                     "(lines; dotted: square beam) and spots measured in rendered frames of the "
                     "ideal cone (dots, at the rendered distances). Every model is given the true "
@@ -561,36 +515,14 @@ def report(findings: ValidateFindings) -> page.Report:
             _fits(findings, spots),
         ],
         data={
-            "model_error.csv": pd.concat([findings.analytic, findings.rendered]),
-            "rendered_accuracy.csv": model_error.accuracy(findings.rendered),
+            "model_error.csv": pd.concat([analytic, rendered]),
+            "rendered_accuracy.csv": model_error.accuracy(rendered),
             "table_1.csv": findings.planes,
             "table_2.csv": findings.spheres,
             "spots.csv": spots,
             "frames.csv": counts.reset_index(name="frames"),
         },
     )
-
-
-def _sentences(findings: ValidateFindings) -> Iterator[str]:
-    """What else the run shows, in a sentence each."""
-    yield (
-        "The paper's cos φ is the right factor for a pinhole at the eyeball's centre only; a c "
-        "that is fitted to the same distances, as in the paper's Table II, hides the error."
-    )
-    curve = _half_maximum_curve(findings)
-    if curve is not None and (shared := ambiguous_range(*curve)):
-        yield (
-            f"Behind the lens one half-maximum radius belongs to several distances from "
-            f"{number(shared[0])} to {number(shared[1])} mm, so the radius alone does not "
-            "determine the distance there."
-        )
-    source = findings.sources[0]
-    if part := nearest_reproduction(findings, source):
-        low, high, criteria = part
-        yield (
-            f"The {source} read from {low:g} to {high:g} mm by the paper's fixed threshold meets "
-            f"{_met(criteria)} of {len(criteria)} criteria of its Table I."
-        )
 
 
 def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
@@ -663,7 +595,7 @@ def validate(
                 behind_lens = _measured_spots(study, [t for t in trials if t.source == "lens"])
                 spots = pd.concat([spots, behind_lens], ignore_index=True)
         with study.timed("fit and compare"):
-            planes, spheres = fit_tables(trials, spots)
+            spots, planes, spheres = fit_tables(trials, spots)
             findings = ValidateFindings(
                 stacks=study.folder / "stacks",
                 trials=trials,

@@ -68,7 +68,7 @@ def _paper_like_run(sources: tuple[str, ...]) -> ValidateFindings:
         ],
         ignore_index=True,
     )
-    planes, spheres = validate.fit_tables(trials, spots)
+    spots, planes, spheres = validate.fit_tables(trials, spots)
     square, tilted = (model_errors("analytic", incidence_deg=deg) for deg in (0.0, 30.0))
     return ValidateFindings(
         stacks=Path(),
