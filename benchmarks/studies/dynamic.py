@@ -54,10 +54,8 @@ _REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
 class MovingTrial(NamedTuple):
     """One motion (of `MOTIONS`), measured in one way.
 
-    Attributes:
-        speed_mm_s: of a straight motion, or a hand's highest.
-        run: from 1, each with noise, texture and hand of its own.
-        frozen: the same poses, noise and brightness with exposures too short for blur.
+    The speed is that of a straight motion, or a hand's highest. Each run, from 1, has its noise,
+    texture and hand. `frozen`: the same with exposures too short for blur.
     """
 
     motion: str
@@ -132,14 +130,8 @@ def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene
 # has gone on since the frame was taken.
 
 COMPARED = (paper.LITERAL, paper.SUBPIXEL)
-"""The paper's way of measuring, at its fixed exposure, and ours."""
-
-MOTIONS = ("withdrawal", "scan", "hand")
-"""Along the beam, across the wall, in a hand."""
-
-LATENCIES_S = (0.0, 0.05, 0.1)
-"""Delays with which a pose without a time stamp is read."""
-
+MOTIONS = ("withdrawal", "scan", "hand")  # along the beam, across the wall, in a hand
+LATENCIES_S = (0.0, 0.05, 0.1)  # with which a pose without a time stamp is read
 PARTS = ("rest", "blur", "stamps", "latency")
 
 
@@ -152,11 +144,7 @@ def parts(
 
 
 def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
-    """Distance along the beam to the wall by the robot's pose at a time, mm; NaN before the first.
-
-    Args:
-        wall: of the eye, which the robot is given.
-    """
+    """Distance along the beam to the eye's wall by the robot's pose at a time, mm, or NaN."""
     found = poses.at(time_s)
     if found is None:
         return math.nan
@@ -169,16 +157,10 @@ _SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's fr
 
 
 def ranger(rest: Stack, scene: Scene, way: paper.Way, *, spots_file: Path) -> Ranger:
-    """The ranger that computes distances from a way's spots.
+    """The ranger that computes distances from a way's spots; InputError if too few are at rest.
 
-    Literal mode has the paper's model with the k and b fitted to the withdrawal at rest, as on
-    the paper's rig; the sub-pixel mode has the true source and its exact geometry.
-
-    Args:
-        spots_file: file to write, with the spots that k and b come from.
-
-    Raises:
-        InputError: too few spots at rest.
+    Literal mode has the paper's model with the k and b fitted to the withdrawal at rest, as on the
+    paper's rig, whose spots are written; sub-pixel mode has the true source and exact geometry.
     """
     microscope = read_microscope(rest.folder / "microscope.json")
     if way is not paper.LITERAL:
@@ -192,13 +174,8 @@ def ranger(rest: Stack, scene: Scene, way: paper.Way, *, spots_file: Path) -> Ra
 def small_plane_line(spots: pd.DataFrame, microscope: MicroscopeFile) -> dict[str, float]:
     """k and b of the paper's model: a line, after subtracting its sagitta from the distance.
 
-    d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 10).
-
-    Args:
-        spots: columns semi_minor_px (e1'), phi_rad (asin(c/r)) and d_mm.
-
-    Raises:
-        InputError: fewer than 3 spots, or all of one size.
+    d - (r - sqrt(r^2 - e1^2)) = k e1 + b with e1 = delta e1' cos(phi) (Zhou et al. 2020, eq. 10);
+    the spots have the columns semi_minor_px (e1'), phi_rad (asin(c/r)) and d_mm.
     """
     scale, r = microscope.scale_mm_px, microscope.eye_radius_mm
     e, phi, d = spots[["semi_minor_px", "phi_rad", "d_mm"]].to_numpy(float).T
@@ -213,12 +190,9 @@ def errors(
 ) -> Iterator[dict[str, Any]]:
     """Rows of dynamic_error.csv, latency by latency; error = estimate - reading.
 
-    `set_speed_mm_s` is the speed of a straight motion or the highest speed of a hand. `speed_mm_s`
-    is the tip's speed in the middle of the exposure. `doubt` is the reason why an estimate does not
-    count; `rest_doubt` is the same for the frame without blur. NaN: there is no estimate.
-
-    The first frame and the last are left out. They are at the ends of the motion, where the tip is
-    at rest for half of the exposure.
+    `set_speed_mm_s` is the trial's, `speed_mm_s` the tip's in the middle of the exposure. `doubt`
+    is why an estimate does not count, `rest_doubt` the same of the frame without blur. The first
+    frame and the last are left out, where the tip is at rest for half of the exposure.
     """
     poses = read_poses(moving.folder / "kinematics.csv")
     wall = World(trial.moving).wall
@@ -276,7 +250,7 @@ def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
     by = frames.groupby(keys)
     columns = [f"{name}_mm" for name in ("error", *PARTS)]
     used = frames[columns].where(~frames.left_out).groupby([frames[key] for key in keys])
-    sizes, means = used.agg(paper.rms).add_prefix("rms_"), used.agg(paper.mean).add_prefix("mean_")
+    sizes, means = used.agg(paper.rms).add_prefix("rms_"), used.mean().add_prefix("mean_")
     sizes.insert(1, "largest_error_mm", used.error_mm.agg(paper.largest))
     left_out = by.left_out.sum()
     counts = pd.DataFrame({"spots": by.size() - left_out, "left_out": left_out})
@@ -284,7 +258,7 @@ def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
 
 
 def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
-    """Speed at which the RMS error of rows that differ in the speed only reaches a limit, mm/s.
+    """Speed (mm/s) at which the RMS error of rows that differ in the speed only reaches a limit.
 
     Linear between the speeds, from the error at rest; NaN if the limit is not reached.
     """
@@ -347,8 +321,7 @@ def _rows(
 
 # Figures.
 
-_LEAST_MM = 1e-3
-"""Smaller errors are drawn at the foot of a logarithmic axis."""
+_LEAST_MM = 1e-3  # smaller errors are drawn at the foot of a logarithmic axis
 
 
 def errors_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
@@ -390,28 +363,19 @@ def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
     axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
     axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
     axes.minorticks_off()
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
+    axes.xaxis.set_major_formatter("{x:g}")
 
 
 # The page.
 
-_REQUIRED_MM = 0.1
-"""Required of the sub-pixel mode with stamped poses, up to the top speed."""
-
-_PAPERS_SPEED_MM_S = 1.5
-"""Speed up to which the paper's error is acceptable (Zhou et al. 2020)."""
+_REQUIRED_MM = 0.1  # of the sub-pixel mode with stamped poses, up to the top speed
+_PAPERS_SPEED_MM_S = 1.5  # up to which the paper's error is acceptable (Zhou et al. 2020)
 
 
 def report(
     errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float, camera_hz: float
 ) -> page.Report:
-    """The report of a run: dynamic_error.csv and dynamic_spread.csv.
-
-    Args:
-        exposure_ms: at the mean distance.
-        camera_hz: frames a second.
-    """
+    """The report of a run: dynamic_error.csv and dynamic_spread.csv."""
     sources, top = errors.source.unique().tolist(), spreads.speed_mm_s.max()
     shown, late = sources[-1], f"{1000 * LATENCIES_S[-1]:g} ms late"
     stamped, reached = where(errors, latency_s=LATENCIES_S[0]), limits(spreads)

@@ -23,7 +23,7 @@ import optics
 import scenes
 from benchmarks import reporting as page
 from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, mean, rms, withdrawal
+from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, rms, withdrawal
 from benchmarks.reporting import number, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
@@ -41,8 +41,7 @@ AIR, VITREOUS = "air", "vitreous"
 NEAREST_MM, FARTHEST_MM = 0.5, 6.0
 """Range of distances of calibration and measurement, as in the paper's trials."""
 
-CONE = "cone"
-"""The light without a lens: the control."""
+CONE = "cone"  # the light without a lens: the control
 
 
 class Method(StrEnum):
@@ -56,7 +55,7 @@ class Method(StrEnum):
 class Regression(NamedTuple):
     """Row of medium_cones.csv: the cone d = kR + b of a light in a medium (Zhou et al. 2020).
 
-    Between the two ambiguous distances one radius has more than one solution.
+    Between the ambiguous distances one radius has several solutions.
     """
 
     light: str
@@ -109,9 +108,7 @@ rendered one is the most likely solution; without a result the estimate is empty
 def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.DataFrame:
     """Errors of the three methods on the square wall's half-maximum radii in a medium.
 
-    Args:
-        air: the light in air, where it was calibrated.
-        medium: the same light where it is used; may be air.
+    `air` is the light where it was calibrated, `medium` the same where it is used; may be air.
     """
     rows = []
     for d in distances.tolist():
@@ -212,8 +209,7 @@ def _errors(
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
-_LENSES = ("paper-candidate", "dome")
-"""A flat end and a round cap: the two kinds of drop."""
+_LENSES = ("paper-candidate", "dome")  # a flat end and a round cap: the two kinds of drop
 
 
 # Figures.
@@ -280,7 +276,7 @@ def _report(
 ) -> page.Report:
     cones = pd.DataFrame([curve.cone for curve in curves.values()])
     by_method = errors.groupby(["source", "light", "medium", "method"], sort=False)
-    summary = by_method.error_mm.agg(spots="size", mean_mm=mean, rms_mm=rms, largest_mm=largest)
+    summary = by_method.error_mm.agg(spots="size", mean_mm="mean", rms_mm=rms, largest_mm=largest)
     summary = summary.join(by_method.ambiguous.mean()).reset_index()
     indices = ", ".join(f"{medium} {float(optics.MEDIA[medium]):g}" for medium in (AIR, VITREOUS))
     own = where(errors, light=scene.source.lens, medium=VITREOUS)
