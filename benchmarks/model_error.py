@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 import pandas as pd
+from jaxtyping import PyTree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -37,6 +39,20 @@ class Geometry(NamedTuple):
     apex_offset: float
     incidence: float
     incidence_azimuth: float
+
+    @property
+    def world(self) -> tuple[optics.Sphere, optics.Microscope]:
+        """The wall and the microscope."""
+        microscope = optics.microscope(
+            scale=self.scale, pinhole_height=self.pinhole_height, eye_radius=self.eye_radius
+        )
+        return optics.Sphere(self.eye_radius), microscope
+
+    @property
+    def beam(self) -> dict[str, Any]:
+        """The cone and its tilt, as arguments of `optics.beam_at_spot` and its like."""
+        names = ("half_angle", "apex_offset", "incidence", "incidence_azimuth")
+        return {name: getattr(self, name) for name in names}
 
 
 MODEL_ERROR = (
@@ -100,14 +116,14 @@ def model_errors(
 @jax.jit
 def semi_minor(geometry: Geometry, *, c: _Values, d: _Values) -> jax.Array:
     """e1' of the exact contour at eccentricities and distances (mm), px."""
-    forward = partial(_at_geometry, optics.exact_semi_minor, geometry)
+    forward = partial(optics.exact_semi_minor, *geometry.world, **geometry.beam)
     return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
 
 
 @jax.jit
 def estimates(geometry: Geometry, *, c: _Values, semi_minor_px: _Values) -> dict[str, jax.Array]:
     """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
-    exact = partial(_at_geometry, optics.exact_distance, geometry)
+    exact = partial(optics.exact_distance, *geometry.world, **geometry.beam)
     closed = partial(
         optics.closed_form_distance,
         semi_minor_px=semi_minor_px,
@@ -121,24 +137,6 @@ def estimates(geometry: Geometry, *, c: _Values, semi_minor_px: _Values) -> dict
     return {model: closed(model) for model in optics.CLOSED_FORMS} | {
         "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px)
     }
-
-
-def _at_geometry(
-    function: Callable[..., jax.Array], geometry: Geometry, **arguments: jax.Array
-) -> jax.Array:
-    return function(
-        optics.Sphere(geometry.eye_radius),
-        optics.microscope(
-            scale=geometry.scale,
-            pinhole_height=geometry.pinhole_height,
-            eye_radius=geometry.eye_radius,
-        ),
-        incidence=geometry.incidence,
-        incidence_azimuth=geometry.incidence_azimuth,
-        half_angle=geometry.half_angle,
-        apex_offset=geometry.apex_offset,
-        **arguments,
-    )
 
 
 def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
@@ -181,11 +179,29 @@ def degrees(radians: float) -> float:
     return round(math.degrees(radians), 9)
 
 
+def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
+    """Results of a function that treats arrays with a leading axis item by item.
+
+    All batches have one shape, the last one filled up with its last item, so that it is compiled
+    once. One batch is too small for several cores, so each core takes a batch of its own.
+    """
+    items = jax.tree.map(np.asarray, items)
+    count = len(jax.tree.leaves(items)[0])
+
+    def batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
+
+    first, *rest = range(0, count, size)
+    with ThreadPoolExecutor() as pool:
+        # The first batch runs alone, so that only one thread compiles.
+        done = [batch(first), *pool.map(batch, rest)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)
+
+
 # Figures.
 
 CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
-"""Distances that tables and error curves show."""
-
 SHOWN = ("small_plane", "corrected", "exact")
 """Models of figures that have a panel for each; the CSV files have all."""
 
@@ -193,7 +209,6 @@ MODEL_COLOURS = dict(
     zip(COMPARED, (page.VERMILION, page.BLUE, page.GREEN, page.BLACK), strict=True)
 )
 TRIAL_COLOURS = (page.BLUE, page.ORANGE, page.GREEN)
-"""Of the paper's three trials."""
 
 READING = "$d_r$, reading since contact (mm)"
 MEASURED = "measured $e_1'$ (px)"

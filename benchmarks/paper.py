@@ -26,11 +26,6 @@ from scenes.camera import CameraSensor
 # NaN stands for a missing error and is left out; a summary is NaN if no error is there.
 
 
-def mean(errors: Iterable[float]) -> float:
-    """Their mean."""
-    return float(pd.Series(errors, dtype=float).mean())
-
-
 def rms(errors: Iterable[float]) -> float:
     """Their root mean square."""
     return math.sqrt(pd.Series(errors, dtype=float).pow(2).mean())
@@ -82,7 +77,7 @@ def shapley_values(worth: np.ndarray) -> np.ndarray:
 
 
 class PlaneRow(NamedTuple):
-    """Row of Table I; mm."""
+    """Row of Table I: mm/px, mm, 1 and mm."""
 
     delta_k: float
     b: float
@@ -99,8 +94,7 @@ class SphereRow(NamedTuple):
     max_error: float
 
 
-ALL_PLANES = "all planes"
-"""The row of Table I for all its trials together."""
+ALL_PLANES = "all planes"  # all trials of Table I together
 
 TABLE_I = {
     "plane 1": PlaneRow(0.1496, -6.791, 0.9959, 0.0548),
@@ -119,7 +113,6 @@ ACCEPTABLE_ERROR_MM = 0.5
 """The error that the paper calls acceptable."""
 
 PAPERS_PLANES = {name: row for name, row in TABLE_I.items() if name != ALL_PLANES}
-"""The rows of Table I for single trials."""
 
 
 class Criterion(StrEnum):
@@ -145,10 +138,7 @@ def reproduction(fits: Mapping[str, PlaneRow], *, name: str = "Table I") -> dict
     """The criteria for fits of one source measured in one way.
 
     The fit of all planes must be the paper's, within the differences between its own trials; each
-    trial must be as straight as the paper's.
-
-    Args:
-        name: of the claims, before the criterion.
+    trial must be as straight as the paper's. The claims' names begin with `name`.
     """
     trials = [fits[trial] for trial in PAPERS_PLANES if trial in fits]
     r_squared, rmse = tuple(f.r_squared for f in trials), tuple(f.rmse for f in trials)
@@ -177,26 +167,19 @@ def reproduction(fits: Mapping[str, PlaneRow], *, name: str = "Table I") -> dict
 # Places on the printed plane, so far apart that they share no wall texture.
 _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
-PINHOLE_HEIGHTS_MM = (11.5, 200.0)
+MICROSCOPE_MM = 200.0  # z_F of a real microscope
+PINHOLE_HEIGHTS_MM = (11.5, MICROSCOPE_MM)
 """On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
 TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 """Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
-
-MICROSCOPE_MM = 200.0
-"""z_F of a real microscope."""
-
 _SMALLEST_RADIUS_MM = 10.0
-
 
 TrialKind = Literal["plane", "sphere", "grid"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class StaticTrial:
-    """A withdrawal of the static experiment, on a wall or for the grid of the model errors.
-
-    Its group is the row of the paper's tables that it is compared with, or the grid's name.
-    """
+    """A withdrawal of the static experiment; `group` is a row of the paper's tables, or a grid."""
 
     name: str
     kind: TrialKind
@@ -210,12 +193,7 @@ class StaticTrial:
 
 
 def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
-    """Three withdrawals on the plane and three in the eyeball, with one kind of source.
-
-    Args:
-        quick: 9 frames a trial instead of 61.
-    """
-    frames = 9 if quick else 61
+    """Three withdrawals on the plane and three in the eyeball, with one kind of source."""
     places: list[tuple[str, TrialKind, float]] = [
         *((f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)),
         *((name, "sphere", row.c) for name, row in TABLE_II.items()),
@@ -230,7 +208,7 @@ def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
             "phantom": {"kind": wall, "texture_seed": seed},
             "source": {"kind": source},
             "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth},
-            "motion": {"frames": frames},
+            "motion": {"frames": 9 if quick else 61},
         }
         name, own = f"{source}-{group.replace(' ', '-')}", Scene.model_validate(scene)
         trials.append(StaticTrial(name=name, kind=kind, group=group, scene=own))
@@ -280,13 +258,10 @@ def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
 
 
 def require_roomy_eyeball(scene: Scene, reach: str) -> None:
-    """Refuse a scene whose wall ends before a study's spots do.
+    """Raise SceneError if a scene's wall ends before a study's spots do.
 
     Args:
         reach: what reaches how far, for the message.
-
-    Raises:
-        SceneError: the wall is no eyeball, or too small.
     """
     if scene.phantom.kind != "eyeball" or scene.phantom.radius_mm < _SMALLEST_RADIUS_MM:
         raise SceneError(
@@ -300,9 +275,7 @@ def require_roomy_eyeball(scene: Scene, reach: str) -> None:
 
 VISIBLE_ENOUGH = 0.5
 """Part of the half-maximum contour that must be visible for a spot to count."""
-
-USED = "used"
-"""Outcome of a frame that enters the fits."""
+USED = "used"  # outcome of a frame that enters the fits
 
 
 @dataclass(frozen=True)
@@ -395,12 +368,7 @@ def write_results(
 
 
 class Shot(NamedTuple):
-    """How a withdrawal is photographed and measured.
-
-    Attributes:
-        seed: of the camera's noise; None is a camera without noise.
-        threshold: of the literal mode, grey level.
-    """
+    """Seed of the camera's noise (None: no noise), factor on the light, literal threshold (DN)."""
 
     seed: int | None = None
     light: float = 1.0
@@ -421,35 +389,27 @@ class Photographer:
         return d - d[0]
 
     def measure(self, way: Way, shots: Sequence[Shot]) -> list[np.ndarray]:
-        """e1' of every frame, px, for each shot; NaN where no spot counts.
+        """e1' of every frame, px, for each shot; NaN where no spot counts."""
+        rows, found = self.stack.exposed(way.exposure), []
+        light = [self.stack.linear(row) for row in rows]  # read once for all shots
+        for shot in shots:
+            settings = way.settings
+            if isinstance(settings, LiteralSettings):
+                settings = replace(settings, threshold=shot.threshold)
+            spots = track(self._images(rows, shot, light), settings, start=way.click(rows))
+            seen = spots_of(rows, list(spots))
+            found.append(seen.semi_minor_px.where(seen.used).to_numpy())
+        return found
 
-        Args:
-            shots: any number; frames are read once for all.
-        """
-        light = [self.stack.linear(row) for row in self.stack.exposed(way.exposure)]
-        return [self._semi_minor(way, shot, light) for shot in shots]
-
-    def _semi_minor(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> np.ndarray:
-        rows, settings = self.stack.exposed(way.exposure), way.settings
-        if isinstance(settings, LiteralSettings):
-            settings = replace(settings, threshold=shot.threshold)
-        found = track(self._images(way, shot, light), settings, start=way.click(rows))
-        return np.array(
-            [
-                spot.semi_minor_px
-                if isinstance(spot, Spot) and row.visible_fraction >= VISIBLE_ENOUGH
-                else np.nan
-                for row, spot in zip(rows, found, strict=True)
-            ]
-        )
-
-    def _images(self, way: Way, shot: Shot, light: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
+    def _images(
+        self, rows: Sequence[FrameLabels], shot: Shot, light: Sequence[np.ndarray]
+    ) -> Iterator[np.ndarray]:
         quiet, seed = None, shot.seed or 0
         if shot.seed is None:  # so many electrons that their number has no noise
             none = dict.fromkeys(("read_noise_e", "dark_signal_e", "prnu", "dsnu_e"), 0.0)
             quiet = self.scene.camera.model_copy(update={"full_well_e": 1e12, **none})
         camera = CameraSensor(self.scene, seed=seed, settings=quiet)
-        for row, linear in zip(self.stack.exposed(way.exposure), light, strict=True):
+        for row, linear in zip(rows, light, strict=True):
             raw = camera.raw(
                 linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]
             )

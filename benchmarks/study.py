@@ -78,12 +78,9 @@ class Study:
     Args:
         defaults: changes of the default scene, used if no scene file is given, before `changes`.
         check: raises if the study cannot use the scene.
-        options: options of this study only, by their names on the command line without dashes.
-        command: what starts it; `eyespot study NAME` if not given.
-
-    Attributes:
-        command: the command line that repeats this run.
-        seconds: wall time of this run by step.
+        options: of this study only, by their names on the command line without dashes.
+        command: what starts it; `eyespot study NAME` if not given. The attribute of this name is
+            the command line that repeats this run.
 
     Raises:
         InputError: the scene is not valid, the folder has other files, or another process uses it.
@@ -135,14 +132,9 @@ class Study:
 
     @staticmethod
     def demand(scene: Scene, needed: Mapping[str, object], why: str) -> None:
-        """Refuse a scene whose keys do not have the values that a study needs.
+        """Refuse a scene whose keys do not have the values that a study needs (SceneError).
 
-        Args:
-            needed: values by key; a later key need not exist if an earlier one is wrong.
-            why: what the study does, for the message.
-
-        Raises:
-            SceneError: saying what to change.
+        A later key need not exist if an earlier one is wrong. `why` is for the message.
         """
         for key, value in needed.items():
             if (found := attrgetter(key)(scene)) != value:
@@ -223,8 +215,7 @@ class Study:
     def publish(self, report: Callable[P, Report], *of: P.args, **named: P.kwargs) -> None:
         """Write report.html, summary.json, scene.toml, CSV files and figures, all or none; say so.
 
-        Args:
-            report: function that makes the report; its figures use the common style.
+        `report` makes the report, whose figures use the common style.
         """
         with matplotlib.rc_context(STYLE), published(self.folder) as folder:
             made, used = report(*of, **named), versions()
@@ -245,29 +236,17 @@ class Study:
 
 
 _PACKAGES = (
-    "eyespot",
-    "mitsuba",
-    "drjit",
-    "jax",
-    "equinox",
-    "optimistix",
-    "numpy",
-    "opencv-python-headless",
-    "scikit-image",
-    "matplotlib",
-)
+    "eyespot mitsuba drjit jax equinox optimistix numpy opencv-python-headless scikit-image "
+    "matplotlib"
+).split()
 _MOST_KEYS = 2  # that a message names
 
 
 def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
     """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
 
-    Args:
-        command: command of the run, for the message.
-
-    Returns:
-        A file descriptor; until `os.close`, or the end of this process, no other run may use the
-        folder.
+    No other run may use the folder until `os.close` of the file descriptor that is returned, or the
+    end of this process. The command is for the message.
 
     Raises:
         BeingWrittenError: another process uses the folder.
@@ -301,11 +280,7 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
 def finished_stack(
     scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
 ) -> Stack:
-    """The scene's stack, rendered unless an earlier run finished it.
-
-    Raises:
-        InputError: the folder has a stack of another scene.
-    """
+    """The scene's stack, rendered unless finished; InputError if it is that of another scene."""
     if not folder.is_dir():
         return scenes.render_stack(scene, folder, progress=progress)
     stack = read_stack(folder)
@@ -321,10 +296,9 @@ def finished_stack(
 
 @contextmanager
 def published(out: Path) -> Iterator[Path]:
-    """A folder whose files move into `out` if the block ends without an error.
+    """A folder whose files move into `out`, which is claimed, if the block ends without an error.
 
-    Args:
-        out: a folder that this run has claimed; the files of its earlier report are replaced.
+    The files of an earlier report are replaced.
 
     Raises:
         InputError: a link, or no file, has the name of a file of the report.

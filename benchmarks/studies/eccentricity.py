@@ -59,11 +59,8 @@ AXES = {
 PINHOLES = ("centre", "sphere", "200", "inf")
 """z_F: the eyeball's centre (0), on the sphere (r), 200 mm, telecentric."""
 
-BLOCK = 1 << 14
-"""Geometries at a time; a Sobol sequence is balanced over powers of two."""
-
+BLOCK = 1 << 14  # geometries at a time; a Sobol sequence is balanced over powers of two
 _BATCH = 512
-
 _NUMBERS = model_error.MODEL_ERROR[model_error.MODEL_ERROR.index("c_mm") :]
 _DIGITS = {name: "{:.6g}" for name in _NUMBERS} | {"estimate_mm": "{:.6f}", "error_mm": "{:.6f}"}
 """Of the numbers in model_error.csv."""
@@ -73,12 +70,8 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
     """Geometries that fill the space evenly, a row each, with the estimate of every model in mm.
 
     Besides `AXES`, columns are pinhole (of `PINHOLES`), z_f_mm, and apex_offset_mm, such that the
-    spot at contact keeps the scene's size whatever the cone's angle.
-
-    Args:
-        count: of geometries, rounded up to whole blocks.
-        scale: delta, mm/px.
-        contact_radius: -b/k, mm.
+    spot at contact keeps its radius -b/k (mm) whatever the cone's angle. The scale is in mm/px. The
+    count is rounded up to whole blocks.
     """
     engine = qmc.Sobol(d=len(AXES) + 1, scramble=True, rng=np.random.default_rng(seed))
     low, high = np.array(list(AXES.values())).T
@@ -123,27 +116,19 @@ def _estimates(eye: CauseEye, d: jax.Array) -> dict[str, jax.Array]:
 
 # The c at which a model's error reaches a limit, with the true c and with a fitted one.
 
-LARGEST_C_MM = 8.0
-"""End of the axis c of every part."""
-
-SHOWN_C_MM = 4.0
-"""Where the report splits the error."""
-
+LARGEST_C_MM = 8.0  # end of the axis c of every part
+SHOWN_C_MM = 4.0  # where the report splits the error
 LIMITS_MM = (0.1, 0.5)
 """Errors whose crossing is reported; the paper calls 0.5 mm acceptable."""
-
-DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
-"""Of one withdrawal, 0.5 to 6 mm."""
+DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))  # of one withdrawal
 
 
 def withdrawals(
     geometry: model_error.Geometry, *, eccentricities: np.ndarray, medium: str
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`.
+    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`; and a fit of each c.
 
-    Returns:
-        Errors of all models with the true c, then of small_plane with the fitted one; and a fit for
-        each c, see `refitted`.
+    Of all models with the true c, then of small_plane with the fitted one, see `refitted`.
     """
     grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": DISTANCES_MM}
     spots = model_error.exact_spots(geometry, **grid, medium=medium)
@@ -161,12 +146,8 @@ def refitted(
 ) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Errors of one withdrawal with c fitted to itself, as the paper's Table II, and what it hides.
 
-    The second is a row of refit.csv: the fitted c, the largest error before and after, and the
-    part of it that the fitted c takes away, `hidden_mm`.
-
-    Args:
-        errors: its errors with the true c; k, b and r are given to the fit, as they are.
-        semi_minor_px: e1', px.
+    From its errors with the true c, and e1' in px; k, b and r are given to the fit as they are. The
+    second result is a row of refit.csv.
     """
     before = errors[errors.model == "small_plane"]
     d, k = before.d_mm.to_numpy(), 1.0 / math.tan(geometry.half_angle)
@@ -189,8 +170,7 @@ def refitted(
 def limits(errors: pd.DataFrame) -> pd.DataFrame:
     """Content of limits.csv: the smallest c at which the largest error over all d reaches a limit.
 
-    `c_mm` is empty if the limit is not reached up to the largest c; 0 if it is exceeded from the
-    start.
+    `c_mm` is empty if the limit is not reached, 0 if it is exceeded from the start.
     """
     keys = ["model", "refit", "z_f_mm", "incidence_deg"]
     rows = [
@@ -203,9 +183,7 @@ def limits(errors: pd.DataFrame) -> pd.DataFrame:
 
 # The rendered part: frames, the spots measured in them, and what rendering adds to their size.
 
-_FINER = 2
-"""Pixels of a noise-free frame for one of the camera's, along each side."""
-
+_FINER = 2  # pixels of a noise-free frame for one of the camera's, along each side
 _NOISE_FREE = {
     "camera.full_well_e": 1e9,
     "camera.read_noise_e": 0.0,
@@ -223,8 +201,8 @@ _FEWEST_SPOTS = 3  # fewer do not determine c
 def trials(scene: Scene, *, quick: bool) -> tuple[dict[str, Scene], dict[str, Scene]]:
     """Withdrawals at the scene's incidence and square ones without the instrument, by name.
 
-    The second result is some of the former again, at twice the resolution without noise; a square
-    beam would be hidden by the instrument.
+    The instrument would hide a square beam. The second result is some of the former again, at twice
+    the resolution without noise.
     """
     every = np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist()
     few = [4.0, LARGEST_C_MM] if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist()
@@ -251,9 +229,8 @@ def measure(
 ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, np.ndarray]:
     """Render, track and compare.
 
-    Returns:
-        Errors of all models on every measured spot, and of small_plane with c fitted; the fits, see
-        `refitted`; errors by cause; and whether each frame has a spot that counts.
+    Returns errors of all models on every measured spot, and of small_plane with c fitted; the fits,
+    see `refitted`; errors by cause; and whether each frame has a spot that counts.
     """
     tracked = study.tracked(
         {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}}
@@ -339,7 +316,6 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
         refit = model_error.largest_errors(exact[exact.refit])
         axes.plot(refit, color=page.VERMILION, ls="--", label="small_plane, c fitted")
         axes.set(yscale="log", ylim=(_LEAST_MM, 12.0))
-        axes.yaxis.set_major_formatter("{x:g}")
 
     return page.small_multiples(
         draw,
@@ -356,10 +332,7 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
 
 
 def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
-    """Shapley's shares stacked against c: a row for each pinhole, a column for each model.
-
-    Every panel has its own scale: the shares of the best model are a hundredth of the worst's.
-    """
+    """Shapley's shares stacked against c: a row for each pinhole, a column for each model."""
     chosen = shares[(shares.d_mm - d).abs() < 1e-6]
 
     def draw(axes: Axes, height: float, model: str) -> None:
@@ -394,11 +367,8 @@ def fill_space(
 ) -> pd.DataFrame:
     """Errors (mm) of all models over the space of geometries; writes model_error.csv as it goes.
 
-    Args:
-        scene: gives the scale, the spot's size at contact and the medium.
-        count: of geometries, rounded up to a power of two or to whole blocks of such.
-        csv_file: file to write; it gets its name when it is complete.
-        before: rows to write before those of the space.
+    The scene gives the scale, the spot's size at contact and the medium. The rows of `before` are
+    written before those of the space.
     """
     cone, filled = model_error.geometry_of(scene), []
     about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": scene.source.medium}

@@ -22,7 +22,7 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.model_error import Geometry, place
+from benchmarks.model_error import Geometry, in_batches, place
 from benchmarks.paper import coalitions, shapley_values
 from scenes import Scene
 from scenes.walls.picture import PRESETS_MM, wall_spread
@@ -42,12 +42,13 @@ LINKS = (
     "ellipse fit of a non-ellipse",
     "beam not square",
 )
-"""Names of the links, in the order of `Links`."""
-
 _POINTS = 64
 """Of a contour; the test against `optics`, which takes 128, shows that they are enough."""
 
 _SECANT_STEPS = 5
+
+
+_Switch = Float[Array, ""] | bool
 
 
 class Links(NamedTuple):
@@ -63,15 +64,14 @@ class Links(NamedTuple):
         incidence: the beam is inclined, not square to the wall.
     """
 
-    foreshortening: Float[Array, ""] | bool
-    magnification: Float[Array, ""] | bool
-    sagitta: Float[Array, ""] | bool
-    ellipse_fit: Float[Array, ""] | bool
-    incidence: Float[Array, ""] | bool
+    foreshortening: _Switch
+    magnification: _Switch
+    sagitta: _Switch
+    ellipse_fit: _Switch
+    incidence: _Switch
 
 
 REAL = Links(*(True for _ in LINKS))
-"""Everything as it is."""
 
 
 class CauseEye(NamedTuple):
@@ -106,10 +106,7 @@ def distances(
 ) -> dict[str, Float[Array, ""]]:
     """Distance by every model, mm, from e1' (px) seen through these links.
 
-    Args:
-        believed: the geometry as the models take it.
-        semi_minor_px: e1', px.
-        links: those that the spot was seen through; the models' terms are switched with them.
+    `believed` is the geometry as the models take it; their terms are switched with the links.
     """
     # The stereographic formula is exact for a square beam and a pinhole on the sphere.
     on_the_sphere = believed._replace(
@@ -241,14 +238,10 @@ CAUSES = (
     "wrong r",
     "wrong c",
 )
-"""The players, in order."""
-
 WRONG_R_MM = 0.5
 """Given too large: the paper's r is 11 mm or 11.5 mm."""
-
 WRONG_C_MM = 0.5
 """Given too large: an eye half a millimetre off the microscope's axis."""
-
 _AT_A_TIME = 4
 
 
@@ -259,30 +252,14 @@ def spread_length(scene: Scene) -> float:
 
 
 def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: float) -> np.ndarray:
-    """What light spread in the wall adds to e1' of the cone's half-maximum contour, px.
+    """What light spread by L (mm) in the wall adds to e1' of the cone's half-maximum contour, px.
 
-    Args:
-        c: n eccentricities, mm.
-        d: n distances, mm.
-        length: L, mm.
+    At n eccentricities and distances, mm.
     """
-    wall = optics.Sphere(geometry.eye_radius)
-    camera = optics.microscope(
-        scale=geometry.scale,
-        pinhole_height=geometry.pinhole_height,
-        eye_radius=geometry.eye_radius,
-    )
+    wall, camera = geometry.world
 
     def beam(c: jax.Array, d: jax.Array) -> optics.Beam:
-        return optics.beam_at_spot(
-            wall,
-            eccentricity=c,
-            distance=d,
-            incidence=geometry.incidence,
-            incidence_azimuth=geometry.incidence_azimuth,
-            half_angle=geometry.half_angle,
-            apex_offset=geometry.apex_offset,
-        )
+        return optics.beam_at_spot(wall, eccentricity=c, distance=d, **geometry.beam)
 
     # In parts of one size, so that one compilation serves every trial.
     padded = (np.pad(a, (0, -len(a) % _AT_A_TIME), mode="edge") for a in (c, d))
@@ -295,15 +272,11 @@ def spread_shift(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, length: fl
 def shares(
     geometry: Geometry, *, medium: str, c: np.ndarray, d: np.ndarray, shift: np.ndarray
 ) -> pd.DataFrame:
-    """Content of causes.csv: the errors of all models at eccentricities and distances by cause, mm.
+    """Content of causes.csv: errors of all models at n eccentricities and distances by cause, mm.
 
-    `whole_mm` is the error with all causes, to which the parts of a geometry sum.
-
-    Args:
-        c: n eccentricities, mm.
-        d: n distances, mm.
-        shift: what rendering adds to e1', px: by the edge and its light, by pixels and noise, and
-            by a wall that spreads light; 3 x n.
+    `whole_mm` is the error with all causes, to which the parts of a geometry sum. `shift` is what
+    rendering adds to e1', px, 3 x n: by the edge and its light, by pixels and noise, and by a wall
+    that spreads light.
     """
     worth = worths(eyes(geometry, c=c), d=d, shift=shift)
     values = shapley_values(worth)
@@ -329,15 +302,12 @@ def eyes(geometry: Geometry, *, c: np.ndarray) -> CauseEye:
 
 def worths(eye: CauseEye, *, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Error of every model with every set of causes, mm: n x models x 1,024."""
-    columns = [np.asarray(column, float) for column in (*eye, d, *shift)]
-    # In parts of one size, so that one compilation serves every trial.
-    filled = np.pad(np.stack(columns), ((0, 0), (0, -len(d) % _AT_A_TIME)), mode="edge")
-    parts = np.split(filled, filled.shape[1] // _AT_A_TIME, axis=1)
-    return np.concatenate([np.asarray(_worths(jnp.asarray(part))) for part in parts])[: len(d)]
+    columns = np.column_stack([np.asarray(column, float) for column in (*eye, d, *shift)])
+    return np.asarray(in_batches(_worths, columns, size=_AT_A_TIME))
 
 
 @jax.jit
-def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]:
+def _worths(columns: Float[Array, "n columns"]) -> Float[Array, "n models sets"]:
     sets = jnp.asarray(coalitions(len(CAUSES)))
 
     def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
@@ -347,7 +317,7 @@ def _worths(columns: Float[Array, "columns n"]) -> Float[Array, "n models sets"]
             sets
         )
 
-    return jax.vmap(of, in_axes=1)(columns)
+    return jax.vmap(of)(columns)
 
 
 def _model_errors(

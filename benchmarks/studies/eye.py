@@ -25,7 +25,7 @@ from matplotlib.figure import Figure
 
 import optics
 from benchmarks import reporting as page
-from benchmarks.model_error import ECCENTRICITY
+from benchmarks.model_error import ECCENTRICITY, in_batches
 from benchmarks.paper import coalitions, first_reached, shapley_values
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import eye_paths
@@ -63,17 +63,15 @@ def path_errors(
     """Look at spots in every eye, calibrate each, and compute distances by every recipe.
 
     Args:
-        eyes: groups of eyes, each with a leading axis; all groups are joined. The first eye is the
-            schematic one, which stands for all others where no calibration is made; it is
-            calibrated without noise.
+        eyes: groups of eyes with a leading axis, to be joined. The first eye is the schematic one,
+            which stands for all others where no calibration is made, and is calibrated without
+            noise.
         seed: of the noise of the calibrations; None for none.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=_OPEN_MM)
     batches = every, axes, _noise(seed, len(axes))
-    seen, fitted = eye_paths.in_batches(
-        lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE
-    )
+    seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
     schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
     known = jax.tree.map(lambda leaf: leaf[0], every)
     shape, minor = seen.visible.shape, seen.semi_axes[..., 0]
@@ -127,7 +125,7 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
-    return eye_paths.in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+    return in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
 
 
 @eqx.filter_jit
@@ -158,7 +156,7 @@ def _calibrated(
 
 def _path_cameras(path: str, eyes: Sequence[Eye], *, pupil_radius: float) -> PathCamera:
     of_batch = partial(eye_paths.cameras, path, pupil_radius=jnp.asarray(pupil_radius))
-    groups = [eye_paths.in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
+    groups = [in_batches(of_batch, group, size=_EYES_AT_ONCE) for group in eyes]
     return jax.tree.map(lambda *leaves: np.concatenate(leaves), *groups)
 
 
@@ -180,15 +178,13 @@ LIMITS_MM = (0.1, 0.5)
 REFRACTIONS_D = (-10.0, -6.0, -3.0, 0.0, 4.0)
 """Of the schematic eyes that depend on it (Atchison 2006)."""
 
-QUANTILE = 0.95
-"""Share of the eyes that a recipe must serve."""
+QUANTILE = 0.95  # share of the eyes that a recipe must serve
 _NM = 555.0
 _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
 _AT_3_MM = 3  # index of c = 3 mm
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
-_SOME = {"square": slice(1), "any": slice(None)}
-"""Which of the tilts count."""
+_SOME = {"square": slice(1), "any": slice(None)}  # which of the tilts count
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 47
 _CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
@@ -209,11 +205,8 @@ def _causes(
     """Shares of the parts of the eye, and of the noise, in the 95 % error of the area recipes.
 
     In a coalition of parts the eyes differ in these parts only; the other parts are the mean of the
-    population. What remains with no part is the error in the mean eye.
-
-    Args:
-        schematic: the eye that stands for all where no calibration is made, with a leading axis.
-        spots: c x d x tilts.
+    population. What remains with no part is the error in the mean eye. `schematic` has a leading
+    axis; `spots` are c x d x tilts.
     """
     players = (*eye_paths.PARTS, _NOISE)
     recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Collection
-from concurrent.futures import ThreadPoolExecutor
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,9 +12,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float, PyTree
+from jaxtyping import Array, ArrayLike, Bool, Float
 
 import optics
+from benchmarks.model_error import in_batches
 from calibration.solvers import gauss_newton_in_blocks
 from calibration.spots.cone_trials import (
     NUISANCES,
@@ -58,18 +58,13 @@ class Spots(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """The images of spots.
+    """The images of spots: ellipses (px, rad) and the beams' unit vectors.
 
-    Attributes:
-        centre: of the ellipses, px.
-        semi_axes: semi-minor and semi-major, px.
-        angle: of the semi-major axis, rad.
-        axis: unit vectors of the beams.
-        visible: whether the whole contour is inside the pupil and the field.
+    `visible`: the whole contour is inside the pupil and the field.
     """
 
     centre: Float[Array, "*batch 2"]
-    semi_axes: Float[Array, "*batch 2"]
+    semi_axes: Float[Array, "*batch 2"]  # semi-minor and semi-major
     angle: Float[Array, "*batch"]
     axis: Float[Array, "*batch 3"]
     visible: Bool[Array, "*batch"]
@@ -78,10 +73,7 @@ class Seen(NamedTuple):
 class Pinhole(NamedTuple):
     """A pinhole over a sphere, which stands for a path and its retina.
 
-    Attributes:
-        scale: delta, mm/px at the pole.
-        kappa: 1/(z_F + r), 1/mm; negative behind the retina.
-        radius: r of the sphere, mm.
+    delta, mm/px at the pole; kappa = 1/(z_F + r), 1/mm, negative behind the retina; and r, mm.
     """
 
     scale: Float[Array, "*batch"]
@@ -165,30 +157,6 @@ def image(
     return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))
 
 
-def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
-    """Results of a function that treats arrays with a leading axis item by item.
-
-    All batches have one shape, whatever the number of items, so that it is compiled once. One batch
-    is too small for several cores, so each core takes a batch of its own.
-
-    Args:
-        items: arrays with a leading axis of one length.
-        size: items per batch; the last batch is filled up with its last item.
-    """
-    items = jax.tree.map(np.asarray, items)
-    count = len(jax.tree.leaves(items)[0])
-
-    def batch(first: int) -> Any:
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
-
-    first, *rest = range(0, count, size)
-    with ThreadPoolExecutor() as pool:
-        # The first batch runs alone, so that only one thread compiles.
-        done = [batch(first), *pool.map(batch, rest)]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)
-
-
 # Eyes of a healthy adult population, drawn from published means and covariances.
 
 _FILE = Path(__file__).with_name("eye_population.toml")
@@ -219,12 +187,7 @@ def drawn(count: int, seed: int) -> Drawn:
 
 
 class Drawn(NamedTuple):
-    """The parameters of random eyes.
-
-    Attributes:
-        values: eyes x parameters.
-        constant: what is the same in all eyes.
-    """
+    """The parameters of random eyes (eyes x parameters), and what is the same in all of them."""
 
     names: list[str]
     mean: np.ndarray
@@ -304,15 +267,14 @@ def withdrawals() -> Spots:
 def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhole:
     """Fit a pinhole over a sphere to the ellipses of three withdrawals in one eye.
 
-    As `eyespot fit --model eye`, with the same residuals: the place on the retina is known only
-    from the image. Where each withdrawal starts is known to 0.05 mm. The priors of the retina's
-    radius and of the spots' sizes are those of the command. The beams' axes and the cone are known
-    exactly. Frames whose contour is hidden do not count.
+    As `eyespot fit --model eye`, with the same residuals and the same priors of the retina's radius
+    and of the spots' sizes: the place on the retina is known only from the image. Where each
+    withdrawal starts is known to 0.05 mm, the beams' axes and the cone exactly. Hidden contours do
+    not count.
 
     Args:
         seen: images of `withdrawals()`.
-        noise: of centres, semi-major and semi-minor axes and angles, in standard deviations of the
-            sub-pixel mode.
+        noise: of `ellipse` parameters, in standard deviations of the sub-pixel mode.
     """
     distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
     # A hidden contour may have no values, and its weight is 0.

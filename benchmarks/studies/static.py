@@ -33,10 +33,7 @@ from scenes import Scene, SceneError
 
 FROM_MM = 0.5
 """Least reading that the fits use; nearer, the fibre hides a large part of the spot."""
-TOUCH_MM = 0.1
-TILT_DEG = 5.0
-LIGHT = 0.1
-THRESHOLD_DN = 10
+TOUCH_MM, TILT_DEG, LIGHT, THRESHOLD_DN = 0.1, 5.0, 0.1, 10
 
 CAUSES = {
     "noise": "the camera's",
@@ -89,10 +86,8 @@ def on_plane(trial: int, texture: int, tilt: int) -> str:
 def plane(scene: Scene, place: paper.StaticTrial, *, texture: int, tilt: int, frames: int) -> Scene:
     """A trial on the plane; the instrument keeps its direction when the plane tilts under it.
 
-    Args:
-        place: the trial that gives the place on the wall.
-        texture: number of the wall, EVEN for the even one.
-        tilt: 1 if the plane's normal leans the way the beam travels, -1 against it, 0 for none.
+    `texture` is the number of the wall, or EVEN. The plane's normal leans the way the beam travels
+    for a `tilt` of 1, against it for -1.
     """
     base, seed = scene.spot, scene.phantom.texture_seed + texture
     travels = place.scene.spot.azimuth_deg + base.incidence_azimuth_deg
@@ -124,8 +119,7 @@ _WITHOUT = {
 def drawn(shape: tuple[int, int], *, textures: int, seed: int) -> dict[str, np.ndarray]:
     """The causes by run (rows) and trial (columns).
 
-    Seeds of the noise, numbers of the wall's texture, distance since contact minus the reading
-    (touch, mm), tilts of -1 or 1, factors on the exposure, and thresholds of the literal mode.
+    Touch: distance since contact minus the reading, mm. Exposure: factors.
     """
     rng = np.random.default_rng(seed)
     run, trial = np.indices(shape)
@@ -252,13 +246,10 @@ def _spreads(tables: pd.DataFrame) -> pd.DataFrame:
 
 
 def parts(variants: Mapping[str, Measured], *, texture: np.ndarray) -> pd.DataFrame:
-    """Split the mean square error by cause, over paired runs.
+    """Split the mean square error by cause, over paired runs with NONE, with each cause, with ALL.
 
-    The error without causes plus all parts and "together" is the error with all causes.
-
-    Args:
-        variants: what was measured with NONE, with each cause and with ALL.
-        texture: which wall each run has; runs that share a wall count once in its standard error.
+    The error without causes plus all parts and "together" is the error with all causes. Runs that
+    share a wall, `texture`, count once in its standard error.
     """
     both = {name: _lines(*measured) for name, measured in variants.items()}
     squares = {
@@ -446,25 +437,19 @@ def _claims(causes: pd.DataFrame) -> Iterator[page.Claim]:
 def _beside_the_paper(
     spreads: pd.DataFrame, printed: Mapping[str, Any], caption: str
 ) -> page.Table:
-    quantities = next(iter(printed.values()))._fields
-    found = spreads.set_index(["way", "trial", "quantity"])
-
     def text(quantity: str, *values: float) -> str:
         return " ± ".join(number(value, _QUANTITIES[quantity].digits) for value in values)
 
-    def over_runs(*key: str) -> str:
-        if key not in found.index:
-            return "–"
-        return text(key[-1], *found.loc[key, ["mean", "standard_deviation"]])
-
+    shown = {
+        (row.way, row.trial, row.quantity): text(row.quantity, row.mean, row.standard_deviation)
+        for row in rows_of(spreads)
+    }
+    quantities = next(iter(printed.values()))._fields
+    for trial, row in printed.items():
+        shown |= {("paper", trial, q): text(q, getattr(row, q)) for q in quantities}
     rows = [
-        (way, trial, *(over_runs(way, trial, q) for q in quantities))
-        for way in _WAYS
-        for trial in printed
-    ]
-    rows += [
-        ("paper", trial, *(text(q, getattr(row, q)) for q in quantities))
-        for trial, row in printed.items()
+        (way, trial, *(shown.get((way, trial, quantity), "–") for quantity in quantities))
+        for way, trial in product((*_WAYS, "paper"), printed)
     ]
     columns = {name: page.Column(name) for name in ("way", "trial")}
     columns |= {quantity: _QUANTITIES[quantity] for quantity in quantities}

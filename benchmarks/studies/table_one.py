@@ -80,8 +80,7 @@ class Family(NamedTuple):
 class Isophotes:
     """Size of the spot over a fixed threshold, for one lens seen in one scene.
 
-    `contact` is d at reading 0, mm; the incidence is in rad; `peak` is the irradiance at the level
-    1, per unit power, 1/mm².
+    `contact`: d at reading 0, mm; `incidence`: rad; `peak`: irradiance at the level 1, 1/mm².
     """
 
     family: Family
@@ -103,12 +102,10 @@ class Isophotes:
     def radius(
         self, reading: np.ndarray, *, level: np.ndarray, incidence: float | None = None
     ) -> np.ndarray:
-        """Semi-minor axis on the wall, mm.
+        """Semi-minor axis on the wall, mm, at readings since contact, mm.
 
-        Args:
-            reading: d_r since contact, mm.
-            level: broadcasts against it, with as many axes.
-            incidence: rad, in place of the scene's, with the same distance at contact.
+        `level` broadcasts against them. An incidence (rad) replaces the scene's; the distance at
+        contact stays.
         """
         level = level * self.peak / math.cos(self.incidence if incidence is None else incidence)
         d = reading + self.contact
@@ -182,9 +179,8 @@ def misses(lines: Lines, *, scale: float | np.ndarray) -> np.ndarray:
 def best_choices(isophotes: Isophotes, *, scale: float) -> pd.DataFrame:
     """The threshold and range at which a lens comes nearest to Table I, by each way of asking.
 
-    Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; `miss` is the worst
-    deviation from Table I in units of its tolerance: up to 1, all criteria are met. `scale` is the
-    scene's, mm/px.
+    Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; with a `miss` up to
+    1 all criteria are met. `scale` is the scene's, mm/px.
     """
     every = readings(0.0, FARTHEST_MM)
     radius = isophotes.radius(every[None, :], level=LEVELS[:, None])
@@ -231,11 +227,10 @@ _CHOICE = ["numerical_aperture", "sag_mm", "level", "from_mm", "to_mm", "scale_m
 
 @dataclass(frozen=True, kw_only=True)
 class ConfirmedLens:
-    """A choice of the scan on rendered stacks.
+    """A row of the scan with the threshold and first reading that fit the rendered spots best.
 
-    The row of the scan has the threshold and the first reading at which the rendered spots come
-    nearest to Table I. Spots are e1' (px, NaN where none counts) and d_r (mm) by (way, trial);
-    lines are rows of table_one_rendered.csv, "all planes" among the trials.
+    Spots are e1' (px, NaN where none counts) and d_r (mm) by (way, trial); lines are rows of
+    table_one_rendered.csv, "all planes" among the trials.
     """
 
     choice: Any
@@ -357,11 +352,9 @@ def check(scene: Scene) -> None:
 
 
 def to_render(scan: pd.DataFrame, *, quick: bool) -> list[Any]:
-    """Rows of the scan: the best, and of those that fail the nearest of several kinds.
+    """Rows of the scan: the best, the preset `paper-candidate`, and the nearest kinds that fail.
 
-    Args:
-        quick: the best, and the nearest with a round cap, alone. Else the two best, the preset
-            `paper-candidate`, and those that fail.
+    Only the best, and the nearest with a round cap, if quick.
     """
     ranked = where(scan, asked=AT_SCALE).sort_values("miss", kind="stable")
     candidate = optics.load_lens("paper-candidate")
@@ -439,7 +432,6 @@ def _figure(
             axes.plot(own.sag_mm, own.miss, marker="o", ms=3, color=colour, label=label)
         axes.axhline(1.0, color=page.GREY, lw=0.8, ls=":")
         axes.set(yscale="log")
-        axes.yaxis.set_major_formatter("{x:g}")
 
     def spots(axes: Axes, way: paper.Way) -> None:
         d_r = readings(0.0, FARTHEST_MM)

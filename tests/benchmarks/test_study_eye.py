@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from benchmarks.model_error import in_batches
 from benchmarks.studies import eye, eye_paths
 from benchmarks.studies.eye import crossing
 from benchmarks.studies.eye_paths import (
@@ -16,7 +17,6 @@ from benchmarks.studies.eye_paths import (
     cameras,
     grid,
     image,
-    in_batches,
     spots_through,
 )
 from calibration.spots.cone_trials import RETINA
