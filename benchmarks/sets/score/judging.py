@@ -20,16 +20,14 @@ from formats.spots import Spot, SpotRecord
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 
-ALL = "all"
-"""Condition and group of all images together."""
+ALL = "all"  # condition and group of all images together
 
 
 def images_of(stacks: Iterable[SetStack]) -> pd.DataFrame:
     """All images of a set, by their names in the set: the labels, and what groups them.
 
     `stack` is SPLIT/STACK; `split` is empty for a single stack, `adverse` in splits without
-    conditions, `pair` in a set without pairs, `viewing` for a pinhole. `blur_px` is the path of the
-    tip during the exposure at the retinal pole.
+    conditions, `pair` in a set without pairs, `viewing` for a pinhole.
     """
     rows, stacks = {}, list(stacks)
     first = "first" if any(entry.pair for entry in stacks) else ""
@@ -53,7 +51,7 @@ def images_of(stacks: Iterable[SetStack]) -> pd.DataFrame:
 
 
 def with_derived(images: pd.DataFrame) -> pd.DataFrame:
-    """The images with the columns that follow from the labels."""
+    """With the incidence in degrees, and the tip's path at the retinal pole in the exposure, px."""
     return images.assign(
         incidence_deg=np.degrees(images.incidence_rad),
         blur_px=images.speed_mm_s * images.exposure_s / images.scale_mm_px,
@@ -99,14 +97,11 @@ def groups(images: pd.DataFrame, condition: str) -> Iterator[tuple[str, pd.DataF
 
 Against = Literal["half_max", "cone"]
 
-CENTRE = "centre_px"
-"""Distance between the centres, the only quantity without a sign."""
-ANGLE = "angle_rad"
-"""Direction of the semi-major axis; scored where the true ellipse is not round."""
+CENTRE = "centre_px"  # distance between the centres, the only quantity without a sign
+ANGLE = "angle_rad"  # of the semi-major axis; scored where the true ellipse is not round
 QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", ANGLE, "distance_mm")
 """Scored quantities; the true distance is d = |SO|."""
-MAIN = "semi_minor_px"
-"""The quantity that determines distances, by which groups are compared."""
+MAIN = "semi_minor_px"  # which determines distances, and by which groups are compared
 
 _ELLIPSE = {"x_px": 0, "y_px": 1, "semi_major_px": 2, "semi_minor_px": 3, ANGLE: 4}
 """Index of a quantity in the covariance of a spot."""
@@ -122,18 +117,14 @@ class Outcome(StrEnum):
     distance without an ellipse counts as the true spot, since nothing says where it was read.
     """
 
-    FOUND = "found"
-    """At least half of the contour is visible, and the true spot is reported."""
-    MISSED = "missed"
-    """At least half is visible, and no spot is reported."""
-    MISPLACED = "misplaced"
-    """At least half is visible, and a spot elsewhere is reported: missed and a false spot."""
-    HIDDEN = "hidden"
-    """Less than half is visible, and no spot is reported."""
-    GLIMPSED = "glimpsed"
-    """Less than half is visible, and the true spot is reported; its errors are not counted."""
-    INVENTED = "invented"
-    """Less than half is visible and a spot elsewhere is reported, or nothing is visible."""
+    # At least half of the contour is visible; reported are
+    FOUND = "found"  # the true spot
+    MISSED = "missed"  # no spot
+    MISPLACED = "misplaced"  # a spot elsewhere: missed and a false spot
+    # Less than half is visible; reported are
+    HIDDEN = "hidden"  # no spot
+    GLIMPSED = "glimpsed"  # the true spot; its errors are not counted
+    INVENTED = "invented"  # a spot elsewhere, or any where nothing is visible
 
 
 def judge(
@@ -143,9 +134,6 @@ def judge(
 
     If the records contain one image of a split and exposure, all images of that split and exposure
     count. An image without a record counts as an image without a spot.
-
-    Args:
-        against: which of the two ellipses is the truth.
 
     Returns:
         The images that count, with `outcome`, `reason` of a missing spot, and for each quantity
@@ -241,7 +229,10 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
         drawn = np.random.default_rng(0).integers(names.size, size=(_RESAMPLED, names.size))
         rmse = np.sqrt(squares[drawn].sum(axis=1) / images[drawn].sum(axis=1))
         low, high = np.percentile(rmse, (2.5, 97.5)).tolist()
-    one, two = (_part(np.abs(z) <= k) for k in (1, 2))
+    inside = dict[str, float]()
+    for k in (1, 2):
+        ends = (f"within_{k}_{name}" for name in ("sigma", "low", "high"))
+        inside |= zip(ends, _part(np.abs(z) <= k), strict=True)
     return {
         "quantity": quantity,
         "n": errors.size,
@@ -254,8 +245,7 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
         "n_sigma": z.size,
         "z_mean": float(z.mean()) if z.size else math.nan,
         "z_std": float(z.std(ddof=1)) if z.size > 1 else math.nan,
-        **dict(zip(("within_1_sigma", "within_1_low", "within_1_high"), one, strict=True)),
-        **dict(zip(("within_2_sigma", "within_2_low", "within_2_high"), two, strict=True)),
+        **inside,
     }
 
 
@@ -279,10 +269,9 @@ _SUMMARY = (
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """Scores of estimators on a set.
+    """Scores of estimators on a set, against one of the two true ellipses.
 
     Attributes:
-        against: which of the two ellipses is the truth.
         judged: images of each estimator, see `judge`.
         left_out: number of images in splits and exposures for which an estimator has no spots.
         counts: by estimator, condition and group, see `counts_of`; ALL is both of all images.
@@ -317,12 +306,7 @@ class Score:
 def score(
     images: pd.DataFrame, spots: Mapping[str, Mapping[str, SpotRecord]], *, against: Against
 ) -> Score:
-    """Compare estimators' spots with the labels of a set.
-
-    Args:
-        spots: records of each estimator by image name, see `read_set_spots`.
-        against: which of the two ellipses is the truth.
-    """
+    """Compare each estimator's records by image (`read_set_spots`) with the labels of a set."""
     judged = {name: judge(images, records, against=against) for name, records in spots.items()}
     counts, errors = [], []
     for condition in (ALL, *CONDITIONS):
@@ -357,9 +341,6 @@ def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame
     beside it, such as `median_low` and `median_high`; NaN if unknown. The rows are by `condition`
     and `group`, in the order of the ranks; conditions with one group are left out. There are none
     if no entry measures the quantity. An entry that finds no spot is the last on the ellipse.
-
-    Args:
-        judged: images of each entry, see `judge`.
 
     Raises:
         InputError: the entries have no image in common.

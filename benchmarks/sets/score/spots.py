@@ -43,18 +43,11 @@ from formats.microscope import read_microscope
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
 from formats.stack import FrameLabels
 
-# The small labelled set that comes with eyespot.
-
-NAME = "sample-v2"
-"""Name of the set; `eyespot dataset sample-v2` renders it anew."""
+NAME = "sample-v2"  # of the small set that comes with eyespot
 
 
 def sample_folder() -> Path:
-    """Folder of the set, for `read_set` and `stacks_of`.
-
-    Raises:
-        InputError: eyespot was installed without its data.
-    """
+    """Folder of the set that comes with eyespot; InputError if eyespot lacks its data."""
     folder = Path(str(resources.files("benchmarks.sets.score"))) / NAME
     if not (folder / "set.json").is_file():
         raise InputError(f"{folder} is missing. Install eyespot again from its wheel.")
@@ -64,22 +57,17 @@ def sample_folder() -> Path:
 # Plain spots files: the few columns that an estimator of others can write without eyespot; see
 # docs/leaderboard.md. An image without a spot has empty cells, or no line.
 
-ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
-"""Columns of an ellipse; all of them are needed, since the four values are scored."""
+ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px")  # all are scored, so all are needed
 _ANGLE = "angle_rad"
 _DISTANCE = ("distance_mm", "sigma_distance_mm")
 _SIGMAS = tuple(f"sigma_{name}" for name in (*ELLIPSE, _ANGLE))
 COLUMNS = ("file_name", *ELLIPSE, _ANGLE, *_SIGMAS, *_DISTANCE)
-"""All columns that a plain spots file may have."""
-
 _LARGEST_PX = 1e6
 _LARGEST_RAD = 4.0  # an angle of 0 to pi is accepted, too
 
 
 def read_any_spots(path: Path) -> list[SpotRecord]:
-    """Read a spots file: that of eyespot, or a plain CSV.
-
-    Files of eyespot are recognised by their column `schema_version`.
+    """Read a spots file: that of eyespot, which has a column `schema_version`, or a plain CSV.
 
     Raises:
         InputError: neither of the two, or a wrong value; the message names the file and the line.
@@ -161,7 +149,6 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
 
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
-"""Suffixes of spots files."""
 _NAMED = 5  # unknown names listed in a message
 
 
@@ -216,15 +203,12 @@ def track_set(
     unrelated: bool | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> list[SpotRecord]:
-    """Measure every frame of a set; each stack and exposure is one recording.
+    """Measure every frame of a set; each stack and exposure is one recording (`own_reader`).
 
-    The literal mode starts at the true position of the first spot of each recording, as the paper's
-    operator clicks on it. The other modes find the spot themselves. The modes auto and pixels get
-    the beam, but not the robot's poses. Like the labels, the spots are in the original image, with
-    its distortion. The records have image names relative to the set.
+    Like the labels, the spots are in the original image, with its distortion. The records have
+    image names relative to the set.
 
     Args:
-        mode: mode of the estimator, with its default settings.
         calibration: of the beam, for auto and pixels; None for each stack's true one.
         unrelated: measure every image by itself, without following the spot; None: in stacks most
             of whose spots lie too far from the one before to be followed.
@@ -290,16 +274,9 @@ _Text = Annotated[str, Field(max_length=1000)]
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredEstimator:
-    """An estimator whose spots are scored.
+    """An estimator whose spots are scored: their file or folder, and how they were made, if stated.
 
-    Attributes:
-        name: in tables and figures.
-        spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
-            this run.
-        command: the command that wrote the spots; empty if not stated.
-        versions: versions of its software; empty if not stated.
-        seed: its random seed; empty if it has none.
-        ms_per_frame: its time per frame as stated, ms; None if not stated.
+    `spots` (see `read_set_spots`) is None if the images are measured in this run.
     """
 
     name: str
@@ -321,11 +298,7 @@ class _About(Strict):
 
 
 def entry_of(spots: Path) -> ScoredEstimator:
-    """The entry of a spots file or folder; a folder's entry.json may describe it.
-
-    Raises:
-        InputError: entry.json is damaged.
-    """
+    """The entry of a spots file or folder; a folder's entry.json may describe it."""
     name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
     file = spots / _ABOUT
     if not file.is_file():
@@ -341,11 +314,7 @@ def entry_of(spots: Path) -> ScoredEstimator:
 
 
 def entries_in(folder: Path) -> list[ScoredEstimator]:
-    """The entries in a folder, by name: each a folder, or a spots file.
-
-    Raises:
-        InputError: the folder is missing or has no entries.
-    """
+    """The entries in a folder, by name: each a folder, or a spots file; InputError if none."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder. Give the folder that contains the entries.")
     found = [
