@@ -43,12 +43,7 @@ _CONTEXT: dict[str, Any] = {
 
 
 def croissant(labelled: LabelledSet, tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
-    """The description as JSON text; the same set gives the same text.
-
-    Args:
-        labelled: a complete set, whose label tables are written.
-        tables: lines of each split's metadata.jsonl.
-    """
+    """The description of a complete set as JSON, from the lines of each split's metadata.jsonl."""
     about = labelled.description
     number = re.search(r"-v(\d+)$", labelled.name)  # static-v2 is 2.0.0
     distribution: list[dict[str, Any]] = []

@@ -61,15 +61,10 @@ def versions() -> dict[str, str]:
 
 
 def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, str]) -> None:
-    """Render one stack, unless it already exists.
-
-    Args:
-        scene: content of its scene file.
-        folder: folder of the stack, on a disk that all workers can access.
-        wanted: versions that the set was started with.
+    """Render one stack into a folder that all workers can access, unless it already exists.
 
     Raises:
-        InputError: this worker has other versions, or the scene is impossible.
+        InputError: this worker has other versions than the set, or the scene is impossible.
         BeingWrittenError: another run is rendering it.
     """
     if versions() != wanted:
@@ -94,8 +89,8 @@ def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, s
 class OneCore(WorkerPlugin):
     """Binds each worker to its own core, if the operating system supports that.
 
-    Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores. With one core per
-    worker, the threads of different workers do not compete.
+    Mitsuba, JAX, OpenCV and BLAS start as many threads as a process has cores; with one core, the
+    threads of different workers do not compete.
     """
 
     def __init__(self, first: int) -> None:
@@ -121,8 +116,7 @@ def cores() -> int:
 def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
     """A cluster on this machine; a worker that fails is started again.
 
-    Args:
-        first_core: index of the first worker's core among those that this process may use.
+    The first worker gets the core with this index among those that this process may use.
     """
     # By default Dask makes malloc return freed memory at once, which is slow for images.
     with dask.config.set({"distributed.nanny.pre-spawn-environ": {}}):
@@ -167,14 +161,10 @@ def _threads_that_ignore_ctrl_c() -> Iterator[None]:
 
 @contextmanager
 def running_scheduler(address: str, *, patience: str = "20s") -> Iterator[Client]:
-    """The workers of a running scheduler.
+    """The workers of a running scheduler; InputError if none answers in time.
 
     Args:
         address: tcp://HOST:PORT, as `dask scheduler` prints it, or the path of its scheduler file.
-        patience: time to wait for an answer, such as "20s".
-
-    Raises:
-        InputError: no scheduler answers at that address.
     """
     where: dict[str, Any] = {"address": address}
     if "://" not in address and os.path.isfile(address):
@@ -210,13 +200,9 @@ class _Enough(Exception):
 
 
 def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
-    """Render a few frames of each condition, and scale up.
+    """Render a few frames of a stack of each condition, and one without condition, and scale up.
 
-    One stack per condition is tried, and one without condition. Processor time is measured, because
-    it hardly depends on other processes.
-
-    Args:
-        planned: the stacks of the set or of a shard.
+    Processor time is measured, because it hardly depends on other processes.
     """
     groups: dict[str | None, list[PlannedStack]] = {}
     for stack in planned:
@@ -264,16 +250,9 @@ def _trial(scene: scenes.Scene, *, images: int) -> tuple[int, float, float, floa
 def push_set(
     folder: Path, repository: str, *, private: bool = False, endpoint: str | None = None
 ) -> str:
-    """Upload a complete set as one commit; the repository is created if it does not exist.
+    """Upload a complete set to OWNER/NAME as one commit, and return the commit's address.
 
-    Files that are there already and have not changed are not sent again.
-
-    Args:
-        repository: OWNER/NAME of a dataset repository.
-        endpoint: address of the Hub (default: that of huggingface_hub).
-
-    Returns:
-        Address of the commit.
+    The repository is created if missing. Files that are there and unchanged are not sent again.
 
     Raises:
         SetError: the set is incomplete or changed.
@@ -325,16 +304,14 @@ def make_set(
 ) -> LabelledSet:
     """Render the missing stacks of a set; the run that renders the last stack completes the set.
 
-    Impossible scenes are found before anything is rendered, and drawn again.
+    Impossible scenes are found before anything is rendered, and drawn again. Unless stacks of other
+    shards are missing, the set is complete.
 
     Args:
         out: the set's folder: new, empty, or with a part of this set.
         workers: `local_workers` or `running_scheduler`; started only if a stack is missing.
         shard: which of how many parts of the set to render, the first is 1; others may run at the
             same time on any machine.
-
-    Returns:
-        The set. It is complete unless stacks of other shards are missing (`LabelledSet.missing`).
 
     Raises:
         SetError: `out` contains something else.

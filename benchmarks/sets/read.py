@@ -43,8 +43,6 @@ from formats.stack import FrameLabels, Stack, read_stack
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
-"""What changed with each version of the format that is read, in set.json and manifest.json."""
-
 _AGAIN = "Run `eyespot dataset` with its spec and this folder again."
 
 
@@ -113,11 +111,7 @@ class _SetFile(Strict):
 
 
 def read_set(folder: Path) -> LabelledSet:
-    """Open a set, complete or not (`verify_set` checks that).
-
-    Raises:
-        SetError: the folder is not a set, or has another schema.
-    """
+    """Open a set, complete or not (`verify_set` checks that); SetError if the folder is none."""
     folder = Path(folder)
     with in_file(folder / "set.json", SetError):
         try:
@@ -148,10 +142,7 @@ _DESCRIPTION = ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.c
 
 
 def stacks_of(folder: str | Path) -> list[SetStack]:
-    """The stacks of a set, sorted by split. A single stack counts as a set of one.
-
-    Args:
-        folder: a set, or a stack (whose split is then empty).
+    """The stacks of a set, sorted by split; a single stack is a set of one with an empty split.
 
     Raises:
         SetError: the folder is neither, or the set is incomplete.
@@ -212,9 +203,7 @@ def exposures_of(stack: Stack) -> tuple[str, ...]:
 
 
 def true_beam(stack: Stack) -> Calibration:
-    """The beam of a stack's scene, as a perfect calibration would give it.
-
-    Stacks of one source share one object, whose light is traced once.
+    """The true beam of a stack; stacks of one source share an object, whose light is traced once.
 
     Raises:
         InputError: the stack was not rendered, so that nothing says what its source is.
@@ -240,13 +229,10 @@ def _beam(source: str) -> Calibration:
 def plain_spot(
     x: float, y: float, first: float, second: float, angle: float, covariance: object = math.nan
 ) -> Spot:
-    """A spot that is an ellipse and nothing else.
+    """A spot that is only an ellipse: centre and semi-axes in px, of which either is the longer.
 
-    Args:
-        x, y: centre, to the right and downwards, px.
-        first, second: semi-axes, px; either may be the longer one.
-        angle: of the first one, from +u towards +v, rad.
-        covariance: 5 x 5, order `formats.spots.PARAMETERS`; NaN if unknown.
+    The angle is that of the first axis, from +u towards +v, rad; the covariance, 5 x 5, has the
+    order of `formats.spots.PARAMETERS`, NaN if unknown.
     """
     if second > first:
         first, second, angle = second, first, angle + math.pi / 2
@@ -265,7 +251,6 @@ def plain_spot(
 
 
 Mode = Literal["auto", "literal", "subpixel", "pixels"]
-"""As of `eyespot track`."""
 
 
 def own_reader(
@@ -278,12 +263,8 @@ def own_reader(
 ) -> Reader:
     """A reader that knows nothing of the robot.
 
-    Args:
-        beam: for the modes pixels and auto.
-        click: (x, y) of the first spot, px, where the literal mode starts, as the paper's operator
-            clicks on it. The other modes find the spot themselves.
-        constants: of `LiteralSettings` or `SubpixelSettings`; those that are not given are the
-            product's.
+    The literal mode starts at a click on the first spot, (x, y) in px, as the paper's operator
+    does; the modes pixels and auto use the beam. Other constants than the product's may be given.
 
     Raises:
         InputError: the mode pixels cannot read the stack; the text says why.
@@ -351,10 +332,7 @@ def write_set_manifest(labelled: LabelledSet) -> None:
 
 
 def verify_set(folder: Path) -> int:
-    """Verify that a set has all its files unchanged, and nothing else.
-
-    Returns:
-        Number of files.
+    """Verify that a set has all its files unchanged, and nothing else; returns their number.
 
     Raises:
         SetError: something is missing, changed or unexpected; the message lists it.

@@ -37,8 +37,7 @@ from scenes.description.scene_file import problem_sentence
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
-_LARGEST = 1e12
-"""Of either end of an interval, so that widths and quotients of the two are finite."""
+_LARGEST = 1e12  # of either end of an interval, so that widths and quotients are finite
 
 
 class _Distribution(BaseModel):
@@ -81,21 +80,11 @@ class Uniform(_Distribution):
 
     uniform: _Interval
 
-    def value(self, quantile: float) -> float:
-        """The value at this quantile."""
-        low, high = self.uniform
-        return low + quantile * (high - low)
-
 
 class LogUniform(_Distribution):
     """Log-uniform distribution: the logarithm is uniform."""
 
     log_uniform: Annotated[_Interval, AfterValidator(_positive)]
-
-    def value(self, quantile: float) -> float:
-        """The value at this quantile."""
-        low, high = self.log_uniform
-        return low * (high / low) ** quantile
 
 
 class Choice(_Distribution):
@@ -104,10 +93,6 @@ class Choice(_Distribution):
     choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
         min_length=2, max_length=4096
     )
-
-    def value(self, quantile: float) -> Any:
-        """The value at this quantile of the list."""
-        return self.choice[int(quantile * len(self.choice))]
 
 
 Distribution = Uniform | LogUniform | Choice
@@ -121,6 +106,7 @@ def _kind(change: Any) -> str:
     return next((kind for kind in KINDS if isinstance(change, Mapping) and kind in change), "value")
 
 
+# Of a scene key: a distribution or a fixed value.
 Change = Annotated[
     Annotated[Uniform, Tag("uniform")]
     | Annotated[LogUniform, Tag("log_uniform")]
@@ -128,7 +114,6 @@ Change = Annotated[
     | Annotated[Any, Tag("value")],
     Discriminator(_kind),
 ]
-"""Change of a scene key in a spec: a distribution or a fixed value."""
 
 
 def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -144,8 +129,6 @@ def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]
 
 
 HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
-"""What changed with each version of the format that is read."""
-
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
 
@@ -251,8 +234,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
         changes: scene keys that get the same value in all stacks, each "table.key=value".
 
     Raises:
-        SpecError: the spec is missing or invalid; for an unknown key the message suggests the
-            nearest known one.
+        SpecError: the spec is missing or invalid.
     """
     where = shortened(str(source))[1:-1]
     path = _NAMED / f"{source}.toml" if str(source) in named_specs() else Path(source)
@@ -307,9 +289,9 @@ class PlannedStack:
     """One stack to render.
 
     Attributes:
-        condition: condition in the adverse split, else None.
-        pair: name of the pair whose partner this stack is, else None. The other stack has the name
-            without the pair's, the same draws and the same seeds.
+        condition: in the adverse split, else None.
+        pair: whose partner this stack is, else None. The other stack has the name without the
+            pair's, the same draws and the same seeds.
         parameters: values of the scene keys that vary within the set, by dotted name.
         redrawn: number of draws before this one that gave an impossible scene.
     """
@@ -331,12 +313,9 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
     The n-th point of the sequence has the n-th seed. A stack with an impossible scene is drawn
     again, at random.
 
-    Args:
-        check: raises SceneError for a scene that is impossible.
-
     Raises:
-        SceneError: a key is unknown, or all draws of a stack are impossible; the error of the
-            first.
+        SceneError: a key is unknown, or all draws of a stack are impossible, which `check` says by
+            raising one.
     """
     groups: list[tuple[str, str | None, int, dict[str, Any]]] = [
         (split, None, count, {}) for split, count in spec.splits
@@ -373,7 +352,10 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
             point, impossible = points[place], list[SceneError]()
             for redrawn in range(_MOST_DRAWS if drawn else 1):
                 quantiles = dict(zip(drawn, point, strict=True))
-                own = [_drawn(of, quantiles) for of in (spec.scene, spec.vary, changes)]
+                own = [
+                    {key: _drawn(change, quantiles.get(key, 0.0)) for key, change in of.items()}
+                    for of in (spec.scene, spec.vary, changes)
+                ]
                 seed, found = spec.seed * _MOST_STACKS + place, []
                 try:
                     for pair, values in ((None, {}), *pairs.items()):
@@ -393,12 +375,16 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
     return planned
 
 
-def _drawn(changes: Mapping[str, Any], quantiles: Mapping[str, float]) -> dict[str, Any]:
-    """Values of scene keys; those of distributions at their quantiles."""
-    return {
-        key: change.value(quantiles[key]) if isinstance(change, Distribution) else change
-        for key, change in changes.items()
-    }
+def _drawn(change: Any, quantile: float) -> Any:
+    """The value of a distribution at a quantile; any other change is the value."""
+    match change:
+        case Uniform(uniform=(low, high)):
+            return low + quantile * (high - low)
+        case LogUniform(log_uniform=(low, high)):
+            return low * (high / low) ** quantile
+        case Choice():
+            return change.choice[int(quantile * len(change.choice))]
+    return change
 
 
 def _possible(
