@@ -43,20 +43,10 @@ def run(
         weights: File of `rivals train` (default: eyespot's own).
         workers: Worker processes on this machine (default: one per core).
     """
-    from benchmarks.rivals.entries import chosen
-    from benchmarks.rivals.learned.network import WEIGHTS
-    from benchmarks.rivals.running import CONSTANTS, run_entries
-    from benchmarks.sets.make import cores
+    from benchmarks.rivals.running import run_entries
 
-    run_entries(
-        folder,
-        out,
-        entries=chosen([*names]),
-        splits=splits,
-        constants=constants or CONSTANTS,
-        weights=weights or WEIGHTS,
-        workers=workers or cores(),
-    )
+    files = {"constants": constants, "weights": weights}
+    run_entries(folder, out, names=names, splits=splits, workers=workers, **files)
 
 
 def tune(
@@ -76,11 +66,9 @@ def tune(
         every: Use one stack of so many.
         workers: Worker processes on this machine (default: one per core).
     """
-    from benchmarks.rivals.entries import chosen
     from benchmarks.rivals.running import tune as choose
-    from benchmarks.sets.make import cores
 
-    choose(folder, out, entries=chosen([*names]), every=every, workers=workers or cores())
+    choose(folder, out, names=names, every=every, workers=workers)
 
 
 def train(

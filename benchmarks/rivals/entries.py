@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,7 +31,7 @@ Answer = tuple[Spot | NoSpot, Range | None]
 
 
 class Entry:
-    """A way to measure spots. Its frames come in their order, after `begin`.
+    """A way to measure spots, frame by frame in their order.
 
     Attributes:
         own_distance: whether its answers contain distances. Those of other entries follow from
@@ -45,11 +45,9 @@ class Entry:
     def begin(
         self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
     ) -> None:
-        """Get ready for the frames of a stack; an entry without a memory has nothing to do.
+        """Get ready for the frames of a stack, with its true beam and first spot, (x, y) in px.
 
-        Args:
-            beam: of the light source: the true one, as a good fit would give it.
-            click: (x, y) of the spot in the first frame, px, on which an operator would click.
+        An entry without a memory has nothing to do.
         """
 
     def read(self, frame: Frame) -> Answer:
@@ -70,14 +68,10 @@ _INSIDE_PX = 0.5
 
 @dataclass
 class OpenCV(Entry):
-    """Blur, threshold, and `fitEllipse` on the hull of the largest contour, frame by frame.
+    """Blur (standard deviation in px), threshold, and `fitEllipse` on the largest contour's hull.
 
-    The convex hull bridges what an instrument hides.
-
-    Attributes:
-        level: threshold, as a fraction of the way from the frame's median to its brightest blurred
-            value.
-        blur_px: standard deviation of the blur before; 0 for none.
+    The convex hull bridges what an instrument hides. The level lies between the frame's median, 0,
+    and its brightest blurred value, 1.
     """
 
     level: float
@@ -136,12 +130,8 @@ class RadialEllipse(EllipseModel):
 class Ransac(Entry):
     """Edges around the brightest blob, and the ellipse that most of them agree with.
 
-    Attributes:
-        level: of the contour whose points are the edges, between the window's border and its
-            brightest value.
-        edge_px: standard deviation of the blur before.
-        inlier_px: residual up to which an edge belongs to the ellipse.
-        trials: of RANSAC, at most.
+    The edges are a contour at a level between the window's border, 0, and its brightest value, 1,
+    after a blur of the standard deviation `edge_px`. RANSAC has residuals up to `inlier_px`.
     """
 
     level: float = 0.5
@@ -216,11 +206,7 @@ class Pupil(Entry):
 
 
 class EyespotMode(Entry):
-    """A mode of eyespot, which follows the spot from frame to frame (`own_reader`).
-
-    The mode pixels gets the beam. The literal mode starts at a click on the spot, as the paper's
-    operator does. No mode gets the robot's poses.
-    """
+    """A mode of eyespot, which follows the spot from frame to frame (`own_reader`)."""
 
     def __init__(self, mode: Mode, constants: Mapping[str, Any]) -> None:
         self.own_distance = mode == "pixels"
@@ -244,11 +230,7 @@ class EyespotMode(Entry):
 
 
 class LearnedEntry(Entry):
-    """The network, frame by frame. Its distance does not go by its ellipse.
-
-    Args:
-        direct: whether the distance is the network's own; else it follows from its ellipse.
-    """
+    """The network, frame by frame; the distance is its own if `direct`, else by its ellipse."""
 
     def __init__(self, weights: Path, *, direct: bool) -> None:
         self.own_distance = direct
@@ -273,20 +255,12 @@ class LearnedEntry(Entry):
 
 
 class Kind(NamedTuple):
-    """A kind of entry.
+    """A kind of entry, made from its constants and the network's weights."""
 
-    Attributes:
-        about: what it is, for entry.json and the documentation.
-        make: makes it from its constants and the weights of the network.
-        packages: distributions whose versions matter.
-        grid: values to try of each free constant, in the order in which they are chosen; the
-            first one is the start.
-    """
-
-    about: str
+    about: str  # for entry.json and the documentation
     make: Callable[[Mapping[str, Any], Path], Entry]
-    packages: tuple[str, ...]
-    grid: Mapping[str, tuple[Any, ...]] = {}
+    packages: tuple[str, ...]  # distributions whose versions matter
+    grid: Mapping[str, tuple[Any, ...]] = {}  # values of free constants to try, the start first
 
 
 _LEARNED = ("equinox", "jax", "opencv-python-headless")
@@ -350,7 +324,6 @@ KINDS: dict[str, Kind] = {
         },
     ),
 }
-"""The entries, by the name of their folder."""
 
 
 def unavailable(name: str) -> str | None:
@@ -358,13 +331,9 @@ def unavailable(name: str) -> str | None:
     return why_unavailable() if name == "pupil-detectors" else None
 
 
-def chosen(names: list[str]) -> list[str]:
-    """The names, or all of them if there are none; each one is checked.
-
-    Raises:
-        InputError: an unknown name.
-    """
+def chosen(names: Sequence[str]) -> list[str]:
+    """The names, or all if there are none; InputError for an unknown one."""
     for name in names:
         if name not in KINDS:
             raise InputError(f"no entry is called {name}. They are: {', '.join(KINDS)}.")
-    return names or list(KINDS)
+    return list(names or KINDS)

@@ -33,11 +33,7 @@ class PupilUnavailable(RuntimeError):
 class PupilDetector:
     """A process that finds a pupil (a dark ellipse, the negative of a spot) in grey crops.
 
-    Args:
-        properties: of `Detector2D` that differ from its own, by name.
-
-    Attributes:
-        seconds: processor time of the process so far, s.
+    `properties` of `Detector2D` may differ from its own; `seconds` of processor time are counted.
     """
 
     def __init__(self, properties: Mapping[str, float]) -> None:
@@ -51,11 +47,7 @@ class PupilDetector:
         )
 
     def ellipse(self, crop: np.ndarray) -> list[float] | None:
-        """The bright ellipse of an 8-bit grey crop; None if not found.
-
-        Returns:
-            x, y and the two semi-axes, px, and the angle of the first axis, rad.
-        """
+        """The bright ellipse of an 8-bit crop: x, y, semi-axes (px) and angle (rad); or None."""
         process = self._process
         assert process.stdin and process.stdout and process.stderr
         with contextlib.suppress(BrokenPipeError):

@@ -23,9 +23,10 @@ import numpy as np
 from distributed import Client
 
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.rivals.entries import KINDS, Entry, unavailable
+from benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
+from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import PACKAGE
-from benchmarks.sets.make import local_workers
+from benchmarks.sets.make import cores, local_workers
 from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
 from benchmarks.study import versions, write_json
 from estimator import Frame, Ranger, open_source
@@ -47,24 +48,24 @@ def run_entries(
     folder: Path,
     out: Path,
     *,
-    entries: Sequence[str],
+    names: Sequence[str],
     splits: Sequence[str],
-    constants: Path,
-    weights: Path,
-    workers: int,
+    constants: Path | None = None,
+    weights: Path | None = None,
+    workers: int | None = None,
 ) -> None:
-    """Measure a set with each entry, and write what each found.
+    """Measure a set with each entry that can run here, and write what each found.
 
-    Args:
-        entries: names in `KINDS`; those that cannot run here are left out with a message.
+    The arguments are those of `eyespot rivals run`.
 
     Raises:
         InputError: the input is invalid, or `out` exists.
     """
+    entries = chosen(names)
     stacks = [entry for entry in stacks_of(folder) if not splits or entry.split in splits]
     if not stacks:
         raise InputError(f"{folder} has no split {' or '.join(splits)}. Choose another --split.")
-    known = read_constants(constants)
+    known = read_constants(constants or CONSTANTS)
     reasons = {name: unavailable(name) for name in entries}
     able = [name for name, reason in reasons.items() if not reason]
     for name, reason in reasons.items():
@@ -74,13 +75,13 @@ def run_entries(
         raise InputError("none of the entries can run on this machine. Name another --entry.")
     with (
         written_whole(out) as whole,
-        local_workers(min(workers, len(stacks))) as client,
+        local_workers(min(workers or cores(), len(stacks))) as client,
         progress("Measuring stacks", total=len(stacks)) as advance,
     ):
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
         seconds: dict[str, list[float]] = {name: [] for name in able}
-        tasks = [(stack, able, known, weights) for stack in stacks]
+        tasks = [(stack, able, known, weights or WEIGHTS) for stack in stacks]
         for stack, future in zip(stacks, client.map(_answers, tasks, pure=False), strict=True):
             several = len(exposures_of(stack.open())) > 1
             for name, exposure, records, times in future.result():
@@ -105,9 +106,7 @@ def measure_stack(
 ) -> Iterable[Answers]:
     """The answers of an entry on a stack, one sequence for each exposure.
 
-    Args:
-        distances: whether ellipses are turned into distances, too.
-        frames: reads the frames of a stack's folder, and an `exposure`.
+    Ellipses are turned into distances, too, if asked for. `frames` reads a folder's exposure.
     """
     microscope = read_microscope(stack.folder / "microscope.json")
     opened = stack.open()
@@ -152,10 +151,7 @@ def _answers(task: tuple[SetStack, list[str], Constants, Path]) -> list[Answers]
 
 
 def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
-    """Content of entry.json.
-
-    The time is the processor time of a frame, the median, without that of its distance.
-    """
+    """Content of entry.json; the median processor time of a frame is without its distance."""
     kind = KINDS[name]
     own = {package: importlib.metadata.version(package) for package in kind.packages}
     if name == "pupil-detectors":
@@ -173,8 +169,6 @@ def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
 
 
 CONSTANTS = Path(__file__).with_name("constants.json")
-"""The file that comes with eyespot."""
-
 SCHEMA = 1
 
 Constants = dict[str, dict[str, Any]]
@@ -182,11 +176,7 @@ Constants = dict[str, dict[str, Any]]
 
 
 def read_constants(path: Path = CONSTANTS) -> Constants:
-    """The constants of a file that `eyespot rivals tune` wrote.
-
-    Raises:
-        InputError: no such file.
-    """
+    """The constants of a file of `eyespot rivals tune`; InputError if it is none."""
     with in_file(path):
         try:
             entries = json.loads(read_text(path))["entries"]
@@ -207,12 +197,12 @@ _last: tuple[str, dict[str, Any], Entry] | None = None
 _KEPT_STACKS = 32  # whose frames a worker keeps in memory: at 20 frames of 640 x 480, 600 MB
 
 
-def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers: int) -> None:
-    """Choose the constants and write them with their costs.
+def tune(
+    folder: Path, out: Path, *, names: Sequence[str], every: int, workers: int | None = None
+) -> None:
+    """Choose the constants on one of every so many stacks, and write them with their costs.
 
-    Args:
-        entries: names in `KINDS`; those without free constants, or that cannot run, are skipped.
-        every: one stack of so many is used.
+    Entries without free constants, or that cannot run, are skipped.
 
     Raises:
         InputError: the set has no split train.
@@ -220,11 +210,11 @@ def tune(folder: Path, out: Path, *, entries: Sequence[str], every: int, workers
     stacks = [entry for entry in stacks_of(folder) if entry.split == "train"][::every]
     if not stacks:
         raise InputError(f"{folder} has no split train. Constants are chosen on nothing else.")
-    names = [name for name in entries if KINDS[name].grid and not unavailable(name)]
+    names = [name for name in chosen(names) if KINDS[name].grid and not unavailable(name)]
     found: dict[str, Any] = {}
     with (
         written_whole(out) as partial,
-        local_workers(workers) as client,
+        local_workers(workers or cores()) as client,
         progress("Tuning", total=len(names)) as advance,
     ):
         for name in names:

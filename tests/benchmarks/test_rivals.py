@@ -118,8 +118,7 @@ def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first() -> No
 def run_on(folder: Path, out: Path, split: str) -> None:
     constants = out.with_name("constants.json")
     constants.write_text('{"entries": {"opencv-relative": {"constants": {"level": 0.5}}}}')
-    given = {"constants": constants, "weights": WEIGHTS, "workers": 1}
-    run_entries(folder, out, entries=ALONE, splits=[split], **given)  # type: ignore[arg-type]
+    run_entries(folder, out, names=ALONE, splits=[split], constants=constants, workers=1)
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -157,7 +156,7 @@ def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
     folder = shutil.copytree(drawn, tmp_path / "set")
     for image in (folder / "adverse").rglob("*.png"):
         image.unlink()
-    tune(folder, tmp_path / "c.json", entries=["opencv-relative"], every=1, workers=1)
+    tune(folder, tmp_path / "c.json", names=["opencv-relative"], every=1, workers=1)
     found = json.loads((tmp_path / "c.json").read_text())
     assert found["stacks"] == ["train/a", "train/b"]
     # Drawn edges are symmetric: their half maximum is the middle between dark and bright.

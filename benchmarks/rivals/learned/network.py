@@ -25,12 +25,8 @@ from formats.stack import FrameLabels
 # third of the spot's radius, which is enough: the network says where the ellipse lies in the
 # window, and a second window is cut around that.
 
-CELLS = 64
-"""Cells along a side of a window."""
-
-REACH = 1.9
-"""Half a window's side over the spot's mean radius: rim and surroundings are inside."""
-
+CELLS = 64  # along a side of a window
+REACH = 1.9  # half a window's side over the spot's mean radius: rim and surroundings are inside
 _LEAST_HALF_PX = 24
 _STRIDE = 8  # px of a cell in which the blob is searched
 _BLUR_CELLS = 1.5
@@ -112,9 +108,7 @@ def evened(window: np.ndarray) -> np.ndarray:
 
 
 NUMBERS = ("x", "y", "size", "ratio_cos", "ratio_sin", "log_distance")
-PLACES = 4
-"""Numbers of `place_of`."""
-
+PLACES = 4  # numbers of `place_of`
 _FIELD_MM, _HEIGHT_MM = 3.0, 200.0  # bring the place to the order of 1
 
 
@@ -168,18 +162,14 @@ _CHANNELS = ((3, 16, 5, 2), (16, 24, 3, 1), (24, 32, 3, 2), (32, 48, 3, 2), (48,
 _SEEN = 4 * 4 * _CHANNELS[-1][1]
 _WIDTH = 96
 _SCALES = (0.1, 0.1, 0.1, 0.1, 0.1, 1.0)
-"""Of the numbers: their orders of magnitude. Steps of the optimiser are of the order of 1."""
-
+"""Orders of magnitude of the numbers; steps of the optimiser are of the order of 1."""
 _LEAST_LOG, _MOST_LOG = -9.0, 2.0  # of sigma: outside of it nothing is learnt
 
 
 class Output(NamedTuple):
-    """What the network says about a window.
+    """What the network says about a window: `NUMBERS` and logarithms of their standard deviations.
 
-    Attributes:
-        mean: the six numbers of `NUMBERS`.
-        log_sigma: logarithms of their standard deviations.
-        presence: logit of "a spot is in the window, and half of its contour is visible".
+    `presence`: logit of "a spot is in the window, and half of its contour is visible".
     """
 
     mean: Float[Array, "*batch 6"]
@@ -259,8 +249,6 @@ def loss(
 # The trained network as an estimator: frame in, ellipse and distance with their sigmas out.
 
 WEIGHTS = Path(__file__).with_name("weights.eqx")
-"""The weights that come with eyespot; what they were made of is beside them, in weights.json."""
-
 SCALED = ("x", "y", "semi_major", "semi_minor", "distance")
 """Quantities whose sigmas have a factor from the split `validation`."""
 
@@ -285,12 +273,8 @@ class LearnedEstimator:
     """Finds the spot with a blob, then twice with the network.
 
     It knows the light sources of the set that it was trained on, and no others: its distances are
-    theirs.
-
-    Args:
-        trust: what the split `validation` says of the network's own words: `factors` by which the
-            sigmas of `SCALED` are multiplied, and `least_presence`, the logit below which a window
-            counts as empty; None takes the network at its word.
+    theirs. From the split `validation` are the `factors` of the sigmas of `SCALED`, and the least
+    logit of a window that is not empty; without them the network is taken at its word.
     """
 
     def __init__(self, network: SpotNetwork, trust: Mapping[str, Any] | None = None) -> None:
@@ -302,8 +286,7 @@ class LearnedEstimator:
     def load(cls, weights: Path = WEIGHTS) -> LearnedEstimator:
         """The estimator of a file of weights and the JSON file of the same name beside it.
 
-        Raises:
-            InputError: a file is missing or is not what `eyespot rivals train` wrote.
+        InputError if a file is missing or is not what `eyespot rivals train` wrote.
         """
         about = weights.with_suffix(".json")
         with in_file(about):

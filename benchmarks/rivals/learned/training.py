@@ -74,12 +74,9 @@ def train(
     seed: int,
     show: Callable[[dict[Any, float]], None] = lambda epoch: None,
 ) -> SpotNetwork:
-    """Train, or continue from the last epoch that `out` holds.
+    """Train, or continue from the last epoch that `out` holds; `validation` is only reported.
 
-    Args:
-        validation: of the split `validation`; only reported.
-        epochs: along which the learning rate falls to 0.
-        seed: of the first weights and the order of the frames.
+    The seed is that of the first weights and of the order of the frames.
     """
     with jax.enable_x64(False):
         frames = len(samples.present)
@@ -158,9 +155,7 @@ def read_curve(path: Path) -> pd.DataFrame:
     return pd.read_csv(path) if path.is_file() else pd.DataFrame(columns=COLUMNS)
 
 
-WINDOWS = 8
-"""Windows of each frame; an epoch shows one of them."""
-
+WINDOWS = 8  # of each frame; an epoch shows one of them
 _FIRST = 2  # so many are those of the blob, as in use; the others are around the true place
 _MOVED = (0.0, 0.12, 0.12, 0.12, 0.12, 0.04, 0.04, 0.04)
 """By how much each window is moved and grows: standard deviations, in radii and in logarithms. The
@@ -252,8 +247,6 @@ _LIBRARIES = ("equinox", "jax", "optax", "opencv-python-headless")
 def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
     """Train, or go on with a training that was stopped, and write weights.eqx and weights.json.
 
-    The arguments are those of `eyespot rivals train`.
-
     Raises:
         InputError: the set is incomplete or lacks a split, or `out` holds another training.
     """
@@ -317,9 +310,8 @@ def judged(
 ) -> tuple[dict[str, Any], dict[str, int | dict[str, float]]]:
     """Measure all frames, and choose factors with which 68.3 % of the errors lie within a sigma.
 
-    The first result are the factors and the least presence. The second are the number of frames
-    with a visible spot, root mean square errors of `SCALED` (px and mm), and the part of the errors
-    within two sigmas, after the factors.
+    Beside them the least presence; then the number of frames with a visible spot, RMS errors of
+    `SCALED` (px and mm), and the part of the errors within two sigmas, after the factors.
     """
     estimator = LearnedEstimator(network)
     errors, sigmas, presences = [], [], []
