@@ -44,10 +44,7 @@ def memory_mb(process: int | None = None) -> float:
 
 
 def _of_run(seconds: np.ndarray, memory: list[float], *, lost: int, late: int = 0) -> pd.Series:
-    """What a long run left: times of its frames (s), memory (MB), frames that were lost or late.
-
-    A frame is late if its result comes after the next frame.
-    """
+    """What a long run left; a frame is late if its result comes after the next frame."""
     return pd.Series(
         {
             "frame_median_ms": 1e3 * np.median(seconds),

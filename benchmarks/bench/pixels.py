@@ -50,9 +50,6 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
     Args:
         alone_every: the first of each so many frames is read as if nothing came before it; 0: only
             the stack's first.
-
-    Raises:
-        InputError: the mode pixels cannot read the stack; the text says why.
     """
     world = World(Scene.model_validate(stack.description["scene"]))
     reader, poses = robot_reader(stack), told_poses(stack, rng)
@@ -170,9 +167,7 @@ BEAMS: dict[str, dict[str, Any]] = {
     "candidate, air": {"kind": "lens", "lens": "paper-candidate", "medium": "air"},
 }
 WALLS = ("uniform", "printed paper", "retina", "photograph")
-MM_PER_FRAME = 2.0 / 12
-"""Of a withdrawal."""
-
+MM_PER_FRAME = 2.0 / 12  # of a withdrawal
 _FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
 _TRIES = 50  # draws of a scene until its spot lies in the window
 
@@ -196,16 +191,10 @@ def drawn_stack(
     frames: int,
     between_mm: tuple[float, float] = (1.0, 3.5),
 ) -> Stack:
-    """Draw scenes until one is possible, and render it.
+    """Draw scenes until one is possible, and render it; SceneError if none is.
 
-    Args:
-        beam: one of `BEAMS`.
-        wall: one of `WALLS`.
-        motion: "withdrawal" or "hand".
-        between_mm: least and largest first distance of a withdrawal, or mean distance of a hand.
-
-    Raises:
-        SceneError: no drawn scene is possible.
+    The beam is one of `BEAMS`, the wall one of `WALLS`, the motion "withdrawal" or "hand".
+    `between_mm` are bounds of a withdrawal's first distance, or a hand's mean one.
     """
     for _ in range(_TRIES):
         seed, distance = int(rng.integers(1, 2**31)), float(rng.uniform(*between_mm))
@@ -240,8 +229,7 @@ def drawn_stack(
 
 # The benchmarks.
 
-_WRONG = 1e-4
-"""Over the number of frames: probability of a chi squared that no honest pose has."""
+_WRONG = 1e-4  # over the number of frames: probability of a chi squared that no honest pose has
 
 
 def _of_frames(frames: pd.DataFrame) -> pd.Series:

@@ -39,18 +39,12 @@ from scenes.world.motion import kinematics
 
 SCHEMA = 1
 HISTORY = {1: "the first format"}
-"""What changed with each version of the format that is read."""
-
 _MOST_BYTES = 2**28
 
 QUANTITIES = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "distance_mm", "robot_mm")
-"""What is predicted for every frame.
-
-x_px, y_px: centre of the spot from the principal point; semi_major_px, semi_minor_px: of its
-ellipse; distance_mm: read with the plan's calibration; robot_mm: how far the robot says that the
-tip is from its first pose.
+"""What is predicted for every frame: the spot's ellipse, its centre from the principal point; the
+distance, read with the plan's calibration; how far the robot says the tip is from its first pose.
 """
-
 ELLIPSE = 4
 """The first of them are the spot's ellipse, from which the distance follows."""
 
@@ -98,12 +92,7 @@ class Plan(Strict):
 
 
 def read_plan(path: Path) -> Plan:
-    """The plan of a file.
-
-    Raises:
-        InputError: not a plan, or changed since it was made.
-        OSError: the file cannot be read.
-    """
+    """The plan of a file; InputError if it is none, or was changed since it was made."""
     remedy = "Restore the file."
     with in_file(path, InputError):
         content = object_in(read_text(path, most_bytes=_MOST_BYTES))
@@ -120,8 +109,7 @@ def read_plan(path: Path) -> Plan:
     return plan
 
 
-def _sha256(content: dict[str, Any]) -> str:
-    """SHA-256 of a content, in whatever order and layout it is written."""
+def _sha256(content: dict[str, Any]) -> str:  # in whatever order and layout it is written
     text = json.dumps(content, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -140,8 +128,8 @@ def _travelled(times: Any, positions: Any, at: np.ndarray | pd.Series) -> np.nda
 def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> pd.DataFrame:
     """Measure a recording on its own clock, as `eyespot track` does; a row a frame.
 
-    Columns are `time_s`, `QUANTITIES`, `sigma_` of those of the ellipse by the spot's covariance,
-    and `no_spot`, why there is no spot. What was not measured is NaN.
+    Columns are `time_s`, `QUANTITIES` (NaN where one was not measured), `sigma_` of the ellipse by
+    the spot's covariance, and `no_spot`, why there is no spot.
     """
     centre = read_microscope(options.microscope).principal_point_px if options.microscope else 0.0
     numbers, rows = [*QUANTITIES, *_SIGMAS], []
@@ -172,8 +160,7 @@ def measured_as_planned(
 ) -> pd.DataFrame:
     """Measure a recording of a planned experiment with the plan's calibration, on its clock.
 
-    The arguments are those of `eyespot adjudicate`. The result has a row a frame: `time_s`,
-    `QUANTITIES` (NaN where one was not measured), and `no_spot`, why there is no spot.
+    The arguments are those of `eyespot adjudicate`; the result is as of `_observed`.
 
     Raises:
         InputError: a file is wrong, or the source cannot be measured or has no times.
@@ -207,12 +194,11 @@ def predicted(
     model: str | None = None,
     progress: Callable[[], None] = lambda: None,
 ) -> Plan:
-    """The plan of an experiment.
+    """The plan of an experiment, with the arguments of `eyespot preregister`.
 
     What is expected is the exact geometry of the scene. How far a stated key moves it is the
     difference between two scenes, one standard uncertainty to either side. The noise, and in which
     frames there is a spot at all, are those of a rehearsal: the scene is rendered and measured.
-    The arguments are those of `eyespot preregister`.
 
     Raises:
         InputError: a key is unknown or no number, or a scene beside the planned one is impossible.
@@ -234,10 +220,9 @@ def predicted(
     noise = np.full(expected.shape, np.nan)
     noise[:, :ELLIPSE] = seen[_SIGMAS]
     if ranger is not None:
-        # From the spot's size to the distance: as of the cone, d + |b| over the semi-minor axis.
-        minor = QUANTITIES.index("semi_minor_px")
+        # From the semi-minor axis to the distance, as of the cone: (d + |b|) / e1'.
         reach = np.abs(expected[:, ELLIPSE] - ranger.calibration.values["b"])
-        noise[:, ELLIPSE] = reach / expected[:, minor] * noise[:, minor]
+        noise[:, ELLIPSE] = reach / expected[:, ELLIPSE - 1] * noise[:, ELLIPSE - 1]
     jitter = math.hypot(scene.clocks.kinematics_jitter_s, scene.clocks.camera_jitter_s)
     noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
     beside = [
@@ -251,6 +236,11 @@ def predicted(
     expected = np.where(np.isnan(noise), np.nan, expected)
     moved = np.where(np.isnan(noise), np.nan, (up - down) / 2)
     half = _WITHIN * np.sqrt(noise**2 + np.sum(moved**2, axis=0))
+
+    def rows(table: np.ndarray) -> Any:
+        # JSON has no NaN.
+        return np.where(np.isnan(table), np.array(None), table.astype(object)).tolist()
+
     content = {
         "schema": SCHEMA,
         "software": f"eyespot {version('eyespot')}",
@@ -262,13 +252,12 @@ def predicted(
         "uncertain": stated,
         "quantities": list(QUANTITIES),
         "times_s": times.tolist(),
+        "expected": rows(expected),
+        "low": rows(expected - half),
+        "high": rows(expected + half),
+        "noise": rows(noise),
+        "moved": rows(moved),
     }
-    tables = {"expected": expected, "low": expected - half, "high": expected + half}
-    tables |= {"noise": noise, "moved": moved}
-    for name, table in tables.items():
-        numbers = table.astype(object)
-        numbers[np.isnan(table)] = None  # JSON has no NaN
-        content[name] = numbers.tolist()
     return Plan.model_validate(content | {"sha256": _sha256(content)})
 
 
@@ -327,7 +316,7 @@ class Judgement(NamedTuple):
             measured minus predicted over the standard uncertainty.
         causes: by uncertain key, the farthest first: value as stated and as the recording agrees
             with best, their standard uncertainties, and the pull between the two in such.
-        misfit: of what remains with the best values of all keys, over the noise, RMS.
+        misfit: RMS of what remains with the best values of all keys, over the noise.
         no_spot: frames without a spot, by reason.
     """
 
@@ -340,11 +329,7 @@ class Judgement(NamedTuple):
 
 
 def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
-    """Compare a recording, as of `measured_as_planned`, with the plan.
-
-    Raises:
-        InputError: no frame was taken at a time that the plan has.
-    """
+    """Compare `measured_as_planned` with the plan; InputError if no frame has one of its times."""
     # A frame that is jittered beyond the plan's ends is still its first or last.
     step = float(np.median(np.diff(plan.times_s))) if len(plan.times_s) > 1 else math.inf
     inside = seen.time_s.between(plan.times_s[0] - step / 2, plan.times_s[-1] + step / 2)
@@ -376,7 +361,7 @@ def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
     # No poses, no prediction about them; but a spot that is not there is a miss.
     counted = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
     tallies = tallies[counted].reset_index()
-    held, missed = int(tallies.hits.sum()), int(tallies.misses.sum())
+    held, missed = tallies[["hits", "misses"]].sum().tolist()
     explained = _explained(plan, off / noise, moved / noise)
     return Judgement(held, held + missed, tallies, *explained, Counter(seen.no_spot.dropna()))
 
@@ -384,9 +369,8 @@ def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
 def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.DataFrame, float]:
     """Each key fitted freely while the others keep to what is stated; and what then remains.
 
-    The least-squares fit of all keys, each in its standard uncertainties and with a prior of one of
-    them; the key in question has none. The distance follows from the ellipse and does not count
-    again.
+    A least-squares fit of all keys, with a prior of one standard uncertainty for all but the key in
+    question. The distance follows from the ellipse and does not count again.
     """
     used = ~np.isnan(residual) & ~np.isnan(moved).any(axis=0)
     used[:, ELLIPSE] = False
