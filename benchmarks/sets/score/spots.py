@@ -274,9 +274,16 @@ _Text = Annotated[str, Field(max_length=1000)]
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredEstimator:
-    """An estimator whose spots are scored: their file or folder, and how they were made, if stated.
+    """An estimator whose spots are scored.
 
-    `spots` (see `read_set_spots`) is None if the images are measured in this run.
+    Attributes:
+        name: in tables and figures.
+        spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
+            this run.
+        command: the command that wrote the spots; empty if not stated.
+        versions: versions of its software; empty if not stated.
+        seed: its random seed; empty if it has none.
+        ms_per_frame: its time per frame as stated, ms; None if not stated.
     """
 
     name: str
