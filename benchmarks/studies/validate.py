@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -33,12 +32,10 @@ from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.study import LightSource, OutputFolder, Quick, Study
 from calibration import fit_eccentricity, fit_lines, fit_plane
 from formats.stack import Stack, read_stack
-from scenes import World
 
 # The fits of Tables I and II, and the models' errors.
 
-CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)
-"""Eccentricities at which the report gives the model errors."""
+CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)  # eccentricities at which the report gives the model errors
 _ANALYTIC_HEIGHTS_MM = (*paper.PINHOLE_HEIGHTS_MM, 100.0)
 _FEWEST_SPOTS = 6  # fewer do not determine a line and its scatter
 _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # of the parts of the range that are tried
@@ -577,33 +574,24 @@ def validate(
     Args:
         seed: Random seed of noise and wall texture.
     """
-    options, command = {"source": source}, "eyespot validate"
-    study = Study("validate", out, quick=quick, seed=seed, options=options, command=command)
+    study = Study("validate", out, quick=quick, seed=seed, options={"source": source})
     sources = ("lens", "cone") if source == "both" else (source,)
     trials = [
         t for kind in sources for t in paper.paper_trials(source=kind, quick=quick, seed=seed)
     ]
     trials += paper.grid_trials(quick=quick, seed=seed)
-    with ThreadPoolExecutor(max_workers=1) as beside:
-        # These take seconds and need no renderer, so they run beside the trials of the ideal cone.
-        analytic = beside.submit(lambda: analytic_errors(quick=quick))
-        light = beside.submit(lambda: World(trials[0].scene).light)
-        with study.timed("render and measure"):
-            spots = _measured_spots(study, [t for t in trials if t.source == "cone"])
-            light.result()
-            if "lens" in sources:
-                behind_lens = _measured_spots(study, [t for t in trials if t.source == "lens"])
-                spots = pd.concat([spots, behind_lens], ignore_index=True)
-        with study.timed("fit and compare"):
-            spots, planes, spheres = fit_tables(trials, spots)
-            findings = ValidateFindings(
-                stacks=study.folder / "stacks",
-                trials=trials,
-                spots=spots,
-                planes=planes,
-                spheres=spheres,
-                analytic=analytic.result(),
-                rendered=rendered_errors(trials, spots),
-            )
+    with study.timed("render and measure"):
+        spots = _measured_spots(study, sorted(trials, key=lambda trial: trial.source))
+    with study.timed("fit and compare"):
+        spots, planes, spheres = fit_tables(trials, spots)
+        findings = ValidateFindings(
+            stacks=study.folder / "stacks",
+            trials=trials,
+            spots=spots,
+            planes=planes,
+            spheres=spheres,
+            analytic=analytic_errors(quick=quick),
+            rendered=rendered_errors(trials, spots),
+        )
     study.publish(report, findings)
     return findings
