@@ -108,12 +108,11 @@ def small_multiples(
     return figure
 
 
-def limit_lines(axes: Axes, *limits: float) -> None:
-    """Zero, and dashed lines at both signs of each limit."""
+def limit_lines(axes: Axes, limit: float) -> None:
+    """Zero, and dashed lines at both signs of a limit."""
     axes.axhline(0, color=GREY, lw=0.8)
-    for limit in limits:
-        for sign in (-1, 1):
-            axes.axhline(sign * limit, color=VERMILION, lw=0.8, ls="--")
+    for end in (-limit, limit):
+        axes.axhline(end, color=VERMILION, lw=0.8, ls="--")
 
 
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
@@ -181,11 +180,6 @@ class Claim:
         text = re.sub(r"[+-]?\b(nan|inf)\b", "–", self.sentence)
         text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
         return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """The claim for summary.json."""
-        return {key: getattr(self, key) for key in "name text value low high holds".split()}
 
 
 class Column(NamedTuple):

@@ -65,6 +65,7 @@ LightSource = Annotated[
 
 _RUN_SCHEMA = 1
 _SUMMARY_SCHEMA = 2
+_OF_CLAIM = ("name", "text", "value", "low", "high", "holds")
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -79,8 +80,6 @@ class Study:
         defaults: changes of the default scene, used if no scene file is given, before `changes`.
         check: raises if the study cannot use the scene.
         options: of this study only, by their names on the command line without dashes.
-        command: what starts it; `eyespot study NAME` if not given. The attribute of this name is
-            the command line that repeats this run.
 
     Raises:
         InputError: the scene is not valid, the folder has other files, or another process uses it.
@@ -99,7 +98,6 @@ class Study:
         check: Callable[[Scene], None] = lambda scene: None,
         *,
         options: Mapping[str, int | float | str] | None = None,
-        command: str = "",
     ) -> None:
         self.name, self.quick, self.options = name, quick, options or {}
         own = defaults if scene is None else ()
@@ -108,12 +106,12 @@ class Study:
         self.seed = self.scene.seed
         self.folder = Path(out)
         self.seconds: dict[str, float] = {}
-        start = command or f"eyespot study {name}"
+        start = "eyespot validate" if name == "validate" else f"eyespot study {name}"
         words = [str(scene)] if scene else []
         words += [word for change in changes for word in ("--set", change)]
         words += [word for key, value in self.options.items() for word in (f"--{key}", str(value))]
         words += ["--seed", str(self.seed), "--out", str(out), *(["--quick"] * quick)]
-        self.command = f"{start} {shlex.join(words)}"
+        self.command = f"{start} {shlex.join(words)}"  # repeats this run
         check(self.scene)
         scenes.load_mitsuba()  # before the folder is made, in case this machine cannot render
         settings = {
@@ -225,7 +223,7 @@ class Study:
                 "schema_version": _SUMMARY_SCHEMA,
                 "study": self.name,
                 "command": self.command,
-                "found": [claim.row for claim in made.claims],
+                "found": [{key: getattr(one, key) for key in _OF_CLAIM} for one in made.claims],
                 "versions": used,
                 "seconds": self.seconds,
             }

@@ -157,7 +157,7 @@ def write_stacks(findings: ValidateFindings) -> None:
 
 
 def study_in(out: Path) -> Study:
-    return Study("validate", out=out, quick=True, command="eyespot validate")
+    return Study("validate", out=out, quick=True)
 
 
 @pytest.fixture(scope="module")
@@ -314,7 +314,7 @@ def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Pat
     with pytest.raises(InputError, match="cone-sphere-1"):
         study.publish(report, changed)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-    assert not (out / ".report.partial").exists()
+    assert not (out / ".report.unfinished").exists()
 
 
 def test_a_run_without_a_lens_is_reported_without_it(tmp_path: Path) -> None:
