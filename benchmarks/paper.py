@@ -109,8 +109,7 @@ TABLE_II = {
     "sphere 3": SphereRow(4.584, 0.088, 0.160, 0.396),
 }
 
-ACCEPTABLE_ERROR_MM = 0.5
-"""The error that the paper calls acceptable."""
+ACCEPTABLE_ERROR_MM = 0.5  # the error that the paper calls acceptable
 
 PAPERS_PLANES = {name: row for name, row in TABLE_I.items() if name != ALL_PLANES}
 
@@ -273,8 +272,7 @@ def require_roomy_eyeball(scene: Scene, reach: str) -> None:
 
 # Spots of a rendered trial, measured in the ways that the report compares.
 
-VISIBLE_ENOUGH = 0.5
-"""Part of the half-maximum contour that must be visible for a spot to count."""
+VISIBLE_ENOUGH = 0.5  # part of the half-maximum contour that must be visible for a spot to count
 USED = "used"  # outcome of a frame that enters the fits
 
 

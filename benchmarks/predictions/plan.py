@@ -45,8 +45,7 @@ QUANTITIES = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "distance_mm", "
 """What is predicted for every frame: the spot's ellipse, its centre from the principal point; the
 distance, read with the plan's calibration; how far the robot says the tip is from its first pose.
 """
-ELLIPSE = 4
-"""The first of them are the spot's ellipse, from which the distance follows."""
+ELLIPSE = 4  # the first of them are the spot's ellipse, from which the distance follows
 
 _WITHIN = 1.959964  # standard deviations to either side that hold 95 %
 
@@ -302,8 +301,7 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
 
 # A recording against its plan: hits, misses, and what explains the misses.
 
-SURE = 3.0
-"""Standard deviations from which a value counts as another one: 1 in 400 by chance."""
+SURE = 3.0  # standard deviations from which a value counts as another one: 1 in 400 by chance
 
 _WIDE = 1e6  # of a key that is fitted freely, in its standard uncertainties
 

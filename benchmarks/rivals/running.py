@@ -171,8 +171,7 @@ def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
 CONSTANTS = Path(__file__).with_name("constants.json")
 SCHEMA = 1
 
-Constants = dict[str, dict[str, Any]]
-"""Constants by name, by entry."""
+Constants = dict[str, dict[str, Any]]  # constants by name, by entry
 
 
 def read_constants(path: Path = CONSTANTS) -> Constants:

@@ -292,8 +292,7 @@ _COLOURS = {"planar": page.ORANGE} | model_error.MODEL_COLOURS
 _GEOMETRIC = page.BLUE, page.VERMILION, page.ORANGE, page.BLACK, page.GREEN
 _OTHERS = page.SKY, page.PURPLE, "#8C6D31", "#B8B8B8", "#6E6E6E"
 _CAUSE_COLOURS = dict(zip(CAUSES, (*_GEOMETRIC, *_OTHERS), strict=True))
-_LEAST_MM = 1e-3
-"""Smaller errors are drawn at the foot of a logarithmic axis."""
+_LEAST_MM = 1e-3  # smaller errors are drawn at the foot of a logarithmic axis
 
 
 def worst_errors(scene: Scene, tables: Tables) -> Figure:

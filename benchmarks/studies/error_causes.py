@@ -238,10 +238,8 @@ CAUSES = (
     "wrong r",
     "wrong c",
 )
-WRONG_R_MM = 0.5
-"""Given too large: the paper's r is 11 mm or 11.5 mm."""
-WRONG_C_MM = 0.5
-"""Given too large: an eye half a millimetre off the microscope's axis."""
+WRONG_R_MM = 0.5  # given too large: the paper's r is 11 mm or 11.5 mm
+WRONG_C_MM = 0.5  # given too large: an eye half a millimetre off the microscope's axis
 _AT_A_TIME = 4
 
 

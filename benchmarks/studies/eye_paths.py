@@ -32,8 +32,7 @@ from optics.viewing.path import viewing_path
 from optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067
-NOMINAL_RADIUS_MM = 12.0
-"""Radius of the sphere that models assume where no eye is calibrated."""
+NOMINAL_RADIUS_MM = 12.0  # radius of the sphere that models assume where no eye is calibrated
 
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
@@ -274,7 +273,7 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
 
     Args:
         seen: images of `withdrawals()`.
-        noise: of `ellipse` parameters, in standard deviations of the sub-pixel mode.
+        noise: of the ellipses' parameters, in standard deviations of the sub-pixel mode.
     """
     distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
     # A hidden contour may have no values, and its weight is 0.

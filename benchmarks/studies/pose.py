@@ -236,11 +236,10 @@ def errors(
             columns = best.tip, best.axis, best.distance, best.distance_error
             found: list[Estimate] = list(zip(*map(np.asarray, columns), strict=True))
         else:
+            priors = [optics.DirectionPrior(jnp.asarray(axis), sigma) for axis in axes]
             found = [
-                by_ellipses(
-                    tool, jax.tree.map(itemgetter(i), ellipses), spreads[i], wall, view, axis, sigma
-                )
-                for i, axis in enumerate(axes)
+                by_ellipses(tool, jax.tree.map(itemgetter(i), ellipses), spreads[i], wall, view, p)
+                for i, p in enumerate(priors)
             ]
         about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
         rows += [
@@ -256,11 +255,9 @@ def by_ellipses(
     covariances: Any,
     wall: optics.Sphere,
     view: optics.Microscope,
-    axis: np.ndarray,
-    sigma_rad: float,
+    prior: optics.DirectionPrior,
 ) -> Estimate:
-    """The pose by `fit_tool` with a prior of the axis; the distance's sigma is NaN."""
-    prior = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
+    """The pose by `fit_tool`; the distance's sigma is NaN."""
     best, distance = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
     return np.asarray(best.tip), np.asarray(best.axis), distance, math.nan
 
@@ -417,7 +414,8 @@ def _errors(
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
             spread = _mismatch_covariances(ellipses, spread)
-            found = by_ellipses(tool, ellipses, spread, surface, view, axis, sigma_rad)
+            beside = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
+            found = by_ellipses(tool, ellipses, spread, surface, view, beside)
             if known:
                 # A shift of the tip along the wall does not change the distance, to first order.
                 per_mm = place.outward / float(place.outward @ true)

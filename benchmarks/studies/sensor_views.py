@@ -178,8 +178,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 # The labels help: they say where to look (within `REACH_PX`), and how the outline runs there. The
 # place is measured from the picture. A network would have to find all of it.
 
-REACH_PX = 12.0
-"""Largest error of a mark: it is searched for within this distance of the label."""
+REACH_PX = 12.0  # largest error of a mark: it is searched for within this distance of the label
 
 _COARSE_STEP_PX, _STEP_PX = 2.0, 1.0
 """The coarse one is as wide as an edge. With steps of a pixel the parabola does not see that the

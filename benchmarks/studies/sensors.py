@@ -90,15 +90,13 @@ def expected(
         Wrong.AXIS: [right._replace(axis=axis) for axis in turned],
         Wrong.RADIUS: [_in_larger_sphere(right, _RADIUS_OFF_MM)],
     }
-    where = {"path": path, "c_mm": places.eccentricity, "d_mm": places.distance}
+    at = {"c_mm": places.eccentricity, "d_mm": places.distance}
     done = {sensor: np.array(outcomes[sensor]) == ReadingOutcome.READ for sensor in Sensor}
-    sigmas = [
-        pd.DataFrame({"sensor": sensor, **where, "outcome": outcomes[sensor]}).assign(
-            sigma_mm=np.where(done[sensor], np.std([one[sensor] for one in noisy], axis=0), np.nan)
-        )
-        for sensor in Sensor
-    ]
-    biases = []
+    sigmas, biases = [], []
+    for sensor in Sensor:
+        size = np.where(done[sensor], np.std([one[sensor] for one in noisy], axis=0), np.nan)
+        found = {"outcome": outcomes[sensor], "sigma_mm": size}
+        sigmas.append(pd.DataFrame({"sensor": sensor, "path": path, **at, **found}))
     for wrong, ones in assumed.items():
         read = [_read(true, one) for one in ones]
         affected = [Sensor.SHADOW] if wrong == Wrong.LAMP else list(Sensor)
@@ -106,11 +104,9 @@ def expected(
             error = np.array([one[sensor] for one in read]) - places.distance
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
-            rows = pd.DataFrame({"sensor": sensor, **where, "wrong": wrong, "error_mm": size})
-            biases.append(rows[done[sensor]])
-    columns = ["sensor", "path", "wrong", "c_mm", "d_mm", "error_mm"]
-    wrongs = pd.concat(biases, ignore_index=True)[columns]
-    return pd.concat(sigmas, ignore_index=True), wrongs
+            rows = {"sensor": sensor, "path": path, "wrong": wrong, **at, "error_mm": size}
+            biases.append(pd.DataFrame(rows)[done[sensor]])
+    return pd.concat(sigmas, ignore_index=True), pd.concat(biases, ignore_index=True)
 
 
 def stacked(every: Sequence[InstrumentPlace]) -> InstrumentPlace:
@@ -296,8 +292,7 @@ def _image(camera: optics.Camera, point: np.ndarray) -> np.ndarray:
     return np.asarray(sensor_views.project(camera, point[None]))[0]
 
 
-Tables = Mapping[str, pd.DataFrame]
-"""`expected`, `wrong` and `readings`, as in the CSV files."""
+Tables = Mapping[str, pd.DataFrame]  # `expected`, `wrong` and `readings`, as in the CSV files
 
 # Figures.
 

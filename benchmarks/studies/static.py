@@ -46,8 +46,7 @@ CAUSES = {
 """The causes and their sizes, which are assumptions: the paper does not report them."""
 NONE, TOGETHER, ALL = "none", "together", "all"
 """No cause; what all causes together add beyond their sum; all causes."""
-EVEN = -1
-"""Number of the even wall among the textures."""
+EVEN = -1  # number of the even wall among the textures
 
 Measured = tuple[np.ndarray, np.ndarray]
 """e1' (px, NaN where no spot counts) and d_r (mm) of runs x trials x frames."""

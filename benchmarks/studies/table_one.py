@@ -50,8 +50,7 @@ def even_span(row: paper.PlaneRow) -> float:
 # widest chord nearer to the tip than the axis, so that their ellipses come out larger: only
 # rendered stacks show that.
 
-FARTHEST_MM = 8.0
-"""Largest reading."""
+FARTHEST_MM = 8.0  # largest reading
 _ROWS, _COLUMNS = 65, 193
 _NEAREST_MM = 0.05
 
@@ -338,8 +337,7 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
     return ConfirmedLens(choice=choice, spots=points, lines=lines)
 
 
-WIDE_APERTURE = 0.15
-"""From here on the first scan, by ray binning, found no flat end that fits."""
+WIDE_APERTURE = 0.15  # from here on the first scan, by ray binning, found no flat end that fits
 _CURVED_MM = 0.02
 
 

@@ -29,8 +29,8 @@ def test_the_population_has_the_published_means_and_correlations():
     count = 20_000
     drawn = eye_paths.drawn(count, seed=5)
     values = dict(zip(drawn.names, drawn.values.T, strict=True))
-    # Rozema et al. 2016, as reduced in eye_paths.toml. Tolerances: 4 standard errors, s/sqrt(n)
-    # for means and (1 - r^2)/sqrt(n) for correlations.
+    # Rozema et al. 2016, as reduced in eye_population.toml. Tolerances: 4 standard errors,
+    # s/sqrt(n) for means and (1 - r^2)/sqrt(n) for correlations.
     for name, mean, deviation in (
         ("axial_length", 23.840, 1.099),
         ("cornea_front_radius", 7.783, 0.231),

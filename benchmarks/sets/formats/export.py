@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
-_EXTRA = {"h5py", "pycocotools"}
-"""Packages of the extra `export`."""
+_EXTRA = {"h5py", "pycocotools"}  # packages of the extra `export`
 
 
 def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
