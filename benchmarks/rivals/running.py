@@ -27,7 +27,7 @@ from benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import PACKAGE
 from benchmarks.sets.make import cores, local_workers
-from benchmarks.sets.read import SetStack, exposures_of, qualified_name, stacks_of, true_beam
+from benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
 from benchmarks.study import versions, write_json
 from estimator import Frame, Ranger, open_source
 from estimator.run.progress_bar import progress
@@ -86,7 +86,7 @@ def run_entries(
             several = len(exposures_of(stack.open())) > 1
             for name, exposure, records, times in future.result():
                 suffix = f".{exposure}" if several else ""
-                file = whole / name / f"{qualified_name(stack)}{suffix}.csv"
+                file = whole / name / f"{stack.qualified_name}{suffix}.csv"
                 file.parent.mkdir(parents=True, exist_ok=True)
                 write_spots(file, records)
                 seconds[name] += times
@@ -136,18 +136,22 @@ def measure_stack(
         yield name, exposure, records, seconds
 
 
-_made: dict[str, Entry] = {}
-"""The entries of a worker: the network and the detector's process are started once."""
+_made: dict[str, tuple[dict[str, Any], Entry]] = {}
+"""The entries of a worker with their constants: the network and the detector start slowly."""
+
+
+def _entry(name: str, constants: dict[str, Any], weights: Path = Path()) -> Entry:
+    if name not in _made or _made[name][0] != constants:
+        if name in _made:
+            _made[name][1].close()
+        _made[name] = constants, KINDS[name].make(constants, weights)
+    return _made[name][1]
 
 
 def _answers(task: tuple[SetStack, list[str], Constants, Path]) -> list[Answers]:
     stack, names, known, weights = task
-    found: list[Answers] = []
-    for name in names:
-        if name not in _made:
-            _made[name] = KINDS[name].make(known.get(name, {}), weights)
-        found += measure_stack(stack, name, _made[name])
-    return found
+    made = {name: _entry(name, known.get(name, {}), weights) for name in names}
+    return [answer for name in names for answer in measure_stack(stack, name, made[name])]
 
 
 def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
@@ -192,7 +196,6 @@ def read_constants(path: Path = CONSTANTS) -> Constants:
 
 _MOST_PX = 10.0
 _ROUNDS = 2
-_last: tuple[str, dict[str, Any], Entry] | None = None
 _KEPT_STACKS = 32  # whose frames a worker keeps in memory: at 20 frames of 640 x 480, 600 MB
 
 
@@ -224,7 +227,7 @@ def tune(
             "command": shlex.join(["eyespot", *sys.argv[1:]]),
             "set": folder.resolve().name,
             "manifest": fingerprint(manifest) if manifest.is_file() else None,
-            "stacks": [f"{entry.split}/{entry.name}" for entry in stacks],
+            "stacks": [entry.qualified_name for entry in stacks],
             "versions": versions(),
         }
         write_json(partial, {"schema": SCHEMA, **origin, "entries": found})
@@ -261,16 +264,11 @@ _kept_frames = functools.lru_cache(_KEPT_STACKS)(
 
 def stack_costs(task: tuple[str, dict[str, Any], SetStack]) -> list[float]:
     """Cost of each frame of a stack whose spot is visible, px."""
-    global _last
     name, constants, stack = task
-    # The entry of the last call is kept: some start a process of their own.
-    if _last is None or _last[:2] != (name, constants):
-        if _last is not None:
-            _last[2].close()
-        _last = name, constants, KINDS[name].make(constants, Path())
     truth = {labels.file_name: labels for labels in stack.open().labels}
     costs = []
-    answers = measure_stack(stack, name, _last[2], distances=False, frames=_kept_frames)
+    made = _entry(name, constants)
+    answers = measure_stack(stack, name, made, distances=False, frames=_kept_frames)
     for record in chain.from_iterable(records for _, _, records, _ in answers):
         labels, spot = truth[record.file_name], record.result
         if labels.visible_fraction >= VISIBLE_ENOUGH:

@@ -47,7 +47,7 @@ from formats.manifest import MANIFEST
 from formats.stack import StackWriter
 from formats.whole_files import BeingWrittenError, require_space, sweep, written_whole
 
-# Renders one stack; a separate file, so that workers import little else.
+# What a worker does: it renders one stack.
 
 _PACKAGES = ("eyespot", "mitsuba", "drjit", "jax", "numpy", "opencv-python-headless", "scipy")
 

@@ -61,6 +61,20 @@ class SetStack:
     folder: Path
     pair: str | None = None
 
+    @property
+    def qualified_name(self) -> str:
+        """SPLIT/STACK, or STACK for a single stack."""
+        return f"{self.split}/{self.name}" if self.split else self.name
+
+    @property
+    def split_name(self) -> str:
+        """Name for the files of a split: SPLIT, or STACK for a single stack."""
+        return self.split or self.name
+
+    def image_name(self, file_name: str) -> str:
+        """Path of an image from the set (SPLIT/STACK/frames/000000.png), or from a single stack."""
+        return f"{self.qualified_name}/{file_name}" if self.split else file_name
+
     def open(self) -> Stack:
         """Open the stack, for its labels and images."""
         return read_stack(self.folder)
@@ -164,21 +178,6 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
             f"{_AGAIN}"
         )
     return sorted(labelled.stacks, key=lambda stack: stack.split)
-
-
-def qualified_name(stack: SetStack) -> str:
-    """SPLIT/STACK, or STACK for a single stack."""
-    return f"{stack.split}/{stack.name}" if stack.split else stack.name
-
-
-def split_name(stack: SetStack) -> str:
-    """Name for the files of a split: SPLIT, or STACK for a single stack."""
-    return stack.split or stack.name
-
-
-def image_name(stack: SetStack, file_name: str) -> str:
-    """Path of an image from the set (SPLIT/STACK/frames/000000.png), or from a single stack."""
-    return f"{qualified_name(stack)}/{file_name}" if stack.split else file_name
 
 
 def set_files(stacks: Sequence[SetStack]) -> list[Path]:
@@ -327,7 +326,7 @@ def write_set_manifest(labelled: LabelledSet) -> None:
     for stack in labelled.stacks:
         listed = read_manifest(stack.folder, remedy="Render the stack again.")
         listed[MANIFEST] = fingerprint(stack.folder / MANIFEST)
-        known |= {f"{stack.split}/{stack.name}/{name}": file for name, file in listed.items()}
+        known |= {f"{stack.qualified_name}/{name}": file for name, file in listed.items()}
     write_manifest(labelled.folder, schema=SCHEMA, known=known)
 
 
@@ -338,7 +337,7 @@ def verify_set(folder: Path) -> int:
         SetError: something is missing, changed or unexpected; the message lists it.
     """
     labelled = read_set(folder)
-    if missing := [f"{stack.split}/{stack.name}" for stack in labelled.missing]:
+    if missing := [stack.qualified_name for stack in labelled.missing]:
         raise SetError(_listed(folder, [f"stack {name} is missing" for name in missing]))
     try:
         files = read_manifest(labelled.folder, remedy="Copy the set again.")

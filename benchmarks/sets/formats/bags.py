@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read import SetStack, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, exposures_of
 from estimator import Frame, open_source
 from estimator.sources.ros import write_bag
 from formats.poses import Pose, read_poses
@@ -25,7 +25,7 @@ def write(
 ) -> None:
     """Write the bags, with one image at a time in memory."""
     for entry in stacks:
-        folder = out / qualified_name(entry)
+        folder = out / entry.qualified_name
         for exposure in exposures_of(entry.open()):
             write_bag(
                 folder / (f"{exposure}.bag" if ros == 1 else exposure),

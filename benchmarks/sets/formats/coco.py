@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import numpy as np
 from pycocotools import mask as run_lengths
 
-from benchmarks.sets.read import SetStack, qualified_name, split_name
+from benchmarks.sets.read import SetStack
 from formats.microscope import read_microscope
 from formats.stack import FrameLabels, Stack
 
@@ -28,7 +28,7 @@ _ELLIPSES = ("half_max_", "cone_")
 def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -> None:
     """Write images and annotations, with one of each at a time in memory."""
     (out / "annotations").mkdir()
-    for part, group in itertools.groupby(stacks, key=split_name):
+    for part, group in itertools.groupby(stacks, key=lambda stack: stack.split_name):
         split = list(group)
         with (out / "annotations" / f"{part}.json").open("w", encoding="utf-8") as file:
             file.write(f'{{"info": {json.dumps({"description": part})}, "licenses": [],\n')
@@ -45,7 +45,7 @@ def _images(split: Sequence[SetStack]) -> Iterator[tuple[int, str, Stack, FrameL
     for entry in split:
         stack = entry.open()
         for row in stack.labels:
-            yield next(ids), f"{qualified_name(entry)}/{Path(row.file_name).name}", stack, row
+            yield next(ids), f"{entry.qualified_name}/{Path(row.file_name).name}", stack, row
 
 
 def _write_list(file: TextIO, items: Iterator[dict[str, Any]]) -> None:

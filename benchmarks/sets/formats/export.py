@@ -30,7 +30,7 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
         to: Format to write; see docs/datasets.md.
         out: File (hdf5) or folder to write; it must not exist yet.
     """
-    from benchmarks.sets.read import copy_description, qualified_name, set_files, stacks_of
+    from benchmarks.sets.read import copy_description, set_files, stacks_of
 
     with progress("Exporting", total=None) as advance, written_whole(out) as whole:
         stacks = stacks_of(folder)
@@ -47,7 +47,7 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
         if to != "hdf5":
             whole.mkdir()
             for entry in stacks:
-                copy_description(entry, whole / qualified_name(entry))
+                copy_description(entry, whole / entry.qualified_name)
         write(stacks, whole, partial(advance, note=f"of {images}"))
         for path in set_files(stacks) if to != "hdf5" else ():
             shutil.copyfile(path, whole / path.name)

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 import h5py
 import numpy as np
 
-from benchmarks.sets.read import SetStack, qualified_name, set_files
+from benchmarks.sets.read import SetStack, set_files
 from formats.inputs import InputError, check_values, in_file, read_text
 from formats.stack import Stack
 
@@ -47,7 +47,7 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
                 for path in set_files(stacks):
                     file.create_dataset(path.name, data=_text(path))
                 for entry in stacks:
-                    group, stack = file.create_group(qualified_name(entry)), entry.open()
+                    group, stack = file.create_group(entry.qualified_name), entry.open()
                     for name in ("stack.toml", "microscope.json"):
                         group.attrs[name] = _text(stack.path_of(name))
                     labels = group.create_group("labels")

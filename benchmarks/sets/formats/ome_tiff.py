@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from tifffile import TiffWriter
 
-from benchmarks.sets.read import SetStack, exposures_of, qualified_name
+from benchmarks.sets.read import SetStack, exposures_of
 from formats.microscope import read_microscope
 from formats.stack import FrameLabels, Stack
 
@@ -25,7 +25,7 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
     """Write the files, with a few images at a time in memory."""
     for entry in stacks:
         stack = entry.open()
-        folder = out / qualified_name(entry)
+        folder = out / entry.qualified_name
         scale_um = 1e3 * read_microscope(stack.folder / "microscope.json").scale_mm_px
         for exposure in exposures_of(stack):
             _write_recording(folder / f"{exposure}.ome.tif", stack, exposure, scale_um, progress)

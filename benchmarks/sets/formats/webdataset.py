@@ -13,7 +13,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.sets.read import SetStack, qualified_name, split_name
+from benchmarks.sets.read import SetStack
 
 _SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
 
@@ -26,7 +26,7 @@ def write(
     shard_bytes: int = _SHARD_BYTES,
 ) -> None:
     """Write the shards; each ends with the sample that reaches `shard_bytes`."""
-    for part, group in itertools.groupby(stacks, key=split_name):
+    for part, group in itertools.groupby(stacks, key=lambda stack: stack.split_name):
         samples = itertools.chain.from_iterable(map(_samples, group))
         for shard in itertools.count():
             first = next(samples, None)
@@ -44,7 +44,7 @@ def _samples(entry: SetStack) -> Iterator[dict[str, bytes]]:
     """Names and contents of each sample's files."""
     stack = entry.open()
     for row in stack.labels:
-        key = f"{qualified_name(entry)}/{Path(row.file_name).stem}"
+        key = f"{entry.qualified_name}/{Path(row.file_name).stem}"
         yield {
             f"{key}.png": stack.path_of(row.file_name).read_bytes(),
             f"{key}.mask.png": stack.path_of(row.mask_file_name).read_bytes(),

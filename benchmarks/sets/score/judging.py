@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.sets.read import SetStack, image_name, qualified_name
+from benchmarks.sets.read import SetStack
 from formats.inputs import InputError
 from formats.microscope import read_microscope
 from formats.spots import Spot, SpotRecord
@@ -36,7 +36,7 @@ def images_of(stacks: Iterable[SetStack]) -> pd.DataFrame:
         viewing = stack.description["scene"].get("viewing", {})  # not in stacks of eyespot 0.1
         bare = viewing.get("eye", "none") == "none"
         about = {
-            "stack": qualified_name(entry),
+            "stack": entry.qualified_name,
             "split": entry.split,
             "adverse": entry.condition or "",
             "pair": entry.pair or first,
@@ -46,7 +46,7 @@ def images_of(stacks: Iterable[SetStack]) -> pd.DataFrame:
             "wall": stack.described("scene.phantom.wall", str),
         }
         for labels in stack.labels:
-            rows[image_name(entry, labels.file_name)] = vars(labels) | about
+            rows[entry.image_name(labels.file_name)] = vars(labels) | about
     return with_derived(pd.DataFrame.from_dict(rows, orient="index"))
 
 

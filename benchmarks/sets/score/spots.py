@@ -18,10 +18,8 @@ from benchmarks.sets.read import (
     Mode,
     SetStack,
     exposures_of,
-    image_name,
     own_reader,
     plain_spot,
-    qualified_name,
     true_beam,
 )
 from estimator import SubpixelSettings, open_source, track_whole_source
@@ -230,7 +228,7 @@ def track_set(
             found = track_whole_source(
                 replace(source, unrelated=alone), reader, progress=lambda record: progress()
             )
-            records += [replace(r, file_name=image_name(entry, r.file_name)) for r in found]
+            records += [replace(r, file_name=entry.image_name(r.file_name)) for r in found]
     if mode == "auto":
         used = Counter(record.mode for record in records)
         by_mode = " and ".join(f"{count} images in mode {name}" for name, count in used.items())
@@ -250,7 +248,7 @@ def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
 
 def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
     """Records of one stack's spots file, with image names relative to the set."""
-    by_name = {qualified_name(entry): entry for entry in stacks}
+    by_name = {entry.qualified_name: entry for entry in stacks}
     name = file.relative_to(folder).with_suffix("").as_posix()
     entry = by_name.get(name) or by_name.get(name.rpartition(".")[0])
     if entry is None and "/" not in name and stacks[0].split:
@@ -258,10 +256,10 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
     if entry is None:
         raise InputError(
             f"{file}: the set has no stack {name}. Name the file SPLIT/STACK.csv or "
-            f"SPLIT/STACK.EXPOSURE.csv; the first stack is {qualified_name(stacks[0])}."
+            f"SPLIT/STACK.EXPOSURE.csv; the first stack is {stacks[0].qualified_name}."
         )
     return [
-        replace(record, file_name=image_name(entry, record.file_name))
+        replace(record, file_name=entry.image_name(record.file_name))
         for record in read_any_spots(file)
     ]
 
