@@ -8,9 +8,8 @@ DIR/pose_error.csv  every pose, analytic and rendered, with its errors and bound
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import StrEnum
-from functools import partial
 from itertools import product
 from operator import itemgetter
 from pathlib import Path
@@ -220,7 +219,12 @@ def errors(
     """
     rng = np.random.default_rng([seed, tool.cones])
     poses = ToolPose(*map(np.array, zip(*(place.pose for place in every), strict=True)))
-    clean, bounds, known = map(np.asarray, _contours_and_bounds(tool, poses, wall, view))
+
+    def of_each(function: Callable[..., jax.Array], **how: Any) -> np.ndarray:
+        return np.asarray(jax.vmap(lambda pose: function(tool, pose, wall, view, **how))(poses))
+
+    clean, bounds = of_each(tool_contours), of_each(tool_pose_bound, sigma_px=NOISE_PX)
+    known = of_each(tool_pose_bound, sigma_px=NOISE_PX, axis_known=True)
     noise = NOISE_PX * rng.standard_normal(clean.shape[:-1])
     noisy = clean + noise[..., None] * np.asarray(contour_normals(clean))
     truth = np.asarray(poses.axis)
@@ -260,21 +264,6 @@ def by_ellipses(
     """The pose by `fit_tool`; the distance's sigma is NaN."""
     best, distance = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
     return np.asarray(best.tip), np.asarray(best.axis), distance, math.nan
-
-
-@partial(jax.jit, static_argnums=0)
-def _contours_and_bounds(
-    tool: Tool, poses: ToolPose, wall: optics.Sphere, view: optics.Microscope
-) -> tuple[Any, Any, Any]:
-    def of(pose: ToolPose) -> tuple[Any, Any, Any]:
-        given = tool, pose, wall, view
-        return (
-            tool_contours(*given),
-            tool_pose_bound(*given, sigma_px=NOISE_PX),
-            tool_pose_bound(*given, sigma_px=NOISE_PX, axis_known=True),
-        )
-
-    return jax.vmap(of)(poses)
 
 
 @jax.jit
@@ -374,7 +363,7 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
 def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
     """Write one beam a second, at rest while the camera exposes."""
     file.parent.mkdir(exist_ok=True)
-    beams = [_beams(tool, place.pose) for place in every for tool in tools]
+    beams = [tool_beams(tool, place.pose) for place in every for tool in tools]
     lit = np.concatenate([np.hstack([beam.tip, beam.axis]) for beam in beams]).tolist()
     # The first frame is due at the first row, the last at the last.
     rows = [
@@ -426,7 +415,6 @@ def _errors(
     return rows
 
 
-_beams = partial(jax.jit, static_argnums=0)(tool_beams)
 _mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
 
 
