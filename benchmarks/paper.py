@@ -278,16 +278,11 @@ USED = "used"  # outcome of a frame that enters the fits
 
 @dataclass(frozen=True)
 class Way:
-    """An estimator and the exposure that it is given.
-
-    The type of the settings is the mode. `clicked`: started by a click on the spot, as the paper's
-    operator does.
-    """
+    """An estimator, whose mode is the type of the settings, and the exposure that it is given."""
 
     name: str
     exposure: Literal["paper", "metered"]
     settings: LiteralSettings | SubpixelSettings
-    clicked: bool
 
     @property
     def slug(self) -> str:
@@ -295,8 +290,10 @@ class Way:
         return self.name.replace(",", "").replace(" ", "-")
 
     def click(self, labels: Sequence[FrameLabels]) -> tuple[float, float] | None:
-        """Where the operator clicks in the first frame, px; None if nobody does."""
-        return (labels[0].half_max_x_px, labels[0].half_max_y_px) if self.clicked else None
+        """Where the paper's operator clicks in the first frame, px; None in sub-pixel mode."""
+        if not isinstance(self.settings, LiteralSettings):
+            return None
+        return labels[0].half_max_x_px, labels[0].half_max_y_px
 
     def reader(self, ranger: Ranger | None = None, **more: Any) -> LiteralMode | SubpixelMode:
         """A reader with these settings."""
@@ -305,12 +302,12 @@ class Way:
         return SubpixelMode(self.settings, ranger, **more)
 
 
-LITERAL = Way("literal, paper exposure", "paper", LiteralSettings(), True)
+LITERAL = Way("literal, paper exposure", "paper", LiteralSettings())
 """The paper's own way: a threshold in frames of one exposure."""
 
-LITERAL_METERED = Way("literal, metered", "metered", LiteralSettings(), True)
+LITERAL_METERED = Way("literal, metered", "metered", LiteralSettings())
 
-SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings(), False)
+SUBPIXEL = Way("sub-pixel, metered", "metered", SubpixelSettings())
 """The best way: the half-maximum edge in frames that are metered one by one."""
 
 WAYS = (LITERAL, LITERAL_METERED, SUBPIXEL)
