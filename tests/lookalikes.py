@@ -13,16 +13,10 @@ from scipy.special import erfc
 
 from estimator import SubpixelSettings, TrackState, measure
 from formats.spots import Spot
-from tests.own_frames import (
-    AMBIENT,
-    SHAPE,
-    STEP,
-    any_ellipse,
-    camera_image,
-    disc,
-    places_of,
-    textured_wall,
-)
+from scenes.drawn import SHAPE, Drawing, light_of
+from tests.own_frames import any_ellipse, camera_image, textured_wall
+
+STEP, AMBIENT = Drawing.amplitude, Drawing.ambient
 
 _LETTERS = list("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghklmnopqrstuvwxyz0123456789@&")
 """No dots, not even those of i and j: thick ones are discs."""
@@ -71,11 +65,10 @@ def hexagon(rng: np.random.Generator) -> np.ndarray:
 
 def ring(rng: np.random.Generator) -> np.ndarray:
     """An elliptical ring; its hole has 0.25 to 0.8 of its radius."""
-    outer, light = any_ellipse(rng, 30, 100), disc(2.0)
-    share = rng.uniform(0.25, 0.8)
+    outer, share = any_ellipse(rng, 30, 100), rng.uniform(0.25, 0.8)
     inner = replace(outer, semi_major=share * outer.semi_major, semi_minor=share * outer.semi_minor)
-    lit = light(*places_of(outer)) - light(*places_of(inner))
-    return camera_image(rng, (STEP * lit + AMBIENT) * textured_wall(rng))
+    disc, hole = (light_of(Drawing(truth=one, ambient=0.0))[..., 0] for one in (outer, inner))
+    return camera_image(rng, (disc - hole + AMBIENT) * textured_wall(rng))
 
 
 LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {

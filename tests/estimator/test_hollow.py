@@ -7,14 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, TrackState, measure
 from estimator.detector.contour import hollow_share
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.tuning import RAYS, Hollow
-from formats.spots import Spot
-from tests import own_frames
+from scenes.drawn import SHAPE, Drawing, Truth, light_of
 from tests.drawn_spots import spot_in
 from tests.lookalikes import taken_for_spots
+from tests.own_frames import camera_image, textured_wall
 
 _SIDE = 200
 _AXES = 80.0, 60.0
@@ -57,25 +56,15 @@ def test_words_in_thick_letters_are_no_spots() -> None:
     assert taken_for_spots("text", 60, seed=3) == 0
 
 
-def test_a_spot_in_shadow_is_still_a_spot() -> None:
-    rng = np.random.default_rng(6)
-    truth = own_frames.Ellipse(320.3, 240.8, 66, 60, 0.7)
-    lit = own_frames.shadow_over_a_third(rng, truth)
-    wall = np.ones(own_frames.SHAPE)
-    frame = own_frames.drawn(rng, truth, own_frames.disc(2.0), wall, lit)
-    assert isinstance(measure(frame.image, TrackState(), SubpixelSettings())[0], Spot)
-
-
 @pytest.mark.parametrize("left", [0.12, 0.3])
 @pytest.mark.parametrize("seed", range(3))
 def test_an_edge_in_shadow_is_measured_too(left: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
-    truth = own_frames.Ellipse(320.3, 240.8, 66, 60, 0.7)
-    wall = own_frames.textured_wall(rng)
-    behind = np.arange(own_frames.SHAPE[1]) - 345
-    lit = 1 - (1 - left) * np.clip(0.5 + behind / 8, 0, 1) * np.ones(own_frames.SHAPE)
-    frame = own_frames.drawn(rng, truth, own_frames.disc(2.0), wall, lit)
-    spot = spot_in(frame.image)
+    truth = Truth(x=320.3, y=240.8, semi_major=66, semi_minor=60, angle=0.7)
+    wall = textured_wall(rng)[..., None]
+    behind = np.arange(SHAPE[1]) - 345
+    lit = 1 - (1 - left) * np.clip(0.5 + behind / 8, 0, 1) * np.ones(SHAPE)
+    spot = spot_in(camera_image(rng, light_of(Drawing(truth=truth, wall=wall, lit=lit))))
     # Two thirds of the contour are in full light; the rest less a rim on either side is shaded.
     assert spot.coverage > 0.85
     # Whole spots on this wall are off by 0.045 px RMS, arcs of two thirds by 0.15 px.
