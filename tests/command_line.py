@@ -1,18 +1,25 @@
-"""Calls commands in this process."""
+"""Runs commands, in this process or in a new one."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
 import io
+import os
+import subprocess
+import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
+from unittest import mock
 
 from cyclopts import App, Argument
 
 from eyespot import command_line as eyespot
 
+# The installed command; `python -m eyespot` would search the current folder for packages first.
+EYESPOT = Path(sys.executable).with_name("eyespot")
 WORDS = [
     "version",
     *(
@@ -42,28 +49,71 @@ class Called(NamedTuple):
     exit_code: int
     stdout: str
     stderr: str
-    exception: BaseException | None
+    exception: BaseException | None = None
 
     @property
     def output(self) -> str:
         trace = traceback.format_exception(self.exception) if self.exception else ()
         return self.stdout + self.stderr + "".join(trace)
 
+    def assert_bad_input(self, *words: str, lines: int = 1) -> None:
+        """It ended with 2 and one message with these words, without a traceback."""
+        assert self.exit_code == 2, self.output
+        assert self.stderr.startswith("eyespot: ")
+        assert "Traceback" not in self.stderr
+        assert len(self.stderr.splitlines()) <= lines, self.stderr
+        for word in words:
+            assert word in self.stderr
 
-def call(words: Sequence[str]) -> Called:
-    """Run a command; an exception is a result, too."""
-    code, caught = 0, None
+
+def _called(command: Callable[[], object]) -> Called:
     with (
         contextlib.redirect_stdout(io.StringIO()) as out,
         contextlib.redirect_stderr(io.StringIO()) as err,
     ):
+        code = 0
         try:
-            eyespot.app(words)
+            command()
         except SystemExit as end:
             code = int(end.code or 0)
-        except BaseException as error:
-            code, caught = 1, error
-    return Called(code, out.getvalue(), err.getvalue(), caught)
+    return Called(code, out.getvalue(), err.getvalue())
+
+
+def call(words: Sequence[str]) -> Called:
+    """Run a command; an exception is a result, too."""
+    caught = None
+
+    def command() -> None:
+        nonlocal caught
+        try:
+            eyespot.app(words)
+        except Exception as error:
+            caught = error
+            sys.exit(1)
+
+    return _called(command)._replace(exception=caught)
+
+
+def run(*words: object) -> Called:
+    """Run a command as a person does: an expected error is a message, a bug is raised."""
+    with (
+        mock.patch.object(sys, "argv", ["eyespot", *map(str, words)]),
+        mock.patch.dict(os.environ, COLUMNS="400"),
+    ):
+        return _called(eyespot.main)
+
+
+def run_process(*words: object, cwd: Path | None = None, **environment: str) -> Called:
+    """Run a command in a new process, with additions to the environment."""
+    done = subprocess.run(
+        [EYESPOT, *map(str, words)],
+        cwd=cwd,
+        capture_output=True,
+        text=True,
+        check=False,
+        env=os.environ | {"COLUMNS": "400"} | environment,
+    )
+    return Called(done.returncode, done.stdout, done.stderr)
 
 
 def printed(*words: object) -> str:

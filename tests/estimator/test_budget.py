@@ -26,7 +26,7 @@ from formats.stated import Stated, read_stated
 from scenes import load_scene, render_stack
 from scenes.world.labels import true_calibration
 from tests import budget_coverage
-from tests.command_line import call
+from tests.command_line import printed, run
 from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
 from tests.estimator.test_ranger import microscope as microscope_at
 
@@ -332,12 +332,6 @@ def stack(tmp_path_factory) -> Path:
     return folder
 
 
-def run(*arguments: object) -> str:
-    done = call([str(argument) for argument in arguments])
-    assert done.exit_code == 0, done.output
-    return done.stdout
-
-
 def options(stack: Path) -> list[object]:
     return [
         stack / "stack",
@@ -348,13 +342,13 @@ def options(stack: Path) -> list[object]:
 
 
 def test_the_command_names_the_largest_cause_and_what_halves_it(stack):
-    content = json.loads(run("budget", *options(stack), "--frame", 2, "--json"))
+    content = json.loads(printed("budget", *options(stack), "--frame", 2, "--json"))
     # 2 mm/s along the beam, 50 ms: 0.1 mm; all else is some hundredths.
     assert content["largest_cause"] == "clock"
     (clock,) = (part for part in content["parts"] if part["cause"] == "clock")
     assert clock["sigma_mm"] == pytest.approx(0.1, rel=0.02)
     assert "0.025 s" in content["remedy"]
-    text = run("budget", *options(stack))
+    text = printed("budget", *options(stack))
     assert "pose age and clock" in text
     assert "95 % interval" in text
 
@@ -362,7 +356,7 @@ def test_the_command_names_the_largest_cause_and_what_halves_it(stack):
 def test_what_is_stated_without_effect_is_said_and_not_counted(stack):
     # The fit of a cone has the touch among its parameters, and without poses no clock matters.
     without_poses = options(stack)[:-4]
-    called = call([str(word) for word in ("budget", *without_poses, "--json")])
+    called = run("budget", *without_poses, "--json")
     for name in ("touch_sigma_mm", "clock_sigma_s"):
         assert f"{name} of {stack / 'stated.toml'} has no effect" in called.stderr
     causes = {part["cause"] for part in json.loads(called.stdout)["parts"]}
@@ -370,8 +364,8 @@ def test_what_is_stated_without_effect_is_said_and_not_counted(stack):
 
 
 def test_the_budget_of_a_biased_model_begins_with_the_corrected_distance_inside_its_interval(stack):
-    text = run("budget", *options(stack), "--frame", 2)
-    content = json.loads(run("budget", *options(stack), "--frame", 2, "--json"))
+    text = printed("budget", *options(stack), "--frame", 2)
+    content = json.loads(printed("budget", *options(stack), "--frame", 2, "--json"))
     assert content["low_mm"] < content["corrected_mm"] < content["high_mm"]
     assert f"Distance: {content['corrected_mm']:.3f} mm." in text
 
@@ -379,7 +373,7 @@ def test_the_budget_of_a_biased_model_begins_with_the_corrected_distance_inside_
 def test_a_spots_file_has_the_interval_which_contains_the_truth_where_the_model_errs(stack):
     # The small-plane model errs by 0.3 to 0.5 mm here; the interval is about the corrected one.
     out = stack / "spots.csv"
-    run("track", *options(stack), "--out", out)
+    printed("track", *options(stack), "--out", out)
     # In the first frame the robot has not moved yet, and the true calibration has no errors.
     records, labels = read_spots(out), read_stack(stack / "stack").labels
     assert [record.largest_cause for record in records] == ["image", "clock", "clock", "clock"]

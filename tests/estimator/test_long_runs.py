@@ -17,15 +17,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import eyespot
 from estimator import SubpixelSettings, track, track_source, track_whole_source
 from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.command_line import EYESPOT, printed, run
 from tests.drawn_recording import SHAPE, new_reader, write_folder
-
-EYESPOT = Path(sys.executable).with_name("eyespot")
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +68,6 @@ eyespot.main()
 
 def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
     monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
     caplog: pytest.LogCaptureFixture,
     tmp_path: Path,
     frames: Path,
@@ -87,14 +84,11 @@ def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
 
     out = tmp_path / "spots.csv"
     monkeypatch.setattr(reader_module, "measure", with_a_bug)
-    monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", f"{out}", "--json"])
-    with pytest.raises(SystemExit) as ended:
-        eyespot.main()
-    said = capsys.readouterr()
-    assert ended.value.code == 1
-    assert "2 frames met a bug in eyespot" in said.err
-    assert json.loads(said.out)["no_spot"] == {"internal_error": 2}
-    assert json.loads(said.out)["ended"] == "complete"
+    ended = run("track", frames, "--out", out, "--json")
+    assert ended.exit_code == 1
+    assert "2 frames met a bug in eyespot" in ended.stderr
+    assert json.loads(ended.stdout)["no_spot"] == {"internal_error": 2}
+    assert json.loads(ended.stdout)["ended"] == "complete"
     lines = lines_of(out)
     assert lines[:3] == whole[:3]
     # The next spot is found from another first ellipse: less than the error of a spot, 0.01 px.
@@ -114,11 +108,7 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
     with monkeypatch.context() as patched:
         patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
         assert new_reader().read(images[0]).doubt == "internal_error"
-    out = f"{tmp_path / 'spots.csv'}"
-    monkeypatch.setattr(sys, "argv", ["eyespot", "track", f"{frames}", "--out", out])
-    with pytest.raises(SystemExit) as ended:
-        eyespot.main()
-    assert not ended.value.code
+    printed("track", frames, "--out", tmp_path / "spots.csv")
 
 
 @pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])

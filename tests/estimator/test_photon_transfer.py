@@ -9,7 +9,7 @@ from formats.inputs import InputError
 from formats.microscope import read_microscope
 from scenes.camera import CameraSensor
 from scenes.description.scene import Scene
-from tests.command_line import call
+from tests.command_line import printed
 from tests.made_up import a_microscope_file
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
@@ -68,9 +68,7 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
             cv2.imwrite(f"{folder}/{number}{k}.png", frame[..., ::-1])
     microscope = a_microscope_file(tmp_path)
     out = tmp_path / "with_camera.json"
-    options = [str(folder), "--microscope", str(microscope), "--out", str(out)]
-    result = call(["camera", *options])
-    assert result.exit_code == 0, result.output
+    printed("camera", folder, "--microscope", microscope, "--out", out)
     noise = read_microscope(out).noise
     assert noise is not None
     # Half a full well: shot noise of 4,000 electrons, 1 % of PRNU, read noise, and a twelfth of the

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import math
 import os
 import signal
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import eyespot
 from estimator import LiteralSettings, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
 from estimator.run.overlay import annotated, overlay_writer
@@ -32,6 +30,7 @@ from formats.poses import Pose
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
 from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
+from tests import command_line
 from tests.drawn_recording import (
     GONE,
     SHAPE,
@@ -46,29 +45,9 @@ from tests.drawn_recording import (
 from tests.drawn_sets import labels_of
 from tests.made_up import a_calibration, a_microscope_file
 
-EYESPOT = Path(sys.executable).with_name("eyespot")
+run = functools.partial(command_line.run, "track")
 SCALE_MM_PX = 0.0067
 NOTHING = NoSpot(Reason.NONE_FOUND)
-
-
-class Outcome(NamedTuple):
-    code: int
-    out: str
-    err: str
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs `eyespot track` in this process."""
-
-    def run_here(*arguments):
-        monkeypatch.setattr(sys, "argv", ["eyespot", "track", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as exit_:
-            eyespot.main()
-        return Outcome(int(exit_.value.code or 0), *capsys.readouterr())
-
-    return run_here
 
 
 @pytest.fixture(scope="module")
@@ -116,9 +95,9 @@ def calibration(tmp_path) -> Path:
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_the_file_holds_what_the_tracker_measures(run, tmp_path, frames, images, suffix):
+def test_the_file_holds_what_the_tracker_measures(tmp_path, frames, images, suffix):
     out = tmp_path / f"spots{suffix}"
-    assert run(frames, "--out", out).code == 0
+    assert run(frames, "--out", out).exit_code == 0
     records = read_spots(out)
     assert_same(records, list(track(images, SubpixelSettings())))
     assert [record.file_name for record in records] == [f"{k}.png" for k in range(8)]
@@ -126,7 +105,7 @@ def test_the_file_holds_what_the_tracker_measures(run, tmp_path, frames, images,
     assert all(math.isnan(record.distance_mm) for record in records)
 
 
-def test_parquet_has_typed_columns_and_nulls(run, tmp_path, frames):
+def test_parquet_has_typed_columns_and_nulls(tmp_path, frames):
     pyarrow = pytest.importorskip("pyarrow.parquet")
     out = tmp_path / "spots.parquet"
     run(frames, "--out", out)
@@ -155,35 +134,35 @@ def test_parquet_of_something_else_is_refused(tmp_path):
         read_spots(path)
 
 
-def test_literal_mode_starts_at_the_point_that_is_given(run, tmp_path, frames, images):
+def test_literal_mode_starts_at_the_point_that_is_given(tmp_path, frames, images):
     out = tmp_path / "spots.csv"
-    assert run(frames, "--out", out, "--mode", "literal", "--start", "70,80").code == 0
+    assert run(frames, "--out", out, "--mode", "literal", "--start", "70,80").exit_code == 0
     assert_same(read_spots(out), list(track(images, LiteralSettings(), start=(70, 80))))
 
 
-def test_json_is_one_object_and_counts_every_frame(run, tmp_path, frames):
+def test_json_is_one_object_and_counts_every_frame(tmp_path, frames):
     outcome = run(frames, "--out", tmp_path / "spots.csv", "--json")
-    summary = json.loads(outcome.out)
+    summary = json.loads(outcome.stdout)
     assert summary["frames"] == 8
     assert summary["spots"] == 7
     assert summary["no_spot"] == {"none_found": 1}
     assert summary["ended"] == "complete"
-    assert outcome.err == ""
+    assert outcome.stderr == ""
 
 
-def test_the_table_counts_by_reason(run, tmp_path, frames):
-    words = run(frames, "--out", tmp_path / "spots.csv").out
+def test_the_table_counts_by_reason(tmp_path, frames):
+    words = run(frames, "--out", tmp_path / "spots.csv").stdout
     for row in (("spot", "7"), ("no spot: none found", "1"), ("all", "8")):
         assert any(all(part in line for part in row) for line in words.splitlines()), row
     assert f"Wrote {tmp_path / 'spots.csv'}." in words
 
 
 def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
-    run, tmp_path, frames, images, microscope, calibration
+    tmp_path, frames, images, microscope, calibration
 ):
     out = tmp_path / "spots.csv"
     options = ("--calibration", calibration, "--microscope", microscope)
-    summary = json.loads(run(frames, "--out", out, *options, "--json").out)
+    summary = json.loads(run(frames, "--out", out, *options, "--json").stdout)
     assert summary["distances"] == 7
     records = read_spots(out)
     assert_same(records, list(track(images, SubpixelSettings(response=Response(curve="srgb")))))
@@ -203,7 +182,7 @@ def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
     assert summary["doubtful_distances"] == {"out_of_range": 4}
 
 
-def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, microscope):
+def test_a_stack_brings_its_microscope_and_its_exposures(tmp_path, images, microscope):
     folder, out = tmp_path / "stack", tmp_path / "spots.csv"
     with StackWriter(folder) as writer:
         writer.describe(stack={}, microscope=json.loads(microscope.read_text()))
@@ -215,28 +194,28 @@ def test_a_stack_brings_its_microscope_and_its_exposures(run, tmp_path, images, 
     settings = SubpixelSettings(response=Response(curve="srgb"))
     usual = run(folder, "--out", tmp_path / "usual.csv", "--json")
     said = "Reading the exposure metered (the stack also has paper); --exposure chooses."
-    assert usual.code == 0
-    assert usual.err.count(said) == 1
+    assert usual.exit_code == 0
+    assert usual.stderr.count(said) == 1
     assert_same(read_spots(tmp_path / "usual.csv"), list(track(images, settings)))
     chosen = run(folder, "--out", out, "--exposure", "paper")
-    assert chosen.code == 0
-    assert "--exposure" not in chosen.err
+    assert chosen.exit_code == 0
+    assert "--exposure" not in chosen.stderr
     records = read_spots(out)
     assert_same(records, list(track([image // 2 for image in images], settings)))
     assert [record.time_s for record in records] == [k / 10 for k in range(8)]
 
 
-def test_a_distorted_lens_is_taken_out_of_the_spots(run, tmp_path, frames, images, distorted):
+def test_a_distorted_lens_is_taken_out_of_the_spots(tmp_path, frames, images, distorted):
     out = tmp_path / "spots.csv"
-    assert run(frames, "--out", out, "--microscope", distorted, *EYE).code == 0
+    assert run(frames, "--out", out, "--microscope", distorted, *EYE).exit_code == 0
     assert_same(read_spots(out), list(track(images, SubpixelSettings(camera=CAMERA))))
 
 
-def test_poses_leave_their_age_beside_the_frames(run, tmp_path, images):
+def test_poses_leave_their_age_beside_the_frames(tmp_path, images):
     video, poses, out = tmp_path / "video.avi", tmp_path / "poses.csv", tmp_path / "spots.csv"
     write_video(video, images, hz=10.0)
     poses.write_text("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0.15,0,0,0,0,0,-1\n")
-    summary = json.loads(run(video, "--out", out, "--poses", poses, "--json").out)
+    summary = json.loads(run(video, "--out", out, "--poses", poses, "--json").stdout)
     ages = [record.pose_age_s for record in read_spots(out)]
     expected = [math.nan, math.nan, 0.05, 0.15, 0.25, 0.35, 0.45, 0.55]
     assert ages == pytest.approx(expected, nan_ok=True)
@@ -245,7 +224,7 @@ def test_poses_leave_their_age_beside_the_frames(run, tmp_path, images):
 
 @pytest.mark.slow
 def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
-    run, tmp_path, frames, images, microscope, calibration
+    tmp_path, frames, images, microscope, calibration
 ):
     bag, out = tmp_path / "rig.bag", tmp_path / "spots.csv"
     turn = Rotation.from_euler("xyz", [0.4, -0.2, 0.3])  # from the robot to the eye
@@ -267,7 +246,7 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
     quaternion = ",".join(map(repr, turn.as_quat().tolist()))
     options = ("--calibration", askew, "--microscope", microscope, "--model", "exact")
     known = ("--poses", bag, f"--eye-from-robot={quaternion}")
-    assert run(bag, "--out", out, *options, *known).code == 0
+    assert run(bag, "--out", out, *options, *known).exit_code == 0
     ranger = Ranger(read_calibration(askew), read_microscope(microscope), model="exact")
     for record in read_spots(out):
         assert isinstance(record.result, Spot)
@@ -308,9 +287,9 @@ def on_the_contour(points: np.ndarray, ellipse: Truth | Spot) -> np.ndarray:
     return off[off > -15]
 
 
-def test_the_overlay_folder_shows_each_ellipse_where_the_spot_is(run, tmp_path, frames, images):
+def test_the_overlay_folder_shows_each_ellipse_where_the_spot_is(tmp_path, frames, images):
     folder = tmp_path / "overlay"
-    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", folder).code == 0
+    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", folder).exit_code == 0
     pictures = sorted(folder.iterdir())
     assert [path.name for path in pictures] == [f"{k:06d}.png" for k in range(8)]
     for k, path in enumerate(pictures):
@@ -352,9 +331,9 @@ def test_an_overlay_is_as_bright_as_its_frame(dtype):
 
 
 @pytest.mark.parametrize("name", ["overlay.mp4", "overlay.avi"])
-def test_the_overlay_video_has_every_frame(run, tmp_path, frames, name):
+def test_the_overlay_video_has_every_frame(tmp_path, frames, name):
     video = tmp_path / name
-    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", video).code == 0
+    assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", video).exit_code == 0
     capture = cv2.VideoCapture(str(video))
     count = 0
     while True:
@@ -365,14 +344,6 @@ def test_the_overlay_video_has_every_frame(run, tmp_path, frames, name):
         count += 1
     capture.release()
     assert count == 8
-
-
-def assert_bad_input(outcome: Outcome, *words: str) -> None:
-    assert outcome.code == 2, outcome.err
-    assert outcome.err.startswith("eyespot: ")
-    assert len(outcome.err.splitlines()) == 1
-    for word in words:
-        assert word in outcome.err
 
 
 @pytest.mark.parametrize(
@@ -398,7 +369,7 @@ def assert_bad_input(outcome: Outcome, *words: str) -> None:
     ],
 )
 def test_bad_input_is_one_message_and_leaves_nothing_behind(
-    run, monkeypatch, tmp_path, frames, distorted, calibration, options, words
+    monkeypatch, tmp_path, frames, distorted, calibration, options, words
 ):
     poses = tmp_path / "poses.csv"
     poses.write_text("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n0,0,0,0,0,0,-1\n")
@@ -407,47 +378,47 @@ def test_bad_input_is_one_message_and_leaves_nothing_behind(
     monkeypatch.chdir(tmp_path)
     arguments = [files.get(option, option) for option in options]
     outcome = run(frames, "--out", "spots.csv", *arguments)
-    assert_bad_input(outcome, *words)
+    outcome.assert_bad_input(*words)
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_start_may_be_told_to_be_searched_for_and_may_be_negative(run, tmp_path, frames):
-    assert run(frames, "--out", tmp_path / "a.csv", "--start", "auto").code == 0
+def test_a_start_may_be_told_to_be_searched_for_and_may_be_negative(tmp_path, frames):
+    assert run(frames, "--out", tmp_path / "a.csv", "--start", "auto").exit_code == 0
     outcome = run(frames, "--out", tmp_path / "b.csv", "--start", "-5,3")
-    assert_bad_input(outcome, "(-5, 3) px", "200x160 px")
+    outcome.assert_bad_input("(-5, 3) px", "200x160 px")
 
 
-def test_a_microscope_of_another_frame_size_is_refused(run, tmp_path, frames, microscope):
+def test_a_microscope_of_another_frame_size_is_refused(tmp_path, frames, microscope):
     microscope.write_text(microscope.read_text().replace("200", "640", 1))
     outcome = run(frames, "--out", tmp_path / "spots.csv", "--microscope", microscope)
-    assert_bad_input(outcome, "200x160 px", "640x160 px")
+    outcome.assert_bad_input("200x160 px", "640x160 px")
 
 
 @pytest.mark.parametrize("option", ["--out", "--overlay"])
-def test_nothing_is_written_over(run, tmp_path, frames, option):
+def test_nothing_is_written_over(tmp_path, frames, option):
     there = tmp_path / ("there.csv" if option == "--out" else "there")
     there.write_text("precious")
     options = {"--out": tmp_path / "spots.csv"} | {option: there}
     outcome = run(frames, *(part for pair in options.items() for part in pair))
-    assert_bad_input(outcome, f"{there} already exists")
+    outcome.assert_bad_input(f"{there} already exists")
     assert there.read_text() == "precious"
 
 
-def test_a_source_that_breaks_leaves_its_frames_and_one_message(run, tmp_path, frames, images):
+def test_a_source_that_breaks_leaves_its_frames_and_one_message(tmp_path, frames, images):
     broken, out = frames / "5.png", tmp_path / "spots.csv"
     broken.write_bytes(broken.read_bytes()[:1000])
     outcome = run(frames, "--out", out, "--overlay", tmp_path / "overlay", "--json")
-    assert_bad_input(outcome, "5.png (frame 5) is truncated", f"{out} holds the 5 frames before")
-    assert json.loads(outcome.out)["ended"] == "broken"
+    outcome.assert_bad_input("5.png (frame 5) is truncated", f"{out} holds the 5 frames before")
+    assert json.loads(outcome.stdout)["ended"] == "broken"
     assert_same(read_spots(out), list(track(images[:5], SubpixelSettings())))
     assert len(list((tmp_path / "overlay").iterdir())) == 5
 
 
-def test_frames_of_two_sizes_do_not_fit_into_one_video(run, tmp_path, frames, images):
+def test_frames_of_two_sizes_do_not_fit_into_one_video(tmp_path, frames, images):
     cv2.imwrite(str(frames / "3.png"), np.zeros((90, 90), np.uint8))
     video = tmp_path / "video.mp4"
     outcome = run(frames, "--unrelated", "--out", tmp_path / "spots.csv", "--overlay", video)
-    assert_bad_input(outcome, "one size", "Choose a folder")
+    outcome.assert_bad_input("one size", "Choose a folder")
     assert len(read_spots(tmp_path / "spots.csv")) == 3
 
 
@@ -455,21 +426,16 @@ def test_a_real_process_prints_one_line_for_a_broken_video(tmp_path):
     """OpenCV and FFmpeg say nothing of their own beside it."""
     path = tmp_path / "video.mp4"
     path.write_bytes(b"\0\0\0\x18ftypmp42" + bytes(500))
-    child = subprocess.run(
-        [EYESPOT, "track", path, "--out", tmp_path / "spots.csv"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert_bad_input(Outcome(child.returncode, child.stdout, child.stderr), str(path))
+    done = command_line.run_process("track", path, "--out", tmp_path / "spots.csv")
+    done.assert_bad_input(str(path))
 
 
 def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames, images):
-    out, count = tmp_path / "spots.csv", len(images)
+    out, overlay, count = tmp_path / "spots.csv", tmp_path / "overlay.mp4", len(images)
     for index in range(count, 4000):  # some twenty seconds, if nobody stops it
         os.link(frames / f"{index % count}.png", frames / f"{index}.png")
     child = subprocess.Popen(
-        [EYESPOT, "track", frames, "--out", out, "--overlay", tmp_path / "overlay.mp4"],
+        [command_line.EYESPOT, "track", frames, "--out", out, "--overlay", overlay],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -547,11 +513,11 @@ def far_apart() -> list[np.ndarray]:
     return [frame_of(Drawing(truth=place), rng, SHAPE) for place in places]
 
 
-def spots_of(run, folder: Path, names: list[str], out: Path, *options: str) -> tuple[dict, list]:
+def spots_of(folder: Path, names: list[str], out: Path, *options: str) -> tuple[dict, list]:
     folder.mkdir()
     for name, image in zip(names, far_apart(), strict=True):
         assert cv2.imwrite(str(folder / name), opencv_order(image))
-    summary = json.loads(run(folder, "--out", out, "--json", *options).out)
+    summary = json.loads(run(folder, "--out", out, "--json", *options).stdout)
     return summary, read_spots(out)
 
 
@@ -565,10 +531,8 @@ def spots_of(run, folder: Path, names: list[str], out: Path, *options: str) -> t
         (["eye.png", "phantom.png"], ["--sequence"], False),
     ],
 )
-def test_images_that_are_not_counted_are_measured_one_by_one(
-    run, tmp_path, names, options, unrelated
-):
-    summary, results = spots_of(run, tmp_path / "images", names, tmp_path / "spots.csv", *options)
+def test_images_that_are_not_counted_are_measured_one_by_one(tmp_path, names, options, unrelated):
+    summary, results = spots_of(tmp_path / "images", names, tmp_path / "spots.csv", *options)
     assert summary["unrelated"] == unrelated
     settings = SubpixelSettings()
     by_itself = [next(track([image], settings)) for image in far_apart()]
@@ -577,11 +541,11 @@ def test_images_that_are_not_counted_are_measured_one_by_one(
     assert_same(results, expected)
 
 
-def test_three_numbers_with_a_gap_are_no_recording(run, tmp_path):
+def test_three_numbers_with_a_gap_are_no_recording(tmp_path):
     folder = write_folder(tmp_path / "images", far_apart()[:1] * 7, "IMG_{}.png")
     for number in (0, 3, 4, 5):
         (folder / f"IMG_{number}.png").unlink()
-    summary = json.loads(run(folder, "--out", tmp_path / "spots.csv", "--json").out)
+    summary = json.loads(run(folder, "--out", tmp_path / "spots.csv", "--json").stdout)
     assert summary["unrelated"]
 
 
@@ -594,7 +558,7 @@ def test_an_image_of_another_size_begins_a_new_sequence():
     np.testing.assert_equal(vars(reader.read(large).result), vars(alone))
 
 
-def test_the_table_says_how_the_images_were_taken(run, tmp_path):
+def test_the_table_says_how_the_images_were_taken(tmp_path):
     folder = write_folder(tmp_path / "images", far_apart(), "{}.png")
-    assert "--unrelated" in run(folder, "--out", tmp_path / "a.csv").out
-    assert "--sequence" in run(folder, "--out", tmp_path / "b.csv", "--unrelated").out
+    assert "--unrelated" in run(folder, "--out", tmp_path / "a.csv").stdout
+    assert "--sequence" in run(folder, "--out", tmp_path / "b.csv", "--unrelated").stdout

@@ -17,7 +17,7 @@ from estimator.viewer import check_recording_path, record_stack
 from formats.spots import Spot, read_spots
 from formats.stack import read_stack
 from scenes import load_scene, render_stack
-from tests.command_line import call
+from tests.command_line import printed
 from tests.drawn_sets import labels_of, write_stack
 
 
@@ -46,9 +46,7 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
 ) -> None:
     recording, spots = tmp_path / "a.rrd", tmp_path / "spots.csv"
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
-    command = ["track", str(stack), "--out", str(spots), "--rerun", str(recording)]
-    done = call(command)
-    assert done.exit_code == 0, done.output
+    printed("track", stack, "--out", spots, "--rerun", recording)
     columns, records = columns_of(recording), read_spots(spots)
     for record, labels in zip(records, read_stack(stack).labels, strict=True):
         (centre,) = columns["/microscope/spot/centre:Points2D:positions"][record.frame]
@@ -79,9 +77,7 @@ def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path:
     )
     stack, recording = tmp_path / "stack", tmp_path / "fit.rrd"
     render_stack(scene, stack)
-    command = ["fit", str(stack), "--model", "cone", "--out", str(tmp_path / "cone.json")]
-    done = call([*command, "--rerun", str(recording)])
-    assert done.exit_code == 0, done.output
+    printed("fit", stack, "--model", "cone", "--out", tmp_path / "c.json", "--rerun", recording)
     columns = columns_of(recording)
     measured = columns["/distance/measured:Scalars:scalars"]
     robot = columns["/distance/robot:Scalars:scalars"]

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import resource
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,8 +13,8 @@ import pytest
 
 from estimator.run.exit_codes import message_of
 from tests.bad_input import TARGETS, VALUES, given_value, samples, spoilt
+from tests.command_line import run_process
 
-EYESPOT = Path(sys.executable).with_name("eyespot")
 _LONGEST_S = 2.0
 _MOST_KB = 2**20
 
@@ -134,15 +132,13 @@ COMMANDS: dict[str, tuple[str, ...]] = {
 def outcome(folder: Path, command: tuple[str, ...]) -> tuple[int, str, float]:
     """Exit code, stderr and processor time of a command."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    child = subprocess.run(
-        [EYESPOT, *command], cwd=folder, capture_output=True, text=True, check=False, timeout=120
-    )
+    child = run_process(*command, cwd=folder)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     # Decoders of images, which are written in C, also print a word of their own.
     theirs = ("libpng", "Corrupt JPEG data", "[")
     own = [line for line in child.stderr.splitlines() if not line.startswith(theirs)]
-    return child.returncode, "\n".join(own), spent
+    return child.exit_code, "\n".join(own), spent
 
 
 @pytest.mark.slow

@@ -5,68 +5,16 @@ from __future__ import annotations
 import errno
 import importlib.metadata
 import os
-import subprocess
-import sys
-from pathlib import Path
-from typing import NamedTuple
 
 import pydantic
 import pytest
 
-import eyespot
 from eyespot.command_line import COMMANDS
 from formats.inputs import InputError
 from scenes.machine import doctor
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
 from scenes.machine.variant import RendererUnavailable
-from tests.command_line import WORDS, command_of, options_of
-
-# The installed command; `python -m eyespot` would search the current folder for packages first.
-EYESPOT = Path(sys.executable).with_name("eyespot")
-
-
-class Outcome(NamedTuple):
-    """What a command left behind."""
-
-    code: int
-    out: str
-    err: str
-
-
-def run_process(*arguments, **environment):
-    """Runs the command as a person does, with additions to the environment."""
-    child = subprocess.run(
-        [EYESPOT, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"COLUMNS": "400"} | environment,
-    )
-    return Outcome(child.returncode, child.stdout, child.stderr)
-
-
-@pytest.fixture
-def run(monkeypatch, capsys):
-    """Runs a command in this process, which has loaded JAX already."""
-    monkeypatch.setenv("COLUMNS", "400")
-
-    def run_here(*arguments):
-        monkeypatch.setattr(sys, "argv", ["eyespot", *map(str, arguments)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as exit_:
-            eyespot.main()
-        return Outcome(int(exit_.value.code or 0), *capsys.readouterr())
-
-    return run_here
-
-
-def assert_bad_input(outcome, *words):
-    """Exit code 2 and one message that holds the words, without a traceback."""
-    assert outcome.code == 2, outcome.err
-    assert outcome.err.startswith("eyespot: ")
-    assert "Traceback" not in outcome.err
-    for word in words:
-        assert word in outcome.err
+from tests.command_line import WORDS, command_of, options_of, run, run_process
 
 
 def fail_with(monkeypatch, error):
@@ -78,18 +26,18 @@ def fail_with(monkeypatch, error):
     monkeypatch.setattr(importlib.metadata, "version", raise_error)
 
 
-def test_version_is_that_of_the_distribution(run):
-    assert run("version").out.strip() == importlib.metadata.version("eyespot")
+def test_version_is_that_of_the_distribution():
+    assert run("version").stdout.strip() == importlib.metadata.version("eyespot")
 
 
 def test_the_list_of_commands_is_read_without_importing_any(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     for group, functions in COMMANDS.items():
         ended = run_process(*filter(None, [group, "--help"]))
-        assert ended.code == 0
+        assert ended.exit_code == 0
         for function, about in functions.items():
-            assert function.rpartition(":")[2].replace("_", "-") in ended.out
-            assert about in ended.out
+            assert function.rpartition(":")[2].replace("_", "-") in ended.stdout
+            assert about in ended.stdout
 
 
 @pytest.mark.parametrize("words", WORDS)
@@ -101,52 +49,52 @@ def test_every_option_of_every_command_is_explained_in_a_sentence(words):
 
 
 @pytest.mark.parametrize("words", WORDS)
-def test_the_help_of_a_command_is_its_docstring(run, words):
-    listed = run(*words.split(), "--help").out
+def test_the_help_of_a_command_is_its_docstring(words):
+    listed = run(*words.split(), "--help").stdout
     first_line, *_ = (command_of(words).default_command.__doc__ or "-").splitlines()
     assert first_line in " ".join(listed.split())
 
 
 @pytest.mark.parametrize("words", ["study eccentricity", "validate", "fit"])
-def test_the_help_needs_no_library_that_computes(run, words):
+def test_the_help_needs_no_library_that_computes(words):
     # In this process everything is loaded; in a new one the libraries are stood in for.
     assert run_process(*words.split(), "--help") == run(*words.split(), "--help")
 
 
-def test_an_unknown_option_is_bad_input(run):
-    assert run("version", "--colour").code == 2
+def test_an_unknown_option_is_bad_input():
+    assert run("version", "--colour").exit_code == 2
 
 
 @pytest.mark.parametrize("command", [["scene", "check"], ["render", "--out", "out"]])
-def test_a_missing_scene_file_is_bad_input(run, tmp_path, command):
+def test_a_missing_scene_file_is_bad_input(tmp_path, command):
     scene = tmp_path / "missing.toml"
-    assert_bad_input(run(*command, scene), str(scene))
+    run(*command, scene).assert_bad_input(str(scene))
 
 
-def test_a_new_scene_file_is_fine_and_is_not_written_over(run, tmp_path):
+def test_a_new_scene_file_is_fine_and_is_not_written_over(tmp_path):
     scene = tmp_path / "scene.toml"
-    assert run("scene", "init", scene).code == 0
-    assert run("scene", "check", scene).code == 0
+    assert run("scene", "init", scene).exit_code == 0
+    assert run("scene", "check", scene).exit_code == 0
     before = scene.read_bytes()
-    assert_bad_input(run("scene", "init", scene), str(scene), "already exists")
+    run("scene", "init", scene).assert_bad_input(str(scene), "already exists")
     assert scene.read_bytes() == before
 
 
-def test_a_results_folder_that_cannot_be_made_is_bad_input(run, tmp_path):
+def test_a_results_folder_that_cannot_be_made_is_bad_input(tmp_path):
     # Permissions do not stop root; a file where a folder should be stops everybody.
     (tmp_path / "file").touch()
     out = tmp_path / "file" / "out"
-    assert_bad_input(run("validate", "--quick", "--out", out), str(tmp_path / "file"))
+    run("validate", "--quick", "--out", out).assert_bad_input(str(tmp_path / "file"))
 
 
 @pytest.mark.parametrize("command", ["render", "validate"])
-def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(run, tmp_path, command):
+def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, command):
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     run("scene", "init", scene)
     arguments = {"render": [scene], "validate": ["--quick"]}[command]
     environment = {ENVIRONMENT_VARIABLE: str(tmp_path / "libLLVM-19.so")}
     outcome = run_process(command, *arguments, "--out", out, **environment)
-    assert_bad_input(outcome, "no such file", "apt-get install libllvm19", "--variant scalar_rgb")
+    outcome.assert_bad_input("no such file", "apt-get install libllvm19", "--variant scalar_rgb")
     assert not out.exists()
 
 
@@ -154,7 +102,7 @@ def test_a_foreign_package_of_the_same_name_is_named_and_refused(tmp_path):
     foreign = tmp_path / "benchmarks"
     foreign.mkdir()
     (foreign / "__init__.py").touch()
-    assert_bad_input(run_process("version", PYTHONPATH=str(tmp_path)), str(foreign), "Uninstall")
+    run_process("version", PYTHONPATH=str(tmp_path)).assert_bad_input(str(foreign), "Uninstall")
 
 
 @pytest.mark.parametrize(
@@ -166,12 +114,12 @@ def test_a_foreign_package_of_the_same_name_is_named_and_refused(tmp_path):
         (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax is not"),
     ],
 )
-def test_an_expected_error_is_one_message_and_exit_code_2(run, monkeypatch, error, message):
+def test_an_expected_error_is_one_message_and_exit_code_2(monkeypatch, error, message):
     fail_with(monkeypatch, error)
-    assert_bad_input(run("version"), f"eyespot: {message}")
+    run("version").assert_bad_input(f"eyespot: {message}")
 
 
-def test_each_problem_of_a_settings_file_is_one_line(run, monkeypatch):
+def test_each_problem_of_a_settings_file_is_one_line(monkeypatch):
     class Eye(pydantic.BaseModel):
         radius_mm: float
         pinhole_mm: float
@@ -179,7 +127,7 @@ def test_each_problem_of_a_settings_file_is_one_line(run, monkeypatch):
     with pytest.raises(pydantic.ValidationError) as caught:
         Eye.model_validate({"radius_mm": "wide", "pinhole_mm": None})
     fail_with(monkeypatch, caught.value)
-    lines = run("version").err.splitlines()
+    lines = run("version").stderr.splitlines()
     assert len(lines) == 2
     assert "radius_mm" in lines[0]
     assert "'wide'" in lines[0]
@@ -187,28 +135,28 @@ def test_each_problem_of_a_settings_file_is_one_line(run, monkeypatch):
 
 
 @pytest.mark.parametrize("bug", [KeyError("semi_minor"), ValueError("math domain error")])
-def test_a_bug_keeps_its_traceback(run, monkeypatch, bug):
+def test_a_bug_keeps_its_traceback(monkeypatch, bug):
     fail_with(monkeypatch, bug)
     with pytest.raises(type(bug)):
         run("version")
 
 
-def test_the_environment_can_ask_for_the_traceback_of_an_expected_error(run, monkeypatch):
+def test_the_environment_can_ask_for_the_traceback_of_an_expected_error(monkeypatch):
     fail_with(monkeypatch, InputError("too large"))
     monkeypatch.setenv("EYESPOT_TRACEBACK", "1")
     with pytest.raises(InputError, match="too large"):
         run("version")
 
 
-def test_ctrl_c_ends_with_the_exit_code_of_an_interrupt(run, monkeypatch):
+def test_ctrl_c_ends_with_the_exit_code_of_an_interrupt(monkeypatch):
     fail_with(monkeypatch, KeyboardInterrupt())
-    assert run("version").code == 130  # 128 + SIGINT
+    assert run("version").exit_code == 130  # 128 + SIGINT
 
 
 def test_doctor_finds_the_main_variant_working():
     outcome = run_process("doctor")
-    assert outcome.code == 0, outcome.out
-    line = next(line for line in outcome.out.splitlines() if "llvm_ad_rgb" in line)
+    assert outcome.exit_code == 0, outcome.stdout
+    line = next(line for line in outcome.stdout.splitlines() if "llvm_ad_rgb" in line)
     assert "renders" in line
 
 
@@ -223,7 +171,7 @@ def test_doctor_names_a_refused_llvm_and_the_remedy(monkeypatch, tmp_path):
 
 
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("missing", 1)])
-def test_doctor_fails_only_where_something_needed_is_missing(run, monkeypatch, state, code):
+def test_doctor_fails_only_where_something_needed_is_missing(monkeypatch, state, code):
     finding = doctor.Finding("cores", "2", doctor.State(state))
     monkeypatch.setattr(doctor, "examine", lambda: [finding])
-    assert run("doctor").code == code
+    assert run("doctor").exit_code == code

@@ -7,11 +7,10 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
-EYESPOT = Path(sys.executable).with_name("eyespot")
+from tests.command_line import EYESPOT
 
 PATIENCE_S = 20.0
 """Far longer than a command may take to end, far shorter than it would take to finish."""
