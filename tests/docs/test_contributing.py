@@ -36,7 +36,7 @@ CHECKS = {
     ],
     "source": ["tests/estimator/test_sources.py", "-k", "array"],
 }
-HOUSE = ["tests/house/test_rooms.py", "-k", "face or itself"]
+HOUSE = ["tests/house/test_imports.py", "-k", "face or itself"]
 
 
 def changed_copy(name: str, folder: Path) -> Path:

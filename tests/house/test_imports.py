@@ -1,11 +1,10 @@
-"""Who may import whom, and what an import must not load."""
-
-from __future__ import annotations
+"""Who may import whom, what an import must not load, and what the packages' faces offer."""
 
 import ast
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections import defaultdict
+from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -36,57 +35,101 @@ MAY_BE_IMPORTED_BY = {
 
 # Where a spot becomes a distance, and the microscope that the others see the eye through.
 LATE_USERS_OF_OPTICS = {
-    "estimator/distance/cone.py",
-    "estimator/distance/lens_range.py",
-    "estimator/distance/ranger.py",
-    "estimator/distance/tilted_cone.py",
-    "formats/microscope.py",
+    "estimator.distance.cone",
+    "estimator.distance.lens_range",
+    "estimator.distance.ranger",
+    "estimator.distance.tilted_cone",
+    "formats.microscope",
 }
 
 
 class Import(NamedTuple):
-    """An imported module: its dotted name, its line, whether a function holds the statement, and
-    the names that are taken from it.
-    """
+    """A module that is imported, its line, whether in a function, and the names taken from it."""
 
     module: str
     line: int
-    late: bool
+    late: bool = False
     names: tuple[str, ...] = ()
 
 
-def imports_of(source: str) -> Iterator[Import]:
-    """Every absolute import in the source, `importlib.import_module("...")` among them.
+def imports_of(tree):
+    """Every absolute import, `importlib.import_module("...")` among them.
 
     What stands under `if TYPE_CHECKING:` is read by type checkers and imported by nobody.
     """
 
-    def visit(node: ast.AST, late: bool) -> Iterator[Import]:
+    def visit(node, late):
+        children = ast.iter_child_nodes(node)
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
-            for otherwise in node.orelse:
-                yield from visit(otherwise, late)
-            return
-        if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield Import(alias.name, node.lineno, late)
-        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            children = iter(node.orelse)
+        elif isinstance(node, ast.Import):
+            yield from (Import(alias.name, node.lineno, late) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names = tuple(alias.name for alias in node.names)
             yield Import(node.module, node.lineno, late, names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
-            called = ast.unparse(node.func)
-            if called in {"importlib.import_module", "import_module", "__import__"}:
+            if ast.unparse(node.func).endswith(("import_module", "__import__")):
                 yield Import(str(node.args[0].value), node.lineno, late)
         late = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
-        for child in ast.iter_child_nodes(node):
+        for child in children:
             yield from visit(child, late)
 
-    yield from visit(ast.parse(source), late=False)
+    return list(visit(tree, late=False))
 
 
-def imports_of_package(package: str) -> Iterator[tuple[str, Import]]:
-    for path in sorted((HOME / package).rglob("*.py")):
-        for found in imports_of(path.read_text(encoding="utf-8")):
-            yield path.relative_to(HOME).as_posix(), found
+def module_of(path):
+    parts = path.relative_to(HOME).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+MODULES = {
+    module_of(path): path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))
+}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+IMPORTS = {name: imports_of(tree) for name, tree in TREES.items()}
+ROOMS = {module for module, path in MODULES.items() if path.name == "__init__.py"}
+
+
+def top(module):
+    return module.partition(".")[0]
+
+
+def room_of(module):
+    """The folder of a module; a file that lies directly in a package is a room of its own."""
+    parent = module.rpartition(".")[0]
+    return module if module in ROOMS or parent in PACKAGES else parent
+
+
+def face(room):
+    """The public names of a room, each with the module or room that it comes from."""
+    stub = MODULES[room].with_suffix(".pyi")
+    found = {}
+    for node in ast.parse(stub.read_text(encoding="utf-8")).body if stub.exists() else ():
+        assert isinstance(node, ast.ImportFrom), f"{stub}: a face only imports"
+        for alias in node.names:
+            found[alias.name] = f"{room}.{node.module or alias.name}"
+    return found
+
+
+FACES = {room: face(room) for room in ROOMS}
+
+
+def home_of(module, name):
+    """The module in which an imported name is defined, looked up through the faces."""
+    while name in FACES.get(module, {}):
+        module = FACES[module][name]
+    return f"{module}.{name}" if f"{module}.{name}" in MODULES else module
+
+
+def homes_imported_by(module):
+    """Modules of its own package that a module imports, late ones included."""
+    homes = {
+        home_of(found.module, name)
+        for found in IMPORTS[module]
+        if top(found.module) == top(module)
+        for name in found.names or ("",)
+    }
+    return homes - {module}
 
 
 def test_every_form_of_import_is_seen():
@@ -102,7 +145,7 @@ def test_every_form_of_import_is_seen():
         "else:\n"
         "    import calibration\n"
     )
-    assert list(imports_of(source)) == [
+    assert imports_of(ast.parse(source)) == [
         ("jax.numpy", 1, False, ()),
         ("os", 1, False, ()),
         ("optics", 2, False, ("planar",)),
@@ -112,48 +155,102 @@ def test_every_form_of_import_is_seen():
     ]
 
 
-@pytest.mark.parametrize("package", PACKAGES)
-def test_a_package_imports_only_what_the_table_allows(package):
-    broken = []
-    for path, (module, line, _, _) in imports_of_package(package):
-        top = module.partition(".")[0]
-        ours_forbidden = top in PACKAGES and top not in MAY_IMPORT_OF_OURS[package] | {package}
-        theirs_forbidden = package not in MAY_BE_IMPORTED_BY.get(top, {package})
-        if ours_forbidden or theirs_forbidden:
-            broken.append(f"{path}:{line} imports {module}")
-    assert not broken
+def allowed(package, imported):
+    if imported in PACKAGES:
+        return imported == package or imported in MAY_IMPORT_OF_OURS[package]
+    return package in MAY_BE_IMPORTED_BY.get(imported, PACKAGES)
+
+
+def test_a_package_imports_only_what_the_table_allows():
+    assert not [
+        f"{module}:{found.line} imports {found.module}"
+        for module, imports in IMPORTS.items()
+        for found in imports
+        if not allowed(top(module), top(found.module))
+    ]
 
 
 def test_optics_is_imported_late_and_only_where_a_spot_becomes_a_distance():
-    late = [
-        (path, imported)
-        for package in ("formats", "estimator")
-        for path, imported in imports_of_package(package)
+    found = {
+        module: [one for one in imports if one.module.startswith(("optics", "estimator.pixels"))]
+        for module, imports in IMPORTS.items()
         # The mode pixels needs optics from its first line on, so it is imported late as a whole.
-        if not path.startswith("estimator/pixels/")
-        and imported.module.startswith(("optics", "estimator.pixels"))
-    ]
-    assert all(imported.late for _, imported in late)
-    of_optics = {path for path, imported in late if imported.module.startswith("optics")}
-    assert of_optics == LATE_USERS_OF_OPTICS
+        if top(module) in ("formats", "estimator") and not module.startswith("estimator.pixels")
+    }
+    assert all(one.late for imports in found.values() for one in imports)
+    users = {name for name, imports in found.items() for one in imports if "optics" in one.module}
+    assert users == LATE_USERS_OF_OPTICS
 
 
 def test_scenes_take_progress_and_recordings_from_the_estimator_and_nothing_else():
     taken = {
-        (module, name)
-        for _, (module, _, _, names) in imports_of_package("scenes")
-        if module.partition(".")[0] == "estimator"
-        for name in names
+        f"{found.module}.{name}"
+        for module, imports in IMPORTS.items()
+        for found in imports
+        if top(module) == "scenes" and top(found.module) == "estimator"
+        for name in found.names
     }
     assert taken == {
-        ("estimator.run.progress_bar", "progress"),
-        ("estimator.run.progress_bar", "say"),
-        ("estimator.viewer", "check_recording_path"),
-        ("estimator.viewer", "record_stack"),
+        "estimator.run.progress_bar.progress",
+        "estimator.run.progress_bar.say",
+        "estimator.viewer.check_recording_path",
+        "estimator.viewer.record_stack",
     }
 
 
-def modules_after(*steps: str) -> list[set[str]]:
+def test_what_a_face_offers_is_there_and_not_hidden_by_a_module_of_the_same_name():
+    broken = []
+    for room, names in FACES.items():
+        for name, home in names.items():
+            if home not in MODULES:
+                broken.append(f"{room} offers {name} from {home}, which does not exist")
+            elif home != f"{room}.{name}" and f"{room}.{name}" in MODULES:
+                broken.append(f"{room}.{name} is a module and a name of the face")
+            elif name.startswith("_"):
+                broken.append(f"{room} offers {name}, which is private")
+    assert not broken, "\n".join(broken)
+
+
+def test_no_module_and_no_room_imports_itself_by_way_of_others():
+    rooms = defaultdict(set)
+    for module in MODULES.keys() - ROOMS:
+        others = {room_of(home) for home in homes_imported_by(module)}
+        rooms[room_of(module)] |= others - {room_of(module)}
+    for graph in ({module: homes_imported_by(module) for module in MODULES}, rooms):
+        TopologicalSorter(graph).prepare()  # raises an error that names the circle
+
+
+def test_every_import_is_declared_and_every_dependency_is_used():
+    found = subprocess.run(
+        [sys.executable, "-m", "deptry", "."], cwd=HOME, capture_output=True, text=True, check=False
+    )
+    assert found.returncode == 0, found.stderr
+
+
+def test_a_class_name_has_one_meaning():
+    """In all packages; a leading underscore makes no other name."""
+    homes = defaultdict(list)
+    for module, tree in TREES.items():
+        for node in ast.walk(tree):
+            if isinstance(node, ast.ClassDef):
+                homes[node.name.lstrip("_")].append(module)
+    assert {name: where for name, where in homes.items() if len(where) > 1} == {}
+
+
+def test_what_a_user_can_correct_is_an_input_error():
+    """`raise ValueError` would be reported as a bug: only an InputError is bad input."""
+    raised = [
+        f"{module}:{node.lineno}"
+        for module, tree in TREES.items()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Raise)
+        and isinstance(node.exc, ast.Call)
+        and ast.unparse(node.exc.func) == "ValueError"
+    ]
+    assert raised == []
+
+
+def modules_after(*steps):
     """The modules that a new process has loaded after each of these statements."""
     code = "import sys\n" + "".join(f"{step}\nprint('LOADED', *sys.modules)\n" for step in steps)
     child = subprocess.run(
@@ -229,18 +326,3 @@ def test_no_help_loads_a_heavy_library():
     )
     (loaded,) = modules_after(code)
     assert not HEAVY & loaded
-
-
-def test_what_a_user_can_correct_is_an_input_error():
-    """`raise ValueError` would be reported as a bug: only an InputError is bad input."""
-    raised = [
-        f"{path}:{node.lineno}"
-        for package in PACKAGES
-        for path in sorted((HOME / package).rglob("*.py"))
-        for node in ast.walk(ast.parse(path.read_text()))
-        if isinstance(node, ast.Raise)
-        and isinstance(node.exc, ast.Call)
-        and isinstance(node.exc.func, ast.Name)
-        and node.exc.func.id == "ValueError"
-    ]
-    assert raised == []
