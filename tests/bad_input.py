@@ -1,7 +1,7 @@
-"""Mutations of files that people exchange, and every reader that may meet such a file.
+"""Mutations of files that people exchange.
 
-A case is a name of `TARGETS` and a seed. Most mutations know the format: they replace a value, drop
-a key or change a cell, so that the file gets past the parser and meets the rules behind it.
+Most know the format: they replace a value, drop a key or change a cell, so that the file gets past
+the parser and meets the rules behind it.
 """
 
 from __future__ import annotations
@@ -12,39 +12,16 @@ import io
 import json
 import math
 import os
-import shutil
 import struct
 import tomllib
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import cv2
 import numpy as np
 import tomli_w
-
-from benchmarks import study
-from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
-from benchmarks.sets.spec import load_spec, plan
-from calibration.command.choices import Choices
-from estimator import Frame
-from estimator.distance.ranger import Ranger
-from estimator.run.options import Options
-from estimator.sources.opening import open_source
-from estimator.sources.ros import write_bag
-from formats.calibration import read_calibration
-from formats.microscope import read_microscope
-from formats.poses import Pose, read_poses
-from formats.spots import read_spots
-from formats.stack import read_stack
-from optics import load_lens
-from scenes.description.scene_file import load_scene, scene_toml
-from scenes.walls.picture import wall_image
-from scenes.world.motion import frame_count, kinematics
-from scenes.world.world import World
 
 OLD = Path(__file__).with_name("files-0.1")
 """Files as version 0.1.0 wrote them."""
@@ -63,20 +40,6 @@ ODD: tuple[Any, ...] = (
     *({"uniform": [0, 1]}, {"uniform": [1, 0]}, {"choice": []}, {"kind": "scan"}, {"": {}}),
 )
 """Values of the wrong type, size or meaning."""
-
-
-class Target(NamedTuple):
-    """A file and the reader that meets it.
-
-    Attributes:
-        file: from the folder that `samples` makes; "" if the value is given on a command line.
-        form: of the content, a key of `_MUTATIONS`.
-        read: reads it, given the folder.
-    """
-
-    file: str
-    form: str
-    read: Callable[[Path], object]
 
 
 def mutated(data: bytes, form: str, rng: Rng) -> bytes:
@@ -124,49 +87,43 @@ def _of_bytes(data: bytes, rng: Rng) -> bytes:
     return bytes(changed)
 
 
-def _odd(rng: Rng) -> Any:
+def odd(rng: Rng) -> Any:
+    """One of `ODD`."""
     return copy.deepcopy(ODD[rng.integers(len(ODD))])
 
 
 def _places(tree: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
     yield path
-    if len(path) < 12:
+    if len(path) < 12 and isinstance(tree, dict | list):
         items = tree.items() if isinstance(tree, dict) else enumerate(tree)
-        if isinstance(tree, dict | list):
-            for key, value in [*items][:100]:
-                yield from _places(value, (*path, key))
+        for key, value in [*items][:100]:
+            yield from _places(value, (*path, key))
 
 
 def _of_tree(tree: Any, rng: Rng) -> Any:
     """Replace, remove, add or exchange values of a tree of objects and lists."""
-    places = [*_places(tree)] if isinstance(tree, dict | list) else [()]
+    places = [*_places(tree)]
     path = places[rng.integers(len(places))]
     if not path:
-        return _odd(rng) if rng.random() < 0.3 else _of_tree_at(tree, (), rng)
-    return _of_tree_at(tree, path, rng)
-
-
-def _of_tree_at(tree: Any, path: tuple[Any, ...], rng: Rng) -> Any:
-    if not path:
-        if isinstance(tree, dict):
-            tree[str(_odd(rng))[:300]] = _odd(rng)
-        return tree
-    above = tree
-    for key in path[:-1]:
-        above = above[key]
-    key = path[-1]
+        if rng.random() < 0.3 or not isinstance(tree, dict):
+            return odd(rng)
+        return tree | {str(odd(rng))[:300]: odd(rng)}
+    *above, key = path
+    parent = tree
+    for one in above:
+        parent = parent[one]
     match rng.integers(6):
         case 0:
-            del above[key]
-        case 1 if isinstance(above, dict):
-            above[f"{key}_"] = above.pop(key)
-        case 2 if isinstance(above, list):
-            above.insert(key, copy.deepcopy(above[key]))
-        case 3 if isinstance(above[key], int | float):
+            del parent[key]
+        case 1 if isinstance(parent, dict):
+            parent[f"{key}_"] = parent.pop(key)
+        case 2 if isinstance(parent, list):
+            parent.insert(key, copy.deepcopy(parent[key]))
+        case 3 if isinstance(parent[key], int | float):
             scale = rng.choice([-1.0, 0.0, 1e3, 1e-6, 1e12, 1.5])
-            above[key] = type(above[key])(above[key] * scale)
+            parent[key] = type(parent[key])(parent[key] * scale)
         case _:
-            above[key] = _odd(rng)
+            parent[key] = odd(rng)
     return tree
 
 
@@ -207,7 +164,7 @@ def _csv(data: bytes, rng: Rng) -> bytes:
         case 3:
             table.insert(row, table[row])
         case _:
-            table[row][column] = str(_odd(rng))
+            table[row][column] = str(odd(rng))
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(table)
     return text.getvalue().encode(errors="surrogatepass")
@@ -216,7 +173,7 @@ def _csv(data: bytes, rng: Rng) -> bytes:
 def _words(data: bytes, rng: Rng) -> bytes:
     """Replace a word of any text format."""
     words = data.decode().split(" ")
-    words[rng.integers(len(words))] = str(_odd(rng))
+    words[rng.integers(len(words))] = str(odd(rng))
     return " ".join(words).encode(errors="surrogatepass")
 
 
@@ -266,188 +223,6 @@ _FOREIGN = (
     b"frame," * 40_000,
 )
 """Contents of other formats, and content that is made to hurt a parser."""
-
-
-def _scene(folder: Path) -> None:
-    scene = load_scene(folder / "scene.toml")
-    scene_toml(scene)
-    world = World(scene)
-    if frame_count(scene) <= 1000:
-        kinematics(scene, world.motion)
-
-
-def _stack(folder: Path) -> None:
-    stack = read_stack(folder / "small-v1" / "train" / "0000")
-    for frame in open_source(stack.folder):
-        assert frame.image.size
-    for labels in stack.labels:
-        stack.mask(labels)
-    read_microscope(stack.folder / "microscope.json")
-    read_poses(stack.folder / "kinematics.csv")
-    stack.verify()
-
-
-def _set(folder: Path) -> None:
-    labelled = read_set(folder / "small-v1")
-    stacks_of(labelled.folder)
-    for row in rows(labelled):
-        row.line()
-    verify_set(labelled.folder)
-
-
-def _frames(name: str) -> Callable[[Path], None]:
-    def read(folder: Path) -> None:
-        for index, frame in enumerate(open_source(folder / name)):
-            assert frame.image.size
-            if index > 200:
-                break
-
-    return read
-
-
-def _bag(name: str) -> Callable[[Path], None]:
-    def read(folder: Path) -> None:
-        _frames(name)(folder)
-        read_poses(folder / name)
-
-    return read
-
-
-def _run(folder: Path) -> None:
-    os.close(study.claim(folder / "run", _SETTINGS, command="eyespot validate"))
-
-
-def _calibration(folder: Path) -> None:
-    calibration = read_calibration(folder / "calibration.json")
-    # The file of 0.1 was calibrated under a microscope of this scale.
-    microscope = replace(read_microscope(folder / "microscope.json"), scale_mm_px=0.0067)
-    Ranger(calibration, microscope)
-
-
-def _opencv(name: str) -> Callable[[Path], object]:
-    return lambda folder: read_microscope(
-        folder / name, pinhole_height_mm=200.0, eye_radius_mm=11.5
-    ).camera()
-
-
-def _wall(folder: Path) -> None:
-    wall_image(folder / "image.png", width_mm=24.0, white=0.5, extent_mm=24.0, pixels=64)
-
-
-_SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}
-_STACK = "small-v1/train/0000"
-TARGETS = {
-    "microscope": Target(
-        "microscope.json", "json", lambda f: read_microscope(f / "microscope.json")
-    ),
-    "opencv yaml": Target("camera.yml", "words", _opencv("camera.yml")),
-    "opencv xml": Target("camera.xml", "words", _opencv("camera.xml")),
-    "opencv json": Target("camera.json", "json", _opencv("camera.json")),
-    "calibration": Target("calibration.json", "json", _calibration),
-    "lens calibration": Target(
-        "calibration-lens.json", "json", lambda f: read_calibration(f / "calibration-lens.json")
-    ),
-    "scene": Target("scene.toml", "toml", _scene),
-    "spec": Target("spec.toml", "toml", lambda f: plan(load_spec(f / "spec.toml"))),
-    "lens": Target("lens.toml", "toml", lambda f: load_lens(f / "lens.toml")),
-    "stack": Target(f"{_STACK}/stack.toml", "toml", _stack),
-    "labels": Target(f"{_STACK}/metadata.jsonl", "jsonl", _stack),
-    "manifest": Target(f"{_STACK}/manifest.json", "json", _stack),
-    "stack's microscope": Target(f"{_STACK}/microscope.json", "json", _stack),
-    "stack's poses": Target(f"{_STACK}/kinematics.csv", "csv", _stack),
-    "frame": Target(f"{_STACK}/frames/000000.png", "png", _stack),
-    "mask": Target(f"{_STACK}/masks/000000.png", "png", _stack),
-    "set": Target("small-v1/set.json", "json", _set),
-    "set's manifest": Target("small-v1/manifest.json", "json", _set),
-    "set's stack": Target(f"{_STACK}/stack.toml", "toml", _set),
-    "run": Target("run/run.json", "json", _run),
-    "spots": Target("spots.csv", "csv", lambda f: read_spots(f / "spots.csv")),
-    "parquet": Target("spots.parquet", "bytes", lambda f: read_spots(f / "spots.parquet")),
-    "poses": Target("poses.csv", "csv", lambda f: read_poses(f / "poses.csv")),
-    "wall image": Target("image.png", "png", _wall),
-    "png": Target("image.png", "png", _frames("image.png")),
-    **{
-        kind: Target(f"image.{kind}", "bytes", _frames(f"image.{kind}"))
-        for kind in ("jpg", "bmp", "webp", "pgm", "jp2", "tif")
-    },
-    "video": Target("video.mp4", "bytes", _frames("video.mp4")),
-    "avi": Target("video.avi", "bytes", _frames("video.avi")),
-    "ros 1": Target("ros1.bag", "bytes", _bag("ros1.bag")),
-    "ros 2": Target("ros2/ros2.mcap", "bytes", _bag("ros2")),
-    "ros 2 metadata": Target("ros2/metadata.yaml", "words", _bag("ros2")),
-}
-"""Every kind of file that people exchange."""
-
-_KEYS = ("motion.kind", "motion", "camera.bit_depth", "spot", "microscope.width_px", "a.b.c", "")
-
-
-def given_value(name: str, rng: Rng) -> None:
-    """Give an odd value on a command line, to the function that reads it."""
-    value = str(_odd(rng)) if rng.random() < 0.5 else _toml_value(_odd(rng))
-    number = ",".join(str(_odd(rng))[:1000] for _ in range(rng.integers(1, 5)))
-    match name:
-        case "--set":
-            key = _KEYS[rng.integers(len(_KEYS))] if rng.random() < 0.9 else "a." * 1000
-            load_scene(None, [f"{key}={value}"])
-        case "--set of a spec":
-            load_spec("static-v1", [f"{_KEYS[rng.integers(len(_KEYS))]}={value}"])
-        case "--prior":
-            given = (f"eye_radius={number}", f"{value}=1,1")
-            assert Choices(prior=given[: rng.integers(1, 3)]).priors
-        case "--eye-from-robot":
-            assert Choices(eye_from_robot=number).rotation
-        case "options":
-            names = [*Options.model_fields, "more"]
-            Options.of({names[rng.integers(len(names))]: _odd(rng)})
-        case "source":
-            open_source(value.replace("\0", ""))
-
-
-VALUES = ("--set", "--set of a spec", "--prior", "--eye-from-robot", "options", "source")
-
-
-def _toml_value(value: Any) -> str:
-    try:
-        return tomli_w.dumps({"v": value}).removeprefix("v = ").strip()
-    except (TypeError, RecursionError):
-        return str(value)
-
-
-def samples(folder: Path) -> Path:
-    """A folder with a good file for every target."""
-    shutil.copytree(OLD, folder, dirs_exist_ok=True)
-    shutil.copyfile(folder / _STACK / "microscope.json", folder / "microscope.json")
-    shutil.copyfile(folder / _STACK / "kinematics.csv", folder / "poses.csv")
-    (folder / "lens.toml").write_text(
-        "schema = 1\n[lens]\ncore_radius = 0.25\nglue_length = 0.12\naperture_radius = 0.25\n"
-        "sag = 0.12\nglue_index = 1.49\nnumerical_aperture = 0.2\n"
-    )
-    matrix = np.array([[3432.8, 0, 330.5], [0, 3432.8, 224.25], [0, 0, 1]])
-    _run(folder)
-    for suffix in ("yml", "xml", "json"):
-        storage = cv2.FileStorage(str(folder / f"camera.{suffix}"), cv2.FILE_STORAGE_WRITE)
-        storage.write("camera_matrix", matrix)
-        storage.write("distortion_coefficients", np.zeros((1, 5)))
-        storage.write("image_width", 640)
-        storage.write("image_height", 480)
-        storage.release()
-    image = cv2.imread(str(folder / _STACK / "frames" / "000000.png"))
-    assert image is not None
-    for suffix in ("png", "jpg", "bmp", "webp", "jp2", "tif"):
-        assert cv2.imwrite(str(folder / f"image.{suffix}"), image)
-    assert cv2.imwrite(str(folder / "image.pgm"), image[:, :, 0])
-    for name, codec in (("video.mp4", "mp4v"), ("video.avi", "MJPG")):
-        video = cv2.VideoWriter(
-            str(folder / name), cv2.VideoWriter.fourcc(*codec), 10, image.shape[1::-1]
-        )
-        for _ in range(4):
-            video.write(image)
-        video.release()
-    frames = [Frame(index=n, time_s=1.0 + n, image=image) for n in range(2)]
-    poses = [Pose(time_s=0.5 + n, position_mm=(0.0, 0.0, float(n))) for n in range(3)]
-    write_bag(folder / "ros1.bag", frames=frames, poses=poses, ros=1)
-    write_bag(folder / "ros2", frames=frames, poses=poses, ros=2)
-    return folder
 
 
 @contextmanager
