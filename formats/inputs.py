@@ -260,7 +260,8 @@ def _fault(fault: ValidationError) -> str:
     ]
     first = faults[0]
     if misnamed and not (first["loc"] and isinstance(first["loc"][-1], int)):
-        return f"missing or unknown: {_cut(', '.join(sorted(misnamed)))}"
+        names = (name if name.isprintable() else repr(name) for name in sorted(misnamed))
+        return f"missing or unknown: {_cut(', '.join(names))}"
     if first["type"] == "missing":
         rule = f"{_key(first['loc'][:-1])} is too short"
     else:
