@@ -243,7 +243,9 @@ def spoilt(path: Path, rng: Rng, form: str) -> Iterator[None]:
             case 4:
                 pass  # missing
             case _:
-                path.write_bytes(mutated(data, form, rng))
+                while (changed := mutated(data, form, rng)) == data:
+                    pass  # 0 times 1.5
+                path.write_bytes(changed)
         yield
     finally:
         if path.is_dir() and not path.is_symlink():

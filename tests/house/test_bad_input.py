@@ -234,8 +234,9 @@ def fault_with(folder, kind, seed):
     file, form, read = TARGETS[kind]
     path = folder / file
     with spoilt(path, rng, form):
-        # A stack or set is blamed as a whole where the fault is not in one of its files.
-        places = path.name, path.parent.name, "motion.file", "train/0000", "adverse/"
+        # A stack or set is blamed as a whole where the fault is not in one of its files, and two
+        # files that do not belong together as what they are.
+        places = path.name, path.parent.name, "motion.file", "train/0000", "adverse/", "calibration"
         # What is missing or changed in a set is listed, up to twenty files.
         most = 21 if kind == "set's manifest" else 3
         return fault_of(lambda: read(folder), *places, most_lines=most)
