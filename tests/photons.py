@@ -8,7 +8,7 @@ along the plane of the vector irradiance. Lengths in mm; the cap's vertex is the
 away from the fibre, and x is the direction of every departure from symmetry.
 
 `counted_light` starts them at the points of a scrambled Sobol sequence, so its errors fall almost
-with the number of photons, not its square root; two seeds show them. Its rings smear sharp edges,
+with the number of photons, not its square root. Its rings smear sharp edges,
 so photographs are counted photon by photon instead (`photon_frames`).
 """
 
@@ -62,11 +62,6 @@ class Drop:
             aperture_na=float(lens.numerical_aperture),
             index=float(lens.glue_index),
         )
-
-    @property
-    def symmetric(self) -> bool:
-        """Whether all is symmetric about the cap's axis."""
-        return self.shift == 0 and self.tilt == 0
 
 
 def photons(drop: Drop, medium: float, even: np.ndarray) -> tuple:
@@ -126,11 +121,10 @@ def photons(drop: Drop, medium: float, even: np.ndarray) -> tuple:
 
 @dataclass(frozen=True, eq=False)
 class PhotonLight:
-    """Vector irradiance per unit power in the core, counted by photons.
+    """Vector irradiance per unit power in the core, counted by photons, of a symmetric drop.
 
     Attributes:
-        rings: V e² in mm² / mm²: harmonics of the azimuth x (radial, azimuthal, axial) x planes x
-            rings, before the spline's filter.
+        rings: V e² in mm² / mm²: components (radial, axial) x planes x rings.
         nearest, farthest: distances of the first and the last plane.
         contact, slope: reach of the rings, e(s) = contact + slope s.
         transmitted: part of the power that leaves the cap.
@@ -143,32 +137,25 @@ class PhotonLight:
     slope: float
     transmitted: float
 
-    def reach(self, s: np.ndarray | float) -> np.ndarray | float:
+    def reach(self, s):
         """Radius of the outermost ring."""
         return self.contact + self.slope * s
 
     def irradiance(self, x, y, s) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Components of V along x, y and s; 0 outside of the rings."""
-        planes, rings = self.rings.shape[2:]
-        rho, turn, reach = np.hypot(x, y), np.arctan2(y, x), self.reach(s)
+        planes, rings = self.rings.shape[1:]
+        rho, reach = np.hypot(x, y), self.reach(s)
         row = np.log(s / self.nearest) / np.log(self.farthest / self.nearest) * (planes - 1)
         column = rho / reach * rings - 0.5
         parts = []
-        for part in range(3):
-            odd = part < 2
-            value = np.zeros(np.shape(x))
-            for m, harmonic in enumerate(self.rings[:, part]):
-                if not harmonic.any():
-                    continue
-                sign = -1.0 if odd != (m % 2 == 1) else 1.0
-                # Across the axis a radial component changes its sign, and an odd harmonic too.
-                table = np.concatenate([sign * harmonic[:, 2::-1], harmonic], axis=1)
-                looked = ndimage.map_coordinates(table, [row, column + 3], order=3, mode="nearest")
-                value += looked * (np.sin(m * turn) if part == 1 else np.cos(m * turn))
-            parts.append(np.where(rho < reach, value, 0.0) / reach**2)
-        radial, around, axial = parts
-        c, s_ = np.cos(turn), np.sin(turn)
-        return radial * c - around * s_, radial * s_ + around * c, axial
+        for sign, values in zip((-1.0, 1.0), self.rings, strict=True):
+            # Across the axis the radial component changes its sign.
+            table = np.concatenate([sign * values[:, 2::-1], values], axis=1)
+            looked = ndimage.map_coordinates(table, [row, column + 3], order=3, mode="nearest")
+            parts.append(np.where(rho < reach, looked, 0.0) / reach**2)
+        radial, axial = parts
+        outwards = radial / np.maximum(rho, 1e-300)
+        return outwards * x, outwards * y, axial
 
 
 def counted_light(
@@ -182,38 +169,24 @@ def counted_light(
     count: int = 1 << 21,
     planes: int = 96,
     rings: int = 160,
-    seed: int = 0,
 ) -> PhotonLight:
     """Count photons on planes between two distances, in rings out to contact + slope s."""
-    harmonics = 1 if drop.symmetric else 5
+    assert drop.shift == 0 and drop.tilt == 0
     s = np.geomspace(nearest, farthest, planes)
-    sums = np.zeros((harmonics, 3, planes, rings))
-    starts = qmc.Sobol(3 if drop.symmetric else 4, rng=seed)
-    transmitted = 0.0
+    sums = np.zeros((2, planes, rings))
+    starts, transmitted = qmc.Sobol(3, rng=0), 0.0
     for _ in range(count // BATCH):
-        even = starts.random(BATCH).T
-        x, y, slope_x, slope_y, weight, total = photons(drop, medium, even)
+        x, y, slope_x, slope_y, weight, total = photons(drop, medium, starts.random(BATCH).T)
         transmitted += total
         # Along a ray the squared distance from the axis is a quadratic of s.
         squared, linear = x**2 + y**2, 2 * (x * slope_x + y * slope_y)
         quadratic = slope_x**2 + slope_y**2
-        across = (x * slope_y - y * slope_x) * weight
         for k, distance in enumerate(s):
             rho = np.sqrt(squared + distance * (linear + distance * quadratic))
             ring = (rho * (rings / (contact + slope * distance))).astype(np.intp)
             np.minimum(ring, rings, out=ring)
             radial = (0.5 * linear + distance * quadratic) / rho * weight
-            sums[0, 0, k] += np.bincount(ring, radial, rings + 1)[:rings]
-            sums[0, 2, k] += np.bincount(ring, weight, rings + 1)[:rings]
-            if drop.symmetric:
-                continue
-            once = ((x + distance * slope_x) + 1j * (y + distance * slope_y)) / rho
-            turned = once.copy()
-            for m in range(1, harmonics):
-                cosine, sine = 2 * turned.real, 2 * turned.imag
-                parts = radial * cosine, across / rho * sine, weight * cosine
-                for part, own in enumerate(parts):
-                    sums[m, part, k] += np.bincount(ring, own, rings + 1)[:rings]
-                turned *= once
+            for part, own in enumerate((radial, weight)):
+                sums[part, k] += np.bincount(ring, own, rings + 1)[:rings]
     area = np.pi * (np.arange(1, rings + 1) ** 2 - np.arange(rings) ** 2) / rings**2
     return PhotonLight(sums / area / count, nearest, farthest, contact, slope, transmitted / count)
