@@ -106,6 +106,40 @@ def exact_spot(height, *, d, c, incidence=0.0):
     return spot(*(middle + 60.0 * shift), semi_major, semi_minor, slope), tip, axis, normal
 
 
+TILTED = (math.sin(0.2) * math.cos(2.0), math.sin(0.2) * math.sin(2.0), math.cos(0.2))
+WALLS: dict[str, optics.Surface] = {
+    "eyeball": optics.Sphere(R_EYE),
+    "plane": optics.pole_plane(eye_radius=R_EYE),
+    "tilted plane": optics.pole_plane(eye_radius=R_EYE, tilt=0.2, tilt_azimuth=2.0),
+}
+NORMALS = {"eyeball": None, "plane": (0.0, 0.0, 1.0), "tilted plane": TILTED}
+
+
+def beam_at(distance, *, wall="eyeball", c=3.0, incidence=0.5):
+    return optics.beam_at_spot(
+        WALLS[wall],
+        eccentricity=c,
+        azimuth=0.7,
+        distance=distance,
+        incidence=incidence,
+        incidence_azimuth=0.4,
+        half_angle=math.atan(1 / K),
+        apex_offset=B,
+    )
+
+
+def light_on(table, beam, points, inward):
+    """Irradiance of points of a wall by a beam of light that a table has."""
+    offset = points - beam.tip
+    along = offset @ beam.axis
+    across = offset - along[..., None] * beam.axis
+    radius = jnp.linalg.norm(across, axis=-1)
+    lateral, axial = table(radius=radius, distance=along)
+    vector = (lateral / jnp.maximum(radius, 1e-9))[..., None] * across
+    vector = vector + axial[..., None] * beam.axis
+    return jnp.maximum(-jnp.sum(vector * inward, axis=-1), 0.0)
+
+
 @pytest.mark.parametrize("height", HEIGHTS)
 @pytest.mark.parametrize("c", [0.0, 3.0, 7.0])
 @pytest.mark.parametrize("semi_minor", [20.0, 90.0])
@@ -214,18 +248,6 @@ def test_eccentricity_is_read_off_the_image(height, c):
     assert read.distance_mm == pytest.approx(given.distance_mm, abs=1e-10)
 
 
-@pytest.mark.parametrize("c", [0.0, 3.0, 5.0])
-def test_stereographic_returns_the_exact_distance_of_a_square_beam(c):
-    for d in (0.5, 6.0):
-        seen = exact_spot(R_EYE, d=d, c=c)[0]
-        ranger = Ranger(calibration(), microscope(), model="stereographic", eccentricity_mm=c)
-        assert ranger.distance(seen).distance_mm == pytest.approx(d, abs=1e-9)
-        # The ellipse's centre is not O's image: at R = 0.56 mm they are 2 um apart on the wall,
-        # times dd/dc = k R c/(2 r^2 cos(phi)) < 0.25.
-        read = Ranger(calibration(), microscope(), model="stereographic").distance(seen)
-        assert read.distance_mm == pytest.approx(d, abs=1e-3)
-
-
 EXACT = [
     (height, c, incidence)
     for height in HEIGHTS
@@ -247,20 +269,6 @@ def test_exact_returns_distance_and_tip_of_exact_geometry(height, c, incidence):
         # Without the axis either of two poses may come first; one of them is the true one.
         unknown = [pose.distance_mm for pose in ranger.distance(seen).poses]
         assert min(unknown, key=lambda found: abs(found - d)) == pytest.approx(d, abs=2e-8)
-
-
-@pytest.mark.slow
-def test_exact_agrees_with_the_semi_minor_axis_inverted_by_optics():
-    sphere, eye = optics.Sphere(R_EYE), microscope(200.0).ideal_microscope()
-    cone = {"half_angle": math.atan(1 / K), "apex_offset": B}
-    pose = {"eccentricity": 3.0, "azimuth": 0.7, "incidence": 0.4, "incidence_azimuth": 0.4}
-    beam = optics.beam_at_spot(sphere, distance=4.0, **pose, **cone)
-    ellipse = optics.spot_ellipse(beam, sphere, eye)
-    other = optics.exact_distance(sphere, eye, semi_minor_px=ellipse.semi_minor, **pose, **cone)
-    ranger = Ranger(calibration(), microscope(200.0), model="exact")
-    seen, axis = spot(*ellipse.centre, *ellipse[1:]), beam.axis
-    result = ranger.distance(seen, axis=axis)
-    assert result.distance_mm == pytest.approx(float(other), abs=2e-8)
 
 
 def test_exact_reports_the_mirror_pose_and_a_prior_tells_the_two_apart():
@@ -554,36 +562,18 @@ def test_a_radius_that_the_lens_never_has_is_nowhere():
         assert math.isnan(found(radius_mm=radius_mm).distance_mm)
 
 
-NA_SIGMA = 5e-4
-
-
-TILTED = (math.sin(0.2) * math.cos(2.0), math.sin(0.2) * math.sin(2.0), math.cos(0.2))
-WALLS: dict[str, optics.Surface] = {
-    "eyeball": optics.Sphere(R_EYE),
-    "plane": optics.pole_plane(eye_radius=R_EYE),
-    "tilted plane": optics.pole_plane(eye_radius=R_EYE, tilt=0.2, tilt_azimuth=2.0),
-}
-NORMALS = {"eyeball": None, "plane": (0.0, 0.0, 1.0), "tilted plane": TILTED}
-
-
 @pytest.mark.parametrize("wall", ["plane", "tilted plane"])
 def test_exact_takes_the_planes_shape(wall):
     view = microscope(200.0, plane_normal=NORMALS[wall])
-    beam = optics.beam_at_spot(
-        WALLS[wall],
-        eccentricity=3.0,
-        azimuth=0.7,
-        distance=4.0,
-        incidence=0.4,
-        incidence_azimuth=0.4,
-        half_angle=math.atan(1 / K),
-        apex_offset=B,
-    )
+    beam = beam_at(4.0, wall=wall)
     ellipse = optics.spot_ellipse(beam, WALLS[wall], view.ideal_microscope())
     seen = spot(*ellipse.centre, *ellipse[1:])
     result = Ranger(calibration(), view, model="exact").distance(seen, axis=np.asarray(beam.axis))
     # 1e-7 px, as above; on a sphere the same ellipse would be 0.024 mm off.
     assert result.distance_mm == pytest.approx(4.0, abs=2e-8)
+
+
+NO_CONE = {"half_angle": 0.0, "apex_offset": 0.0}
 
 
 @pytest.mark.parametrize("curvature", [1 / R_EYE, 0.0])
@@ -598,30 +588,21 @@ def test_light_of_a_lens_is_found_on_the_curved_and_on_the_plane_wall(curvature)
         slope=jnp.array(0.2),
     )
     light, points = lens_range._wall_light(table, curvature, 3.0)
-    wall = optics.Sphere(R_EYE) if curvature else optics.pole_plane(eye_radius=R_EYE)
+    wall = "eyeball" if curvature else "plane"
     for row, incidence in enumerate(lens_range._INCIDENCES):
         beam = optics.beam_at_spot(
-            wall,
-            eccentricity=0.0,
-            distance=3.0,
-            incidence=incidence,
-            half_angle=0.0,
-            apex_offset=0.0,
+            WALLS[wall], eccentricity=0.0, distance=3.0, incidence=incidence, **NO_CONE
         )
         there = jnp.asarray(points[row] - [0.0, 0.0, R_EYE])
-        offset = there - beam.tip
-        along = offset @ beam.axis
-        across = offset - along[..., None] * beam.axis
-        radius = jnp.linalg.norm(across, axis=-1)
-        lateral, axial = table(radius=radius, distance=along)
         inward = -there / R_EYE if curvature else jnp.array([0.0, 0.0, 1.0])
-        vector = (lateral / jnp.maximum(radius, 1e-9))[..., None] * across
-        vector = vector + axial[..., None] * beam.axis
-        expected = jnp.maximum(-jnp.sum(vector * inward, axis=-1), 0.0)
+        expected = light_on(table, beam, there, inward)
         on_wall = jnp.linalg.norm(there, axis=-1) if curvature else -there[..., 2]
         # Rounding at 11.5 mm.
         np.testing.assert_allclose(on_wall, R_EYE, atol=1e-12)
         np.testing.assert_allclose(light[row], expected, atol=1e-12)
+
+
+NA_SIGMA = 5e-4
 
 
 @pytest.fixture(scope="module")
@@ -633,19 +614,6 @@ def flat_end():
     covariance[5, 5] = NA_SIGMA**2
     ranger = Ranger(calibration(model="lens", covariance=covariance, **values), microscope(200.0))
     return optics.irradiance_table(lens, medium_index=1.0), ranger
-
-
-def beam_at(distance, *, c=3.0, incidence=0.5, wall=None):
-    return optics.beam_at_spot(
-        wall or optics.Sphere(R_EYE),
-        eccentricity=c,
-        azimuth=0.7,
-        distance=distance,
-        incidence=incidence,
-        incidence_azimuth=0.4,
-        half_angle=0.05,
-        apex_offset=B,
-    )
 
 
 def lens_spot(table, beam, wall="eyeball"):
@@ -668,7 +636,7 @@ def test_lens_returns_the_distance_of_its_half_maximum_contour(flat_end, wall, c
     table, on_sphere = flat_end
     ranger = Ranger(on_sphere.calibration, microscope(200.0, plane_normal=NORMALS[wall]))
     for d in (3.0, 4.0, 6.0):
-        beam = beam_at(d, c=c, incidence=incidence, wall=WALLS[wall])
+        beam = beam_at(d, c=c, incidence=incidence, wall=wall)
         result = ranger.distance(lens_spot(table, beam, wall))
         # Radii agree within 0.1 %, and the distance has 1.2 (at 6 mm 0.9) times its share. Taken
         # for the eyeball, a plane would cost 0.05 mm.
@@ -741,13 +709,7 @@ def lit_frame(table, beam, *, size=420):
     eye = eye.centred_on(beam.spot(sphere).point, width=size, height=size)
     pixels = jnp.stack(jnp.meshgrid(jnp.arange(size), jnp.arange(size)), axis=-1).astype(float)
     wall = sphere.intersect(*eye.ray(pixels))
-    offset = wall.point - beam.tip
-    along = offset @ beam.axis
-    across = offset - along[..., None] * beam.axis
-    radius = jnp.linalg.norm(across, axis=-1)
-    lateral, axial = table(radius=radius, distance=along)
-    vector = (lateral / radius)[..., None] * across + axial[..., None] * beam.axis
-    light = np.maximum(-np.sum(np.asarray(vector * wall.normal), axis=-1), 0.0)
+    light = np.asarray(light_on(table, beam, wall.point, wall.normal))
     frame = frame_of(0.03 + 0.6 * light / light.max(), noise_dn=2.0)
     return frame, microscope(200.0, principal_point_px=tuple(map(float, eye.principal_point)))
 
