@@ -103,7 +103,7 @@ def run(*words: object) -> Called:
         return _called(eyespot.main)
 
 
-def run_process(*words: object, cwd: Path | None = None, **environment: str) -> Called:
+def run_process(*words: object, cwd: Path | str | None = None, **environment: str) -> Called:
     """Run a command in a new process, with additions to the environment."""
     done = subprocess.run(
         [EYESPOT, *map(str, words)],

@@ -1,7 +1,5 @@
 """The worked examples in docs/contributing/examples are changes that apply, and that work."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -50,18 +48,18 @@ def changed_copy(name: str, folder: Path) -> Path:
     return copy
 
 
-def test_every_example_is_checked() -> None:
+def test_every_example_is_checked():
     assert {path.stem for path in EXAMPLES.glob("*.diff")} == set(CHECKS)
 
 
 @pytest.mark.parametrize("name", CHECKS)
-def test_the_change_of_an_example_applies(name: str) -> None:
+def test_the_change_of_an_example_applies(name):
     subprocess.run(["git", "apply", "--check", EXAMPLES / f"{name}.diff"], cwd=HOME, check=True)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHECKS)
-def test_the_change_of_an_example_works_and_keeps_the_rules(name: str, tmp_path: Path) -> None:
+def test_the_change_of_an_example_works_and_keeps_the_rules(name, tmp_path):
     copy = changed_copy(name, tmp_path)
     for selection in (CHECKS[name], HOUSE):
         done = subprocess.run(

@@ -1,7 +1,5 @@
 """The examples in docstrings say what really happens."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 from pathlib import Path
@@ -19,11 +17,11 @@ MODULES = sorted(
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_in_docstrings_print_what_they_say(name: str) -> None:
+def test_examples_in_docstrings_print_what_they_say(name):
     found = doctest.testmod(importlib.import_module(name), optionflags=doctest.ELLIPSIS)
     assert found.attempted
     assert not found.failed
 
 
-def test_the_models_have_examples() -> None:
+def test_the_models_have_examples():
     assert {"optics.models", "optics.contour", "optics.distance"} <= set(MODULES)

@@ -1,7 +1,5 @@
 """The reference that docs/generated.py writes leaves nothing out, and its schemas are true."""
 
-from __future__ import annotations
-
 import ast
 import csv
 import json
@@ -29,14 +27,14 @@ SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
 
 
 @pytest.fixture(scope="module")
-def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def pages(tmp_path_factory):
     folder = tmp_path_factory.mktemp("reference")
     write_pages(folder)
     return {path.name: path.read_text(encoding="utf-8") for path in folder.iterdir()}
 
 
 @pytest.mark.parametrize("words", WORDS)
-def test_every_command_is_there_with_every_option(pages: dict[str, str], words: str) -> None:
+def test_every_command_is_there_with_every_option(pages, words):
     section = pages["commands.md"].partition(f"## eyespot {words}\n")[2]
     assert section
     section = re.split(r"\n#+ eyespot", section)[0]
@@ -44,7 +42,7 @@ def test_every_command_is_there_with_every_option(pages: dict[str, str], words: 
         assert f"`{option.name}" in section
 
 
-def test_every_scene_key_is_there_with_its_meaning(pages: dict[str, str]) -> None:
+def test_every_scene_key_is_there_with_its_meaning(pages):
     text = pages["scene_keys.md"]
     for part in [Scene.model_json_schema(), *Scene.model_json_schema()["$defs"].values()]:
         for key, value in part["properties"].items():
@@ -53,7 +51,7 @@ def test_every_scene_key_is_there_with_its_meaning(pages: dict[str, str]) -> Non
                 assert value["description"].split("|")[0] in text
 
 
-def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
+def test_every_reason_is_there_with_what_to_do(pages):
     text = pages["messages.md"]
     for kind in (Reason, Cause):
         for one in kind:
@@ -63,16 +61,14 @@ def test_every_reason_is_there_with_what_to_do(pages: dict[str, str]) -> None:
 
 
 @pytest.fixture(scope="module")
-def nodes() -> list[tuple[str, ast.AST]]:
+def nodes():
     """All nodes of all modules, each with its file."""
     paths = [path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))]
     trees = ((str(path), ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
     return [(file, node) for file, tree in trees for node in ast.walk(tree)]
 
 
-def test_every_message_of_wrong_input_is_there(
-    pages: dict[str, str], nodes: list[tuple[str, ast.AST]]
-) -> None:
+def test_every_message_of_wrong_input_is_there(pages, nodes):
     text = pages["errors.md"]
     for file, node in nodes:
         if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
@@ -85,7 +81,7 @@ def test_every_message_of_wrong_input_is_there(
                 assert " ".join(fixed.split()) in text, f"{file}:{node.lineno}"
 
 
-def test_every_error_that_a_user_can_correct_is_known(nodes: list[tuple[str, ast.AST]]) -> None:
+def test_every_error_that_a_user_can_correct_is_known(nodes):
     for file, node in nodes:
         if isinstance(node, ast.ClassDef) and {*map(ast.unparse, node.bases)} & {*_ERRORS}:
             assert node.name in _ERRORS, f"{file}:{node.lineno}"
@@ -99,7 +95,7 @@ PAGES = {
 CITED = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
 
 
-def test_what_pages_cite_exists() -> None:
+def test_what_pages_cite_exists():
     tests = "".join(path.read_text(encoding="utf-8") for path in HOME.glob("tests/*/test_*.py"))
     for path, text in PAGES.items():
         for name in re.findall(r"`(test_\w+)`", text):
@@ -108,7 +104,7 @@ def test_what_pages_cite_exists() -> None:
             assert pkgutil.resolve_name(name), f"{path}: {name}"
 
 
-def test_every_page_of_the_theory_cites_functions_and_tests() -> None:
+def test_every_page_of_the_theory_cites_functions_and_tests():
     for path, text in PAGES.items():
         if path.parent.name == "theory" and path.name != "index.md":
             assert re.search(r"`test_\w+`", text), path
@@ -124,7 +120,7 @@ def faults(slug: str, content: object) -> list[str]:
 
 
 @pytest.mark.parametrize("slug", SCHEMAS)
-def test_a_schema_is_one_and_explains_every_key(slug: str) -> None:
+def test_a_schema_is_one_and_explains_every_key(slug):
     schema = schema_of(SCHEMAS[slug])
     jsonschema.Draft202012Validator.check_schema(schema)
     rows = list(rows_of(schema))
@@ -146,7 +142,7 @@ def number(cell: str) -> float | int:
     return int(cell) if re.fullmatch(r"-?\d+", cell) else float(cell)
 
 
-def test_the_files_of_a_set_fulfil_their_schemas() -> None:
+def test_the_files_of_a_set_fulfil_their_schemas():
     stack = SAMPLE / "test" / "0000"
     assert not faults("set", json.loads((SAMPLE / "set.json").read_text()))
     assert not faults("manifest", json.loads((SAMPLE / "manifest.json").read_text()))
@@ -169,7 +165,7 @@ def test_the_files_of_a_set_fulfil_their_schemas() -> None:
         ("spec", "benchmarks/sets/named/*.toml"),
     ],
 )
-def test_files_that_come_with_eyespot_fulfil_their_schemas(slug: str, pattern: str) -> None:
+def test_files_that_come_with_eyespot_fulfil_their_schemas(slug, pattern):
     files = sorted(HOME.glob(pattern))
     assert files
     for file in files:
@@ -184,7 +180,7 @@ SCENE = [
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def written(tmp_path_factory):
     """A folder in which eyespot's commands have written files, from a scene to a budget."""
     folder = tmp_path_factory.mktemp("written")
     changes = [word for change in SCENE for word in ("--set", change)]
@@ -222,12 +218,12 @@ READERS: dict[str, Callable[[Path], object]] = {
         ("plan", "plan.json"),
     ],
 )
-def test_a_file_that_was_written_fulfils_its_schema(written: Path, slug: str, file: str) -> None:
+def test_a_file_that_was_written_fulfils_its_schema(written, slug, file):
     read = READERS.get(file, lambda path: json.loads(path.read_text()))
     assert not faults(slug, read(written / file))
 
 
-def test_rows_that_were_written_fulfil_their_schemas(written: Path) -> None:
+def test_rows_that_were_written_fulfil_their_schemas(written):
     text = ("file_name", "mode", "status", "reason", "largest_cause")
     rows = list(cells(written / "spots.csv", text=text))
     assert len(rows) == 9
@@ -239,7 +235,7 @@ def test_rows_that_were_written_fulfil_their_schemas(written: Path) -> None:
         assert not faults("labels", json.loads(line))
 
 
-def test_an_entry_of_a_leaderboard_fulfils_its_schemas(tmp_path: Path) -> None:
+def test_an_entry_of_a_leaderboard_fulfils_its_schemas(tmp_path):
     text = (HOME / "docs" / "leaderboard.md").read_text(encoding="utf-8")
     examples = re.findall(r"```json\n(.*?)```", text, flags=re.DOTALL)
     for example in examples:
@@ -263,5 +259,5 @@ def test_an_entry_of_a_leaderboard_fulfils_its_schemas(tmp_path: Path) -> None:
         ("spots", {"frame": 0}),
     ],
 )
-def test_a_wrong_file_does_not_fulfil_its_schema(slug: str, content: object) -> None:
+def test_a_wrong_file_does_not_fulfil_its_schema(slug, content):
     assert faults(slug, content)

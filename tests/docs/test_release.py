@@ -1,7 +1,5 @@
 """What a reader of the repository sees agrees with itself: versions, links, sizes."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import tomllib
@@ -19,7 +17,7 @@ EXAMPLES = sorted((HOME / "docs" / "gallery").rglob("plot_*.py"))
 _LINK = re.compile(r"\]\(([^)#\s]+)(?:#[^)]*)?\)")
 
 
-def test_one_version_is_stated_everywhere() -> None:
+def test_one_version_is_stated_everywhere():
     version = tomllib.loads((HOME / "pyproject.toml").read_text())["project"]["version"]
     cited = re.search(r"^version: (\S+)$", (HOME / "CITATION.cff").read_text(), re.MULTILINE)
     released = re.search(r'^date-released: "(\S+)"$', (HOME / "CITATION.cff").read_text(), re.M)
@@ -30,14 +28,14 @@ def test_one_version_is_stated_everywhere() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.relative_to(HOME).as_posix())
-def test_no_link_between_files_is_dead(page: Path) -> None:
+def test_no_link_between_files_is_dead(page):
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
         made = any(part in target for part in ("generated/", "auto_gallery/"))
         if not made and not target.startswith(("http:", "https:", "mailto:")):
             assert (page.parent / target).exists(), target
 
 
-def test_the_readme_is_one_page_and_links_to_every_page() -> None:
+def test_the_readme_is_one_page_and_links_to_every_page():
     text = (HOME / "README.md").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 80  # what a printed page has
     linked = {(HOME / target).resolve() for target in _LINK.findall(text)}
@@ -47,7 +45,7 @@ def test_the_readme_is_one_page_and_links_to_every_page() -> None:
     assert pages | tutorials <= linked
 
 
-def test_the_gallery_has_twenty_examples_of_thirty_lines() -> None:
+def test_the_gallery_has_twenty_examples_of_thirty_lines():
     # A file is an example, or has several cells after what they share.
     files = [file.read_text(encoding="utf-8").split('"""', 2)[2] for file in EXAMPLES]
     cells = [cell for code in files for cell in code.split("# %%")[1:] or [code]]
@@ -57,7 +55,7 @@ def test_the_gallery_has_twenty_examples_of_thirty_lines() -> None:
         assert len(lines) <= 30, cell
 
 
-def test_no_tracked_page_is_generated() -> None:
+def test_no_tracked_page_is_generated():
     listed = subprocess.run(
         ["git", "ls-files", "docs"], cwd=HOME, capture_output=True, text=True, check=False
     )

@@ -1,7 +1,5 @@
 """What a distance is worth: against the GUM's example, other software, contours and frames."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path
@@ -313,7 +311,7 @@ def test_a_wrong_stated_file_is_named_with_its_key(tmp_path, text, word):
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory) -> Path:
+def stack(tmp_path_factory):
     """Four frames of a withdrawal at c = 2.5 mm, with its true calibration."""
     changes = [
         "source.kind=cone",

@@ -1,10 +1,7 @@
 """Spots that a camera clips, at any level: measured within their stated errors, or refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -121,12 +118,12 @@ def _random_frames_are_right_or_refused(seeds: Iterable[int]) -> None:
             assert_within(spot, truth)
 
 
-def test_frames_of_random_depth_level_and_exposure_are_right_or_refused() -> None:
+def test_frames_of_random_depth_level_and_exposure_are_right_or_refused():
     _random_frames_are_right_or_refused(range(150))
 
 
 @pytest.mark.slow
-def test_ten_thousand_frames_of_random_depth_level_and_exposure_are_right_or_refused() -> None:
+def test_ten_thousand_frames_of_random_depth_level_and_exposure_are_right_or_refused():
     _random_frames_are_right_or_refused(range(150, 10_150))
 
 
@@ -147,7 +144,7 @@ def test_a_bell_of_which_more_is_clipped_is_refused(hidden):
         assert measured(frame) == NoSpot(Reason.SATURATED)
 
 
-def test_hot_pixels_above_the_level_do_not_hide_it() -> None:
+def test_hot_pixels_above_the_level_do_not_hide_it():
     rng = np.random.default_rng(5)
     frame, truth = drawn(rng, over=1.4)
     rows, columns = rng.integers(100, 140, 3), rng.integers(140, 180, 3)
@@ -162,7 +159,7 @@ def _srgb(light: np.ndarray) -> np.ndarray:
     return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
 
 
-def test_a_curve_counts_from_the_cameras_full_scale(tmp_path: Path) -> None:
+def test_a_curve_counts_from_the_cameras_full_scale(tmp_path):
     image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
     frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
     for response in (Response(curve="srgb", full_scale=4095), Response(curve="srgb")):
@@ -192,7 +189,7 @@ def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
     assert_within(spot, (40, 30))
 
 
-def test_floats_beyond_one_need_their_full_scale() -> None:
+def test_floats_beyond_one_need_their_full_scale():
     frame = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4).astype(np.float32)
     with pytest.raises(InputError, match=r"floats up to 220.*--full-scale 255"):
         Options.of({}).reader().read(frame)
@@ -204,7 +201,7 @@ def test_floats_beyond_one_need_their_full_scale() -> None:
         assert_within(reading.result, (40, 30))
 
 
-def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
+def test_the_literal_mode_and_the_pixels_see_the_level():
     frame, _ = drawn(np.random.default_rng(6), bits=8, level=235, over=1.5)
     spot = spot_in(frame, LiteralSettings())
     assert spot.saturated > 0.6
@@ -217,7 +214,7 @@ def test_the_literal_mode_and_the_pixels_see_the_level() -> None:
         FramePixels.of(np.full((9, 9, 3), 4000, np.uint16), noise)
 
 
-def test_clipped_pairs_do_not_measure_a_camera() -> None:
+def test_clipped_pairs_do_not_measure_a_camera():
     """A clipped pair has no noise, and would bend the line of the others' variances."""
     rng = np.random.default_rng(7)
 

@@ -1,7 +1,5 @@
 """The operator's console: its session without a page, and (slow) the page in a real Chromium."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -88,7 +86,7 @@ def version_of(session: Session) -> int:
     return session.view.version if session.view else -1
 
 
-def test_a_recording_is_paused_stepped_and_sought() -> None:
+def test_a_recording_is_paused_stepped_and_sought():
     with session_of(recording) as session:
         wait_until(lambda: session.at_end, "the end of the recording")
         assert shown(session) == (19, pytest.approx(39, abs=0.05))
@@ -103,7 +101,7 @@ def test_a_recording_is_paused_stepped_and_sought() -> None:
         assert shown(session) == (6, pytest.approx(26, abs=0.05))
 
 
-def test_what_is_recorded_is_what_was_shown(tmp_path: Path) -> None:
+def test_what_is_recorded_is_what_was_shown(tmp_path):
     with session_of(recording) as session:
         wait_until(lambda: session.at_end, "the end of the recording")
         session.start_recording(tmp_path / "spots.csv")
@@ -120,7 +118,7 @@ def test_what_is_recorded_is_what_was_shown(tmp_path: Path) -> None:
     assert radii == pytest.approx([22, 23, 24, 25], abs=0.05)
 
 
-def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path: Path) -> None:
+def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path):
     with session_of(recording) as session:
         wait_until(lambda: session.at_end, "the end of the recording")
         session.start_recording(tmp_path / "session.bag")
@@ -145,7 +143,7 @@ def withdrawn() -> PoseTrack:
     )
 
 
-def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
+def test_the_robots_reading_and_its_poses_are_recorded(tmp_path):
     with session_of(recording, poses=withdrawn) as session:
         wait_until(lambda: session.at_end, "the end of the recording")
         # Frames at 50 Hz; 1 mm/s.
@@ -165,7 +163,7 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -> None:
+def test_a_withdrawal_is_covered_fitted_and_saved(stack, tmp_path):
     poses = read_poses(stack / "kinematics.csv")
     microscope = stack / "microscope.json"
     options = Options(microscope=microscope)
@@ -198,7 +196,7 @@ def test_a_withdrawal_is_covered_fitted_and_saved(stack: Path, tmp_path: Path) -
         assert guide.file.with_suffix(".html").is_file()
 
 
-def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path) -> None:
+def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path):
     # A frame of floats fits no ROS image.
     frames = [Frame(index=n, time_s=n + 1.0, image=disc(30) / 255.0) for n in range(3)]
     source = Source(name="floats", read=lambda: iter(frames), rate_hz=1e3, length=3)
@@ -217,7 +215,7 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path: Path)
 @pytest.mark.parametrize(
     ("order", "number", "fault"), [((0, 1, 2), 2, ""), ((0, 2, 1), 1, "bag, frame 1: is empty")]
 )
-def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, fault) -> None:
+def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, fault):
     good = [Frame(index=n, time_s=float(n), image=disc(30)) for n in range(3)]
     frames = [good[0], Frame.unreadable(1, 1.0, "is empty"), good[2]]
     source = Source(name="bag", read=lambda: (frames[n] for n in order), rate_hz=1e3, length=3)
@@ -227,7 +225,7 @@ def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, f
         assert session.fault == fault
 
 
-def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
+def test_a_camera_that_was_lost_comes_back_by_itself():
     lost = False
 
     def read() -> Iterator[Frame]:
@@ -245,7 +243,7 @@ def test_a_camera_that_was_lost_comes_back_by_itself() -> None:
         wait_until(lambda: version_of(session) > before + 3 and not session.fault, "its return")
 
 
-def test_the_course_covers_the_last_thirty_seconds() -> None:
+def test_the_course_covers_the_last_thirty_seconds():
     def read() -> Iterator[Frame]:
         for n in range(50):
             yield Frame(index=n, time_s=float(n), image=disc(30))
@@ -256,7 +254,7 @@ def test_the_course_covers_the_last_thirty_seconds() -> None:
     assert times == list(range(19, 50))
 
 
-def test_exposure_is_advised_where_light_is_lost_or_missing() -> None:
+def test_exposure_is_advised_where_light_is_lost_or_missing():
     spot = a_spot(80, 60, 30, 30)
     good = exposure_advice(spot, disc(30, 180), Response())
     assert good == ""
@@ -268,9 +266,7 @@ def test_exposure_is_advised_where_light_is_lost_or_missing() -> None:
 
 
 @pytest.mark.parametrize("pinhole_height_mm", [11.5, 200.0])
-def test_the_tip_is_drawn_where_the_microscope_shows_it(
-    tmp_path: Path, pinhole_height_mm: float
-) -> None:
+def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height_mm):
     focal_px = (pinhole_height_mm + 11.5) / 0.0134
     file = tmp_path / "microscope.yaml"
     matrix = [focal_px, 0, 159.5, 0, focal_px, 119.5, 0, 0, 1]
@@ -287,7 +283,7 @@ def test_the_tip_is_drawn_where_the_microscope_shows_it(
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
+def browser():
     pytest.importorskip("nicegui", reason="pip install 'eyespot[console]'")
     playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     chromium = shutil.which("chromium")
@@ -341,14 +337,12 @@ def text(page: Any, name: str) -> str:
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stack(tmp_path_factory):
     return rendered_stack(tmp_path_factory.mktemp("rendered"))
 
 
 @pytest.mark.slow
-def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
-    browser: Any, stack: Path, tmp_path: Path
-) -> None:
+def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack, tmp_path):
     calibration = str(calibrated(tmp_path, "exact"))
     command = ["-m", "eyespot", "console", str(stack), "--calibration", calibration]
     command += ["--poses", str(stack / "kinematics.csv"), "--eye-from-robot", "0,0,0,1"]
@@ -399,7 +393,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(
 
 
 @pytest.mark.slow
-def test_a_calibration_is_guided_to_its_report(browser: Any, stack: Path, tmp_path: Path) -> None:
+def test_a_calibration_is_guided_to_its_report(browser, stack, tmp_path):
     command = ["-m", "eyespot", "console", str(stack), "--poses", str(stack / "kinematics.csv")]
     command += ["--folder", str(tmp_path), "--port", "{port}"]
     with console(*command, log=tmp_path / "log") as address:
@@ -443,9 +437,7 @@ LAGS = """() => new Promise(done => {
 
 
 @pytest.mark.slow
-def test_a_camera_is_shown_at_once_and_its_loss_and_return_are_seen(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_a_camera_is_shown_at_once_and_its_loss_and_return_are_seen(browser, tmp_path):
     unplugged = tmp_path / "unplugged"
     with console(
         "-m", "tests.console_camera", "{port}", str(unplugged), log=tmp_path / "log"
@@ -488,9 +480,7 @@ def frame_number(page: Any) -> int:
 
 
 @pytest.mark.slow
-def test_beyond_this_machine_the_page_asks_for_a_token(
-    browser: Any, stack: Path, tmp_path: Path
-) -> None:
+def test_beyond_this_machine_the_page_asks_for_a_token(browser, stack, tmp_path):
     command = ["-m", "eyespot", "console", str(stack), "--host", "0.0.0.0", "--port", "{port}"]
     log = tmp_path / "log"
     with console(*command, log=log) as address:

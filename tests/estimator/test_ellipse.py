@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -23,9 +21,7 @@ angles = st.floats(-math.pi / 2 + 1e-3, math.pi / 2 - 1e-3)
 
 
 @given(minor=axes, ratio=st.floats(1, 3), angle=angles, turn=angles)
-def test_upright_keeps_the_ellipse_and_forgets_its_turn(
-    minor: float, ratio: float, angle: float, turn: float
-) -> None:
+def test_upright_keeps_the_ellipse_and_forgets_its_turn(minor, ratio, angle, turn):
     ellipse = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle)
     rotation = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
     upright = AffineEllipse(ellipse.centre, ellipse.shape @ rotation).upright().shape
@@ -37,7 +33,7 @@ def test_upright_keeps_the_ellipse_and_forgets_its_turn(
 
 
 @given(minor=axes, ratio=st.floats(1.01, 3), angle=angles)
-def test_axes_and_angle_come_back(minor: float, ratio: float, angle: float) -> None:
+def test_axes_and_angle_come_back(minor, ratio, angle):
     a, b, back = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle).axes()
     # float64 through squares of lengths: 1e-9 relative, the angle divided by the axes' difference.
     assert a == pytest.approx(minor * ratio, rel=1e-9)
@@ -45,7 +41,7 @@ def test_axes_and_angle_come_back(minor: float, ratio: float, angle: float) -> N
     assert back == pytest.approx(angle, abs=1e-6)
 
 
-def test_vertical_major_axis_has_angle_plus_half_pi() -> None:
+def test_vertical_major_axis_has_angle_plus_half_pi():
     for angle in (math.pi / 2, -math.pi / 2):
         assert AffineEllipse.from_axes(0, 0, 2, 1, angle).axes()[2] == pytest.approx(math.pi / 2)
 
@@ -62,7 +58,7 @@ def _radius(ellipse: AffineEllipse, about: AffineEllipse) -> np.ndarray:
     return (low + high) / 2
 
 
-def test_a_step_moves_the_edge_as_the_design_says() -> None:
+def test_a_step_moves_the_edge_as_the_design_says():
     start = AffineEllipse.from_axes(100, 80, 70, 50, 0.4)
     rng = np.random.default_rng(0)
     for _ in range(5):
@@ -72,7 +68,7 @@ def test_a_step_moves_the_edge_as_the_design_says() -> None:
         np.testing.assert_allclose(moved, _DESIGN @ step, atol=2e-7)
 
 
-def test_robust_step_ignores_edges_of_a_shaft() -> None:
+def test_robust_step_ignores_edges_of_a_shaft():
     rng = np.random.default_rng(1)
     step = np.array([0.02, -0.03, 0.01, -0.01, 0.02])
     offsets = _DESIGN @ step + rng.normal(0, 1e-3, _ANGLES.size)
@@ -89,7 +85,7 @@ def test_robust_step_ignores_edges_of_a_shaft() -> None:
     np.testing.assert_allclose(found[0], step, atol=1e-3)
 
 
-def test_random_samples_take_over_where_trimming_cannot_start() -> None:
+def test_random_samples_take_over_where_trimming_cannot_start():
     step = np.array([0.05, 0.02, 0.0, 0.03, -0.01])
     offsets = _DESIGN @ step
     offsets[:86] = np.random.default_rng(2).uniform(-0.5, 0.5, 86)  # 45 %
@@ -100,7 +96,7 @@ def test_random_samples_take_over_where_trimming_cannot_start() -> None:
     np.testing.assert_allclose(found[0], step, atol=5e-3)
 
 
-def test_refit_of_exact_points_is_exact() -> None:
+def test_refit_of_exact_points_is_exact():
     truth = AffineEllipse.from_axes(51, 47, 40, 30, -0.7)
     start = AffineEllipse.from_axes(50, 48, 39, 31, -0.6)
     points = truth.centre + (truth.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])).T
@@ -109,7 +105,7 @@ def test_refit_of_exact_points_is_exact() -> None:
     np.testing.assert_allclose(found.axes(), truth.axes(), atol=1e-6)
 
 
-def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
+def test_covariance_of_axes_is_the_step_covariance_propagated():
     rng = np.random.default_rng(3)
     root = rng.normal(0, 1e-4, (5, 5))
     # A shape whose columns are not the axes, as refinement leaves it.
@@ -128,12 +124,12 @@ def test_covariance_of_axes_is_the_step_covariance_propagated() -> None:
     np.testing.assert_allclose(sampled / scale, predicted / scale, atol=0.065)
 
 
-def test_a_circle_has_a_finite_covariance() -> None:
+def test_a_circle_has_a_finite_covariance():
     circle = AffineEllipse.from_axes(0, 0, 50, 50, 0)
     assert np.isfinite(covariance_of_axes(circle, 1e-8 * np.eye(5))).all()
 
 
-def test_covariance_of_a_contour_is_that_of_its_harmonics() -> None:
+def test_covariance_of_a_contour_is_that_of_its_harmonics():
     # docs/theory/bounds.md derives the factors from the harmonics 0, 1 and 2 of a circle.
     n = 96
     t = np.arange(n) * (2 * math.pi / n)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -57,9 +55,7 @@ _DTYPES = st.sampled_from("u1 >u2 u2 u4 i1 i4 ?  f2 f4 >f4 f8 c8 U1 O".split())
 
 @settings(max_examples=60)
 @given(data=st.data(), shape=_SHAPES, dtype=_DTYPES, seed=st.integers(0, 2**32 - 1))
-def test_any_array_gives_a_result_or_one_error(
-    data: st.DataObject, shape: tuple[int, ...], dtype: str, seed: int
-) -> None:
+def test_any_array_gives_a_result_or_one_error(data, shape, dtype, seed):
     rng = np.random.default_rng(seed)
     kind = data.draw(st.sampled_from(["constant", "noise", "blob", "bits"]))
     if kind == "constant":
@@ -77,7 +73,7 @@ def test_any_array_gives_a_result_or_one_error(
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e20])
-def test_pixels_that_are_no_numbers_are_refused(value: float) -> None:
+def test_pixels_that_are_no_numbers_are_refused(value):
     frame = np.zeros((50, 50), np.float32)
     frame[7, 9] = value
     for mode in _MODES:
@@ -95,15 +91,15 @@ def test_pixels_that_are_no_numbers_are_refused(value: float) -> None:
         (np.zeros((0, 5), np.uint8), "pixels"),
     ],
 )
-def test_what_is_no_image_is_refused_with_a_way_out(frame: object, message: str) -> None:
+def test_what_is_no_image_is_refused_with_a_way_out(frame, message):
     with pytest.raises(ValueError, match=message):
-        measure(frame, TrackState(), SubpixelSettings())  # type: ignore[arg-type]
+        measure(frame, TrackState(), SubpixelSettings())
 
 
 @pytest.mark.parametrize(
     "shape", [(1, 1), (1, 640), (480, 1), (7, 7), (4320, 7680), (100, 3000, 3)]
 )
-def test_neither_darkness_nor_noise_of_any_size_is_a_spot(shape: tuple[int, ...]) -> None:
+def test_neither_darkness_nor_noise_of_any_size_is_a_spot(shape):
     rng = np.random.default_rng(0)
     for frame in (np.zeros(shape, np.uint8), rng.integers(0, 256, shape, dtype=np.uint8)):
         result, state = measure(frame, TrackState(), SubpixelSettings())
@@ -115,7 +111,7 @@ def test_neither_darkness_nor_noise_of_any_size_is_a_spot(shape: tuple[int, ...]
 
 
 @pytest.mark.parametrize("shape", [(100, 100), (480, 640), (100, 3000, 3), (4320, 7680)])
-def test_a_spot_is_measured_in_a_frame_of_any_size(shape: tuple[int, ...]) -> None:
+def test_a_spot_is_measured_in_a_frame_of_any_size(shape):
     frame = np.full(shape, 20, np.uint8)
     x, y = shape[1] - 48.5, shape[0] / 2
     corner = frame[:, -100:]
@@ -127,7 +123,7 @@ def test_a_spot_is_measured_in_a_frame_of_any_size(shape: tuple[int, ...]) -> No
     assert [spot.semi_major_px, spot.semi_minor_px] == pytest.approx([30, 30], abs=0.5)
 
 
-def test_views_and_negative_values_are_measured() -> None:
+def test_views_and_negative_values_are_measured():
     rng = np.random.default_rng(1)
     frame = rng.integers(0, 255, (200, 300, 3), dtype=np.uint8)
     _typed_or_refused(frame[::-1, ::2])
@@ -202,22 +198,22 @@ def _measured_without_a_fault(seeds: Iterable[int]) -> None:
                 spot_shape(later, spot, response=mode.response, camera=camera)
 
 
-def test_no_drawn_frame_breaks_the_detector() -> None:
+def test_no_drawn_frame_breaks_the_detector():
     _measured_without_a_fault(range(300))
 
 
 @pytest.mark.slow
-def test_none_of_20000_drawn_frames_breaks_the_detector() -> None:
+def test_none_of_20000_drawn_frames_breaks_the_detector():
     _measured_without_a_fault(range(300, 20_000))
 
 
 @pytest.mark.parametrize("seed", [3111, 5513])
-def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed: int) -> None:
+def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed):
     """Its half level was found beyond its centre: a negative radius, then a root of it."""
     _measured_without_a_fault([seed])
 
 
-def test_what_is_darker_than_its_surroundings_has_no_half_level() -> None:
+def test_what_is_darker_than_its_surroundings_has_no_half_level():
     """Its edge width would be negative; roots and logarithms of it are taken later."""
     levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 2.0, 0.3, 1.0)
     assert levels.before(101.0, 2.0, 2.0) is None
@@ -227,7 +223,7 @@ def test_what_is_darker_than_its_surroundings_has_no_half_level() -> None:
 
 
 @pytest.mark.parametrize("exponent", [-3, -6, -9])
-def test_a_spot_does_not_depend_on_the_unit_of_light(exponent: int) -> None:
+def test_a_spot_does_not_depend_on_the_unit_of_light(exponent):
     rng = np.random.default_rng(0)
     drawing = Drawing(truth=any_truth(rng, 60.0))
     light = (light_of(drawing) + rng.normal(0, 3, (480, 640, 3))) / 255
@@ -242,12 +238,12 @@ def test_a_spot_does_not_depend_on_the_unit_of_light(exponent: int) -> None:
     assert dimmer.sigma_semi_minor_px == pytest.approx(first.sigma_semi_minor_px, rel=1e-3)
 
 
-def test_light_too_dim_for_its_squares_is_dark() -> None:
+def test_light_too_dim_for_its_squares_is_dark():
     frame = np.zeros((100, 100))
     frame[30:70, 30:70] = 1e-20
     assert measure(frame, TrackState(), _LENIENT)[0] == NoSpot(Reason.NONE_FOUND)
 
 
-def test_a_place_that_is_none_is_refused() -> None:
+def test_a_place_that_is_none_is_refused():
     with pytest.raises(ValueError, match=r"at_px=.*finite.*nan"):
         TrackState(at_px=(np.nan, 0.0))

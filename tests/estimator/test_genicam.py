@@ -1,7 +1,5 @@
 """GenICam cameras: the simulated ones that come with the package genicam, and drawn buffers."""
 
-from __future__ import annotations
-
 from itertools import islice
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +14,7 @@ from formats.inputs import InputError
 
 
 @pytest.fixture
-def cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+def cameras(monkeypatch):
     """Three cameras with a ball of one colour that bounces in 400x400 px."""
     genicam = pytest.importorskip("genicam", reason="pip install 'eyespot[genicam]'")
     monkeypatch.setenv("GENICAM_GENTL64_PATH", str(Path(genicam.__file__).parent))

@@ -1,7 +1,5 @@
 """Dark places inside an ellipse: those that something in front explains, and those of letters."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -34,7 +32,7 @@ def _share(dark: np.ndarray) -> float:
 
 @pytest.mark.parametrize("degrees", [0, 7, 19, 41])
 @pytest.mark.parametrize("width", [6, 15, 40])
-def test_a_shaft_explains_what_it_hides(degrees: float, width: float) -> None:
+def test_a_shaft_explains_what_it_hides(degrees, width):
     turn = math.radians(degrees)
     along = _U * math.cos(turn) + _V * math.sin(turn)
     across = _V * math.cos(turn) - _U * math.sin(turn)
@@ -45,20 +43,20 @@ def test_a_shaft_explains_what_it_hides(degrees: float, width: float) -> None:
 
 
 @pytest.mark.parametrize("gap", [0.0, 0.2, 0.3])
-def test_a_stroke_does_not_explain_the_dark_behind_it(gap: float) -> None:
+def test_a_stroke_does_not_explain_the_dark_behind_it(gap):
     """An O has no gap; that of a C is as high as so many semi-axes."""
     inner = (_RADIUS < 0.65) | ((np.abs(_V) < gap / 2 * _AXES[1]) & (_U > 0))
     assert _share(inner) > Hollow.SHARE
 
 
-def test_words_in_thick_letters_are_no_spots() -> None:
+def test_words_in_thick_letters_are_no_spots():
     # 19 of 1,200 frames of another seed were spots when nothing looked inside an outline.
     assert taken_for_spots("text", 60, seed=3) == 0
 
 
 @pytest.mark.parametrize("left", [0.12, 0.3])
 @pytest.mark.parametrize("seed", range(3))
-def test_an_edge_in_shadow_is_measured_too(left: float, seed: int) -> None:
+def test_an_edge_in_shadow_is_measured_too(left, seed):
     rng = np.random.default_rng(seed)
     truth = Truth(x=320.3, y=240.8, semi_major=66, semi_minor=60, angle=0.7)
     wall = textured_wall(rng)[..., None]

@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Literal
 
 import numpy as np
 import pytest
@@ -26,24 +23,20 @@ _SCENE = Drawing(truth=_TRUTH, amplitude=235, ambient=10, noise=1.0)
     rows=st.integers(402, 600),
     columns=st.integers(402, 900),
 )
-def test_patch_check_keeps_the_patch_inside_the_image(
-    x: float, y: float, p: int, rows: int, columns: int
-) -> None:
+def test_patch_check_keeps_the_patch_inside_the_image(x, y, p, rows, columns):
     cx, cy = patch_check(x, y, p, (rows, columns))
     assert 0 <= cx - p and cx + p <= columns
     assert 0 <= cy - p and cy + p <= rows
 
 
-def test_patch_check_leaves_an_inner_point_alone() -> None:
+def test_patch_check_leaves_an_inner_point_alone():
     # Algorithm 2 as printed sends every small m_y to r_I - p - 1.
     assert patch_check(300, 210, 200, (480, 640)) == (300, 210)
     assert patch_check(10, 10, 200, (480, 640)) == (200, 200)
 
 
 @pytest.mark.parametrize("order", ["filter_first", "threshold_first"])
-def test_literal_ellipse_lies_where_the_value_crosses_200(
-    order: Literal["filter_first", "threshold_first"],
-) -> None:
+def test_literal_ellipse_lies_where_the_value_crosses_200(order):
     frame = frame_of(_SCENE, np.random.default_rng(0))
     settings = LiteralSettings(order=order)
     spot = spot_in(frame, settings, at=(300, 230))
@@ -57,7 +50,7 @@ def test_literal_ellipse_lies_where_the_value_crosses_200(
     assert np.isnan(spot.covariance).all()
 
 
-def test_without_a_click_the_largest_bright_component_is_taken() -> None:
+def test_without_a_click_the_largest_bright_component_is_taken():
     frame = frame_of(_SCENE, np.random.default_rng(0))
     frame[20:30, 20:30] = 255
     spot, state = measure(frame, TrackState(), LiteralSettings())
@@ -66,7 +59,7 @@ def test_without_a_click_the_largest_bright_component_is_taken() -> None:
     assert state.at_px == (spot.x_px, spot.y_px)
 
 
-def test_failures_say_why_and_keep_the_last_position() -> None:
+def test_failures_say_why_and_keep_the_last_position():
     state = TrackState(at_px=(320, 240))
     rng = np.random.default_rng(0)
     cases = [
@@ -81,7 +74,7 @@ def test_failures_say_why_and_keep_the_last_position() -> None:
         assert after == state
 
 
-def test_literal_mode_follows_steps_that_leave_the_spot_in_its_patch() -> None:
+def test_literal_mode_follows_steps_that_leave_the_spot_in_its_patch():
     rng = np.random.default_rng(4)
     places = [(0, 0), (60, 0), (60, 60), (0, 0)]
     frames = [frame_of(replace(_SCENE, truth=_TRUTH.moved(dx, dy)), rng) for dx, dy in places]
@@ -92,7 +85,7 @@ def test_literal_mode_follows_steps_that_leave_the_spot_in_its_patch() -> None:
         assert result.y_px == pytest.approx(_TRUTH.y + dy, abs=0.5)
 
 
-def test_a_16_bit_frame_reads_as_its_8_bit_twin() -> None:
+def test_a_16_bit_frame_reads_as_its_8_bit_twin():
     frame = frame_of(_SCENE, np.random.default_rng(0))
     state = TrackState(at_px=(320, 240))
     eight, _ = measure(frame, state, LiteralSettings())
@@ -101,7 +94,7 @@ def test_a_16_bit_frame_reads_as_its_8_bit_twin() -> None:
     assert sixteen.semi_minor_px == eight.semi_minor_px
 
 
-def test_exposure_moves_the_literal_spot() -> None:
+def test_exposure_moves_the_literal_spot():
     # The reason for the sub-pixel mode: brighter light pushes the crossing of 200 outwards.
     rng = np.random.default_rng(0)
     scene = replace(_SCENE, truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)

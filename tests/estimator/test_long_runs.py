@@ -1,7 +1,5 @@
 """`eyespot track` when a run is long: what is kept when it is killed, full or meets a bug."""
 
-from __future__ import annotations
-
 import json
 import math
 import os
@@ -27,14 +25,14 @@ from tests.drawn_recording import SHAPE, new_reader, write_folder
 
 
 @pytest.fixture(scope="module")
-def images() -> list[np.ndarray]:
+def images():
     rng = np.random.default_rng(0)
     places = [Truth(x=70 + 6 * k, y=80, semi_major=33, semi_minor=30) for k in range(8)]
     return [frame_of(Drawing(truth=place), rng, SHAPE) for place in places]
 
 
 @pytest.fixture
-def frames(tmp_path: Path, images: list[np.ndarray]) -> Path:
+def frames(tmp_path, images):
     return write_folder(tmp_path / "frames", images, "{}.png")
 
 
@@ -44,7 +42,7 @@ def lines_of(path: Path) -> list[tuple[Any, ...]]:
 
 
 @pytest.fixture(scope="module")
-def whole(images: list[np.ndarray]) -> list[tuple[Any, ...]]:
+def whole(images):
     """The lines of a run that nothing disturbs."""
     spots = [spot for spot in track(images, SubpixelSettings()) if isinstance(spot, Spot)]
     assert len(spots) == 8
@@ -67,12 +65,8 @@ eyespot.main()
 
 
 def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-    tmp_path: Path,
-    frames: Path,
-    whole: list[tuple[Any, ...]],
-) -> None:
+    monkeypatch, caplog, tmp_path, frames, whole
+):
     measure, number = reader_module.measure, 0
 
     def with_a_bug(*arguments: Any) -> Any:  # stands in for a bug, of which we know none
@@ -102,9 +96,7 @@ def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
     assert "return math.sqrt(-1)" in caplog.text
 
 
-def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, frames: Path, images: list[np.ndarray]
-) -> None:
+def test_a_command_after_one_that_met_a_bug_is_not_to_blame(monkeypatch, tmp_path, frames, images):
     with monkeypatch.context() as patched:
         patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
         assert new_reader().read(images[0]).doubt == "internal_error"
@@ -112,9 +104,7 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(
 
 
 @pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])
-def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(
-    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], name: str
-) -> None:
+def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(tmp_path, frames, whole, name):
     out, partial = tmp_path / name, tmp_path / "spots.partial.csv"
     more = [frames / f"{index}.png" for index in range(8, 4000)]  # some twenty seconds
     for index, path in enumerate(more):
@@ -141,9 +131,7 @@ def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(
     assert lines_of(out) == whole
 
 
-def test_a_place_that_cannot_be_written_is_noticed_before_the_first_frame(
-    tmp_path: Path, frames: Path
-) -> None:
+def test_a_place_that_cannot_be_written_is_noticed_before_the_first_frame(tmp_path, frames):
     (frames / "0.png").write_bytes(b"damaged")  # would be reported first if it were read first
     out = tmp_path / "spots.csv"
     done = with_room(frames, "--out", out, largest_file=0)
@@ -154,8 +142,8 @@ def test_a_place_that_cannot_be_written_is_noticed_before_the_first_frame(
 
 @pytest.mark.parametrize("largest_file", [2500, 2700])
 def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
-    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], largest_file: int
-) -> None:
+    tmp_path, frames, whole, largest_file
+):
     out = tmp_path / "spots.csv"
     done = with_room(frames, "--out", out, "--json", largest_file=largest_file)
     lines = lines_of(out)
@@ -169,9 +157,7 @@ def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["frames", "spots.csv"]
 
 
-def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(
-    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]]
-) -> None:
+def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(tmp_path, frames, whole):
     # The lines have 5.1 KB, a Parquet file of so many columns has 20 KB.
     done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=5_300)
     assert done.returncode == 2
@@ -181,9 +167,7 @@ def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(
 
 
 @pytest.mark.parametrize("name", ["overlay.mp4", "overlay.avi"])
-def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(
-    tmp_path: Path, frames: Path, whole: list[tuple[Any, ...]], name: str
-) -> None:
+def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(tmp_path, frames, whole, name):
     out, overlay = tmp_path / "spots.csv", tmp_path / name
     options = ("--out", out, "--overlay", overlay, "--json")
     done = with_room(frames, *options, largest_file=5_300)  # the spots have 5.1 KB, a video 5.5 KB
@@ -195,9 +179,7 @@ def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(
     assert not overlay.exists()
 
 
-def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(
-    tmp_path: Path, frames: Path
-) -> None:
+def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(tmp_path, frames):
     overlay = tmp_path / "overlay"
     options = ("--out", tmp_path / "spots.csv", "--overlay", overlay)
     done = with_room(frames, *options, largest_file=20_000)
@@ -214,7 +196,7 @@ def dark_frames(number: int) -> Source:
     return Source(name="darkness", read=read, length=number)
 
 
-def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path) -> None:
+def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path):
     sizes = []
 
     def note(record: SpotRecord) -> None:
@@ -233,7 +215,7 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path: Path)
     assert sizes[1] - sizes[0] < 20_000
 
 
-def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Path) -> None:
+def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path):
     names = ["NA", "null", "", "a,b", 'q"', "n\nl", "nan.png"]
     plain: dict[str, Any] = {
         "time_s": math.nan,
@@ -250,7 +232,7 @@ def test_names_that_look_like_missing_values_come_back_from_parquet(tmp_path: Pa
     assert sorted(path.name for path in tmp_path.iterdir()) == ["stream.parquet", "whole.parquet"]
 
 
-def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images: list[np.ndarray]) -> None:
+def test_ctrl_c_stops_a_fit_and_a_score_that_need_every_frame(images):
     def read() -> Iterator[Frame]:
         yield Frame(index=0, time_s=0.0, image=images[0])
         raise KeyboardInterrupt

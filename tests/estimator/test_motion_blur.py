@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -23,9 +21,7 @@ def _measured(scene: Drawing, seed: int) -> Spot:
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.1, 2.5])
-def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_path(
-    heading: float,
-) -> None:
+def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_path(heading):
     path = 60 * math.cos(heading), 60 * math.sin(heading)
     spot = _measured(Drawing(truth=_TRUTH, path_px=path), seed=1)
     # The requirement is an RMSE of 0.15 px, with texture; the stated error is that of an even wall.
@@ -38,14 +34,14 @@ def test_a_spot_that_moved_by_half_a_diameter_is_measured_in_the_middle_of_its_p
     assert spot.edge_width_px == pytest.approx(2.0, abs=0.3)
 
 
-def test_a_moving_spot_is_measured_past_a_glint() -> None:
+def test_a_moving_spot_is_measured_past_a_glint():
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     glint = np.where(np.hypot(u - 300, v - 190) < 5, 250.0, 0.0)
     spot = _measured(Drawing(truth=_TRUTH, path_px=(40.0, 20.0), glints=glint), seed=2)
     assert np.abs(_TRUTH.errors(spot)).max() < 3 * 0.15
 
 
-def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
+def test_a_still_bell_is_not_taken_for_a_moving_disc():
     scene = Drawing(truth=_TRUTH, profile=bell)
     still, elongated = _measured(scene, seed=3), replace(_TRUTH, semi_major=90)
     # A Gaussian that is half at b has the slope of a blurred step of 0.58 b.
@@ -56,7 +52,7 @@ def test_a_still_bell_is_not_taken_for_a_moving_disc() -> None:
 
 @pytest.mark.parametrize("reach", [20, 35, 50, 70])
 @pytest.mark.parametrize("seed", [4, 5, 6])
-def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach: int, seed: int) -> None:
+def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach, seed):
     # Two tools hide the ends of every ray along the path, which lie 33 to 93 px from the middle:
     # the path's length, and so the size, is unknown.
     u = np.arange(SHAPE[1])[None, :] * np.ones((SHAPE[0], 1))

@@ -396,6 +396,7 @@ def test_what_hides_a_spot_is_found_with_its_border():
     tool[:, 140:165] = True
     light[tool] = 0.03
     hidden = hidden_pixels(light, SPOT)
+    assert hidden is not None
     inside = share == 1
     assert hidden[tool & inside].mean() > 0.99
     # Of the light that is seen, only what is within 4 px of the tool.
@@ -475,6 +476,7 @@ def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():
     )
     window = CellWindow(left=100, top=80, side=6)
     found = registered(line, known, np.full(COUNT**2, noise**2), window)
+    assert found is not None
     moved = found.image_px(window.middle_px) - window.middle_px
     # 0.05 cells: noise of 5 % of the contrast on 500 cells would leave 0.005, splines some more.
     np.testing.assert_allclose(moved / window.side, [right, down], atol=0.05)
@@ -488,6 +490,7 @@ def test_a_robot_that_moves_as_the_beam_says_nothing_new_and_slopes_are_differen
     home = np.array([5.0, 3.0, -2.0])
     robot_0, robot = (RobotPose(one.tip + home, one.axis, 0.005) for one in (pose_0, pose))
     motion = motion_between((pose_0, robot_0), (pose, robot))
+    assert motion is not None
     np.testing.assert_allclose(motion.rest, 0.0, atol=1e-12)
     assert motion_between((pose_0, None), (pose, robot)) is None
 
@@ -499,6 +502,7 @@ def test_a_robot_that_moves_as_the_beam_says_nothing_new_and_slopes_are_differen
     for k, change in enumerate(step * np.eye(5)):
         later = motion_between((pose_0, robot_0), (moved(pose, change), robot))
         first = motion_between((moved(pose_0, change), robot_0), (pose, robot))
+        assert later is not None and first is not None
         # Of second order in the step.
         np.testing.assert_allclose(-later.rest / step, motion.slopes[:, k], atol=1e-4)
         np.testing.assert_allclose(-first.rest / step, motion.first_slopes[:, k], atol=1e-4)

@@ -1,7 +1,5 @@
 """Progress of long commands: lines in a log, a bar on a terminal, nothing on stdout."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

@@ -1,7 +1,5 @@
 """Beams as cameras show them: faint, with fringes or lobes, or enlarged by a digital zoom."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -31,7 +29,7 @@ def test_a_spot_of_half_the_light_round_it_is_found(profile):
     assert abs(spot.semi_major_px - 66) < 5 * sigma + 0.1
 
 
-def test_a_spot_that_texture_may_be_is_too_faint_and_says_how_faint() -> None:
+def test_a_spot_that_texture_may_be_is_too_faint_and_says_how_faint():
     rng = np.random.default_rng(1)
     image = spot_image(SHAPE, 320, 240, 66, 60, 0.4, peak=40, background=98)
     frequency = np.hypot(np.fft.fftfreq(SHAPE[0])[:, None], np.fft.rfftfreq(SHAPE[1]))

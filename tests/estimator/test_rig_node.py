@@ -7,8 +7,6 @@ and `rosbag record`, plays the bag at the camera's 10 Hz, and compares what was 
 same frames measured offline. `tools/try-rig-node` runs it from nothing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math
@@ -20,7 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from xmlrpc.client import ServerProxy
 
 import numpy as np
@@ -75,7 +73,7 @@ def microscope_in(folder: Path) -> Path:
     return a_microscope_file(folder, (320, 240), scale_mm_px=0.0134, pinhole_height_mm=11.5)
 
 
-def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
+def test_a_disc_in_an_image_message_is_read_where_it_was_drawn():
     reading = Rig(Parameters()).output(grey_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
     # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
     assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
@@ -84,7 +82,7 @@ def test_a_disc_in_an_image_message_is_read_where_it_was_drawn() -> None:
     assert math.isnan(reading.distance_m)
 
 
-def test_a_dark_image_is_no_spot_and_says_why() -> None:
+def test_a_dark_image_is_no_spot_and_says_why():
     reading = Rig(Parameters()).output(grey_message(DARK), 1.0, 0)
     np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
     np.testing.assert_equal(reading.axes, (math.nan,) * 3)
@@ -92,14 +90,14 @@ def test_a_dark_image_is_no_spot_and_says_why() -> None:
     assert math.isnan(reading.distance_m)
 
 
-def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline() -> None:
+def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline():
     rig = Rig(Parameters())
     images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
     doubts = [rig.output(grey_message(image), float(n), 0).doubt for n, image in enumerate(images)]
     assert doubts == ["", "ambiguous", ""]
 
 
-def test_the_distance_is_in_metres(tmp_path: Path) -> None:
+def test_the_distance_is_in_metres(tmp_path):
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
@@ -109,7 +107,7 @@ def test_the_distance_is_in_metres(tmp_path: Path) -> None:
     assert float(reading.details["sigma_distance_mm"]) > 0
 
 
-def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
+def test_a_tip_behind_the_wall_is_doubted(tmp_path):
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
     # At contact the spot has -b/(delta k) = 19.1 px.
@@ -118,7 +116,7 @@ def test_a_tip_behind_the_wall_is_doubted(tmp_path: Path) -> None:
     assert reading.distance_m < 0
 
 
-def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
+def test_the_pose_of_an_image_is_the_last_that_came_before_it():
     rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
     assert math.isnan(pose_age_s(rig.output(image, 5.0, 0).details))
     for received_s in (4.97, 4.98, 5.01):
@@ -126,14 +124,14 @@ def test_the_pose_of_an_image_is_the_last_that_came_before_it() -> None:
     assert pose_age_s(rig.output(image, 5.0, 0).details) == pytest.approx(0.02, abs=1e-9)
 
 
-def test_a_topic_of_compressed_images_is_looked_for_as_such() -> None:
+def test_a_topic_of_compressed_images_is_looked_for_as_such():
     silence = Silence("/camera/compressed", clock=iter([0.0, 10.0]).__next__)
     said = silence.change(lambda: ["sensor_msgs/msg/Image"])
     assert said is not None
     assert "a topic of this name is read as sensor_msgs/CompressedImage" in said[0]
 
 
-def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> None:
+def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run():
     rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
     for received_s in (5.00, 5.01, 1.00):  # the recording is played again
         rig.poses.take(pose_message(), received_s)
@@ -148,9 +146,7 @@ def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run() -> N
         (["sensor_msgs/msg/Image"], "nothing arrives"),
     ],
 )
-def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_return(
-    types: list[str], said: str
-) -> None:
+def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_return(types, said):
     now_s = 0.0
     silence = Silence("/camera", clock=lambda: now_s)
     changes = []
@@ -163,12 +159,12 @@ def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_retur
     assert back == ("images arrive on /camera.", False)
 
 
-def test_a_pose_that_is_none_is_refused() -> None:
+def test_a_pose_that_is_none_is_refused():
     with pytest.raises(ValueError, match="unit quaternion"):
         Rig(Parameters()).poses.take(pose_message(qw=0.0), 1.0)
 
 
-def test_parameters_are_taken_as_ros_hands_them_over() -> None:
+def test_parameters_are_taken_as_ros_hands_them_over():
     # What `_start:=320,240 _settings:="{threshold: 180}"` becomes on the parameter server.
     parameters = Parameters.of({"start": "320,240", "settings": {"threshold": 180}})
     assert parameters.start == (320.0, 240.0)
@@ -192,12 +188,12 @@ def test_parameters_are_taken_as_ros_hands_them_over() -> None:
         ({"mode": "literal", "settings": {"treshold": 180}}, "treshold"),
     ],
 )
-def test_parameters_that_make_no_sense_are_named(given: dict[str, Any], told: str) -> None:
+def test_parameters_that_make_no_sense_are_named(given, told):
     with pytest.raises(ValueError, match=told):
         Rig(Parameters.of(given))
 
 
-def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) -> None:
+def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path):
     microscope = microscope_in(tmp_path)
     turned = Rig(Parameters(microscope=microscope)).output(grey_message(DARK.T.copy()), 1.0, 0)
     assert "240x320 px" in turned.doubt
@@ -212,9 +208,7 @@ def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path: Path) ->
         np.testing.assert_equal(output.centre, (math.nan, math.nan, 0.0))
 
 
-def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(monkeypatch, caplog):
     rig, image = Rig(Parameters()), grey_message(disc(150.25, 110.5, 40.0))
 
     def with_a_bug(*_: object) -> None:  # stands in for a bug, of which we know none
@@ -228,7 +222,7 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(
     assert rig.output(image, 1.1, 0).level == "OK"
 
 
-def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
+def test_images_between_two_measured_ones_are_counted_as_skipped():
     rig, counts = Rig(Parameters()), []
     for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2
         details = rig.output(grey_message(DARK), 1.0, number).details
@@ -236,9 +230,7 @@ def test_images_between_two_measured_ones_are_counted_as_skipped() -> None:
     assert counts == [(1, 0), (2, 0), (3, 2), (4, 2), (5, 2), (6, 3)]
 
 
-def test_without_ros_the_node_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_ros_the_node_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setattr(sys, "path", list(sys.path))
     for library in ("rospy", "rclpy"):  # stands in for a machine without ROS
         monkeypatch.setitem(sys.modules, library, None)
@@ -254,12 +246,12 @@ TOPICS = {name: f"/eyespot/{name}" for name in ("spot", "axes", "range", "status
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stack(tmp_path_factory):
     return rendered_stack(tmp_path_factory.mktemp("rendered"))
 
 
 @pytest.fixture(scope="module")
-def ros() -> None:
+def ros():
     """ROS 1, installed where this is root's Debian."""
     done = subprocess.run([HOME / "tools" / "install-ros"], capture_output=True, text=True)
     if done.returncode:
@@ -288,7 +280,7 @@ class RosSession:
         }
         self._started: list[subprocess.Popen[bytes]] = []
 
-    def __enter__(self) -> RosSession:
+    def __enter__(self) -> Self:
         self.start("roscore", "-p", str(self._port))
         return self
 
@@ -381,14 +373,8 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
     ids=["subpixel", "literal"],
 )
 def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
-    ros: None,
-    stack: Path,
-    tmp_path: Path,
-    settings: LiteralSettings | SubpixelSettings,
-    start: tuple[float, float] | None,
-    model: str,
-    with_axis: bool,
-) -> None:
+    ros, stack, tmp_path, settings, start, model, with_axis
+):
     microscope, calibration = stack / "microscope.json", calibrated(tmp_path, model)
     parameters = [f"_microscope:={microscope}", f"_calibration:={calibration}"]
     if isinstance(settings, LiteralSettings):
@@ -431,9 +417,7 @@ def xyz(vector: Any) -> list[float]:
 
 
 @pytest.mark.slow
-def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(
-    ros: None, stack: Path, tmp_path: Path
-) -> None:
+def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(ros, stack, tmp_path):
     bag, out = tmp_path / "rig.bag", tmp_path / "read.json"
     recording_of(stack, bag)
     with RosSession(tmp_path) as session:
@@ -463,9 +447,7 @@ def pose_age_s(details: dict[str, str]) -> float:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("ros")
-def test_a_camera_twice_as_fast_as_the_node_gets_the_newest_images_measured(
-    tmp_path: Path,
-) -> None:
+def test_a_camera_twice_as_fast_as_the_node_gets_the_newest_images_measured(tmp_path):
     """The delay stays, the memory stays, and what was skipped is counted."""
     seconds, answers, memory = 60.0, tmp_path / "answers.json", []
     with RosSession(tmp_path) as session:

@@ -3,8 +3,6 @@
 `tools/try-rig-node` runs these. They play a bag, written without ROS, to the node over loopback.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os
@@ -63,12 +61,12 @@ LOOPBACK = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stack(tmp_path_factory):
     return rendered_stack(tmp_path_factory.mktemp("rendered"))
 
 
 @pytest.fixture(scope="module", params=["jazzy", "kilted"])
-def python(request: pytest.FixtureRequest) -> str:
+def python(request):
     """The interpreter of an environment with ROS 2."""
     done = subprocess.run(
         [HOME / "tools" / "install-ros2", request.param], capture_output=True, text=True
@@ -79,7 +77,7 @@ def python(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture
-def environment(tmp_path: Path) -> dict[str, str]:
+def environment(tmp_path):
     """A ROS 2 of its own, on loopback."""
     profile = tmp_path / "loopback.xml"
     profile.write_text(LOOPBACK)
@@ -135,16 +133,8 @@ def given(**parameters: object) -> list[str]:
     ids=["subpixel-10Hz", "subpixel-30Hz", "subpixel-30Hz-reliable", "literal-30Hz"],
 )
 def test_under_ros_2_the_node_measures_what_is_measured_offline(
-    python: str,
-    environment: dict[str, str],
-    stack: Path,
-    tmp_path: Path,
-    settings: LiteralSettings | SubpixelSettings,
-    start: tuple[float, float] | None,
-    model: str,
-    rate_hz: float,
-    reliable: bool,
-) -> None:
+    python, environment, stack, tmp_path, settings, start, model, rate_hz, reliable
+):
     bag, microscope = tmp_path / "bag", stack / "microscope.json"
     calibration = calibrated(tmp_path, model)
     speed = rate_hz / RATE_HZ
@@ -221,9 +211,7 @@ def played(
     return json.loads(answers.read_text())
 
 
-def test_a_topic_is_a_source_that_says_when_images_stop(
-    python: str, environment: dict[str, str], stack: Path, tmp_path: Path
-) -> None:
+def test_a_topic_is_a_source_that_says_when_images_stop(python, environment, stack, tmp_path):
     bag, out = tmp_path / "bag", tmp_path / "read.json"
     recording_of(stack, bag, ros=2, rounds=ROUNDS)
     with subprocess.Popen(
@@ -249,9 +237,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(
         ("image_topic:=two words", "two words"),
     ],
 )
-def test_a_wrong_parameter_ends_the_node_with_one_message(
-    python: str, environment: dict[str, str], parameter: str, said: str
-) -> None:
+def test_a_wrong_parameter_ends_the_node_with_one_message(python, environment, parameter, said):
     command = [python, "-m", "estimator.rig.node", "--ros-args", "-p", parameter]
     done = subprocess.run(command, cwd=HOME, env=environment, capture_output=True, text=True)
     assert done.returncode == 2

@@ -1,9 +1,6 @@
 """Every encoding of a ROS image is what its mosaic, its YUV or its bits say, drawn by numpy."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -115,7 +112,7 @@ CASES = list(cases())
 
 
 @pytest.mark.parametrize("types", [ROS1, ROS2], ids=["ros1", "ros2"])
-def test_every_encoding_is_the_frame_that_was_drawn(tmp_path: Path, types: Any) -> None:
+def test_every_encoding_is_the_frame_that_was_drawn(tmp_path, types):
     messages = []
     for k, (name, data, _, _) in enumerate(CASES):
         # Planes share one step, and OpenCV's NV24 has no room between its rows.
@@ -134,7 +131,7 @@ def test_every_encoding_is_the_frame_that_was_drawn(tmp_path: Path, types: Any) 
         np.testing.assert_allclose(frame.image, image.astype(float), 0, tolerance, err_msg=name)
 
 
-def test_colours_of_a_mosaic_are_where_they_were() -> None:
+def test_colours_of_a_mosaic_are_where_they_were():
     """A disc of one colour stays where it is, to the pixel or two that a mosaic blurs."""
     v, u = np.mgrid[:60, :80]
     inside = np.hypot(u - 41.3, v - 27.8) < 15
@@ -170,7 +167,7 @@ def test_colours_of_a_mosaic_are_where_they_were() -> None:
         ("bayer_bggr8; jpeg compressed ", mosaic("bggr", FLAT // 9 + 100), FLAT // 9 + 100, None),
     ],
 )
-def test_compressed_images_are_what_their_format_says(form, sent, frame, full) -> None:
+def test_compressed_images_are_what_their_format_says(form, sent, frame, full):
     message = compressed_message(ROS1, sent, "jpg" if "jpeg" in form else "png")
     message.format = form
     found, full_scale = frame_of_message(message)
@@ -192,7 +189,7 @@ def test_compressed_images_are_what_their_format_says(form, sent, frame, full) -
         ("mono12p", packed(WORDS >> 4, 10, "p"), "cannot be made of"),
     ],
 )
-def test_what_is_no_image_of_light_is_refused_by_name(encoding, data, words) -> None:
+def test_what_is_no_image_of_light_is_refused_by_name(encoding, data, words):
     sent = image_message(ROS1, data, encoding)
     sent.width = 10
     with pytest.raises(InputError, match=words):

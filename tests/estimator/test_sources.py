@@ -1,7 +1,5 @@
 """Frames come out of every kind of source as they went in, or the error says where it breaks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -35,12 +33,12 @@ Results = list[Spot | NoSpot]
 
 
 @pytest.fixture(scope="module")
-def images() -> list[np.ndarray]:
+def images():
     return recorded(12)
 
 
 @pytest.fixture(scope="module")
-def expected(images: list[np.ndarray]) -> Results:
+def expected(images):
     results = list(track(images, SubpixelSettings()))
     assert results[GONE] == NoSpot(Reason.NONE_FOUND)
     assert sum(map(bool, results)) == len(images) - 1

@@ -1,10 +1,7 @@
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace
 from statistics import NormalDist
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,7 +15,6 @@ from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import (
     SHAPE,
     Drawing,
-    Profile,
     Truth,
     any_truth,
     any_wall,
@@ -56,13 +52,13 @@ def _errors(make: Callable[[np.random.Generator], Drawing], number: int) -> np.n
 
 
 @pytest.mark.parametrize("semi_minor", [20, 60, 150])
-def test_an_even_spot_is_measured_without_bias(semi_minor: float) -> None:
+def test_an_even_spot_is_measured_without_bias(semi_minor):
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, semi_minor)), 12)
     # The requirement; noise of 12 means is below 0.003 px.
     assert np.abs(errors.mean(axis=0)).max() < 0.02
 
 
-def test_noise_of_an_even_spot_is_within_twice_the_bound() -> None:
+def test_noise_of_an_even_spot_is_within_twice_the_bound():
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60)), 40)
     grey_noise = 3 * math.hypot(0.299, 0.587, 0.114)
     bound = grey_noise / 180 * math.sqrt(3 * 2 / (math.sqrt(math.pi) * 60))
@@ -71,25 +67,25 @@ def test_noise_of_an_even_spot_is_within_twice_the_bound() -> None:
 
 
 @pytest.mark.parametrize("sigma", [1.0, 4.0, 8.0])
-def test_blur_does_not_move_the_contour(sigma: float) -> None:
+def test_blur_does_not_move_the_contour(sigma):
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=erf_edge(sigma)), 6)
     assert np.abs(errors.mean(axis=0)).max() < 0.1
 
 
 @pytest.mark.parametrize("amplitude", [90, 220])
-def test_exposure_does_not_move_the_contour(amplitude: float) -> None:
+def test_exposure_does_not_move_the_contour(amplitude):
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), amplitude=amplitude), 6)
     assert np.abs(errors.mean(axis=0)).max() < 0.05
 
 
 @pytest.mark.parametrize("drop", [0.2, 0.4])
-def test_a_dome_is_measured_at_half_of_its_peak(drop: float) -> None:
+def test_a_dome_is_measured_at_half_of_its_peak(drop):
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=domed_edge(2, drop)), 6)
     # The requirement. Half of the rim would lie 0.6 px further out already at a drop of 0.2.
     assert np.abs(errors[:, 2:].mean(axis=0)).max() < 0.1
 
 
-def test_a_bell_is_measured_at_half_of_its_peak() -> None:
+def test_a_bell_is_measured_at_half_of_its_peak():
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), profile=bell), 6)
     assert np.abs(errors[:, 2:]).max() < 0.003 * 66 + 3 * 0.05
 
@@ -100,7 +96,7 @@ def tailed(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("profile", [bell, tailed])
-def test_sigma_of_a_bell_covers_a_background_that_is_out_of_view(profile: Profile) -> None:
+def test_sigma_of_a_bell_covers_a_background_that_is_out_of_view(profile):
     rng = np.random.default_rng(1)
     for semi_minor in (85, 95, 105):
         truth = Truth(x=320, y=240, semi_major=1.15 * semi_minor, semi_minor=semi_minor, angle=0.4)
@@ -111,7 +107,7 @@ def test_sigma_of_a_bell_covers_a_background_that_is_out_of_view(profile: Profil
 
 
 @pytest.mark.parametrize("width", [0.3, 0.7])
-def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point(width: float) -> None:
+def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point(width):
     u = np.arange(SHAPE[1])
     slope = np.broadcast_to(1 + 0.1 * (u - _TRUTH.x) / _TRUTH.semi_major, SHAPE)
     scene = Drawing(truth=_TRUTH, profile=flank(width), lit=slope, amplitude=150)
@@ -127,14 +123,14 @@ def test_a_sloping_plateau_is_measured_at_half_of_its_highest_point(width: float
     assert min(model.axis_lengths) < (1 - 0.03 * width) * _TRUTH.semi_minor
 
 
-def test_texture_hardly_moves_the_contour() -> None:
+def test_texture_hardly_moves_the_contour():
     errors = _errors(lambda rng: Drawing(truth=any_truth(rng, 60), wall=any_wall(rng)), 15)
     # Three of the standard deviations of 0.05 px that the walls' vessels and disc cause.
     assert np.median(np.abs(errors[:, 3])) < 0.05
     assert np.abs(errors[:, 3]).max() < 0.4
 
 
-def test_angle_is_from_right_towards_down() -> None:
+def test_angle_is_from_right_towards_down():
     for angle in (-1.2, 0.3, 1.5):
         truth = replace(_TRUTH, angle=angle, semi_major=80)
         spot = _measured(frame_of(Drawing(truth=truth), np.random.default_rng(0)))
@@ -142,7 +138,7 @@ def test_angle_is_from_right_towards_down() -> None:
         assert spot.angle_rad == pytest.approx(angle, abs=2e-3)
 
 
-def test_edge_width_is_the_blur() -> None:
+def test_edge_width_is_the_blur():
     for sigma in (0.8, 1.5, 4.0):
         scene = Drawing(truth=_TRUTH, profile=erf_edge(sigma))
         spot = _measured(frame_of(scene, np.random.default_rng(0)))
@@ -153,14 +149,14 @@ def test_edge_width_is_the_blur() -> None:
 
 
 @pytest.mark.parametrize("curve", ["srgb", "gamma"])
-def test_the_response_curve_is_taken_into_account(curve: str) -> None:
+def test_the_response_curve_is_taken_into_account(curve):
     linear = light_of(Drawing(truth=_TRUTH, profile=erf_edge(4.0), noise=0.0)) / 255
     if curve == "srgb":
         encoded = np.where(linear < 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     else:
         encoded = linear ** (1 / 2.2)
     errors: dict[str, float] = {}
-    for response in (Response(curve=curve), Response()):  # type: ignore[arg-type]
+    for response in (Response(curve=curve), Response()):
         spot = _measured(
             np.rint(255 * encoded).astype(np.uint8), SubpixelSettings(response=response)
         )
@@ -173,7 +169,7 @@ def test_the_response_curve_is_taken_into_account(curve: str) -> None:
     assert errors["linear"] == pytest.approx(-4 * NormalDist().inv_cdf(share), abs=0.3)
 
 
-def test_integer_and_float_frames_agree() -> None:
+def test_integer_and_float_frames_agree():
     image = light_of(Drawing(truth=_TRUTH, noise=0.0))
     spots = [
         _measured(np.rint(image).astype(np.uint8)),
@@ -188,7 +184,7 @@ def test_integer_and_float_frames_agree() -> None:
         np.testing.assert_allclose(_TRUTH.errors(spot), 0, atol=0.03)
 
 
-def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged() -> None:
+def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged():
     for amplitude in (300, 430):
         scene = Drawing(truth=_TRUTH, amplitude=amplitude)
         spot = _measured(frame_of(scene, np.random.default_rng(1)))
@@ -196,7 +192,7 @@ def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged() -> None
         assert np.abs(_TRUTH.errors(spot)).max() < 0.3
 
 
-def test_one_unsaturated_channel_is_enough() -> None:
+def test_one_unsaturated_channel_is_enough():
     wall = np.broadcast_to(np.array([1.0, 0.5, 0.25]), (*SHAPE, 3))
     scene = Drawing(truth=_TRUTH, amplitude=600, wall=wall)
     spot = _measured(frame_of(scene, np.random.default_rng(1)))
@@ -204,14 +200,14 @@ def test_one_unsaturated_channel_is_enough() -> None:
     assert np.abs(_TRUTH.errors(spot)).max() < 0.05
 
 
-def test_a_spot_saturated_beyond_half_of_its_peak_is_refused() -> None:
+def test_a_spot_saturated_beyond_half_of_its_peak_is_refused():
     scene = Drawing(truth=_TRUTH, amplitude=900)
     result, _ = measure(frame_of(scene, np.random.default_rng(1)), _MIDDLE, SubpixelSettings())
     assert result == NoSpot(Reason.SATURATED)
 
 
 @pytest.mark.parametrize("reach", [0.6, -0.3, -3.0])
-def test_a_shaft_hides_contour_without_bending_it(reach: float) -> None:
+def test_a_shaft_hides_contour_without_bending_it(reach):
     def scene(rng: np.random.Generator) -> Drawing:
         return with_shaft(Drawing(truth=any_truth(rng, 70)), rng, reach, 75)
 
@@ -219,7 +215,7 @@ def test_a_shaft_hides_contour_without_bending_it(reach: float) -> None:
     assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
-def test_coverage_is_the_visible_part_of_the_contour() -> None:
+def test_coverage_is_the_visible_part_of_the_contour():
     scene = Drawing(truth=replace(_TRUTH, semi_major=60))
     rng = np.random.default_rng(2)
     open_spot = _measured(frame_of(scene, rng))
@@ -231,7 +227,7 @@ def test_coverage_is_the_visible_part_of_the_contour() -> None:
     assert hidden.inlier_fraction < open_spot.inlier_fraction <= 1
 
 
-def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
+def test_a_quarter_in_shadow_and_glints_are_left_out():
     def shadowed(rng: np.random.Generator) -> Drawing:
         return with_quarter_in_shadow(Drawing(truth=any_truth(rng, 60)), rng)
 
@@ -243,7 +239,7 @@ def test_a_quarter_in_shadow_and_glints_are_left_out() -> None:
         assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
-def test_a_reflection_brighter_than_the_spot_is_not_taken_for_it() -> None:
+def test_a_reflection_brighter_than_the_spot_is_not_taken_for_it():
     rng = np.random.default_rng(4)
     wide = replace(_TRUTH, x=360.0, y=250.0, semi_major=150, semi_minor=140)
     reflection = light_of(Drawing(truth=wide, profile=bell, amplitude=150, noise=0.0))
@@ -253,7 +249,7 @@ def test_a_reflection_brighter_than_the_spot_is_not_taken_for_it() -> None:
     assert result == NoSpot(Reason.AMBIGUOUS)
 
 
-def test_vessels_under_a_bell_are_no_reflection() -> None:
+def test_vessels_under_a_bell_are_no_reflection():
     rng = np.random.default_rng(6)
     for _ in range(8):
         _measured(
@@ -262,7 +258,7 @@ def test_vessels_under_a_bell_are_no_reflection() -> None:
 
 
 @pytest.mark.parametrize("cut", [0, 4, 8, 12])
-def test_half_a_disc_is_no_spot_of_half_its_size(cut: int) -> None:
+def test_half_a_disc_is_no_spot_of_half_its_size(cut):
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]]
     disc = (np.hypot(u - 320, v - 240) < 50) & (u > 320 + cut)
     light = gaussian_filter(180.0 * disc, 1.0) + 15
@@ -272,7 +268,7 @@ def test_half_a_disc_is_no_spot_of_half_its_size(cut: int) -> None:
     assert result == NoSpot(Reason.OCCLUDED)
 
 
-def test_less_than_half_of_the_contour_is_no_spot() -> None:
+def test_less_than_half_of_the_contour_is_no_spot():
     rng = np.random.default_rng(3)
     scene = Drawing(truth=replace(_TRUTH, semi_minor=60, semi_major=60))
     wide = with_shaft(scene, rng, -0.3, 130)
@@ -283,7 +279,7 @@ def test_less_than_half_of_the_contour_is_no_spot() -> None:
     assert result == NoSpot(Reason.CLIPPED)
 
 
-def test_size_limits_are_reasons() -> None:
+def test_size_limits_are_reasons():
     frame = frame_of(Drawing(truth=_TRUTH), np.random.default_rng(0))
     small, _ = measure(frame, _MIDDLE, SubpixelSettings(min_semi_minor_px=65))
     large, _ = measure(frame, _MIDDLE, SubpixelSettings(max_semi_major_px=50))
@@ -294,7 +290,7 @@ def test_size_limits_are_reasons() -> None:
 @pytest.mark.parametrize(
     ("semi_minor", "textured"), [(20, False), (60, False), (150, False), (60, True), (150, True)]
 )
-def test_stated_covariance_is_that_of_the_errors(semi_minor: float, textured: bool) -> None:
+def test_stated_covariance_is_that_of_the_errors(semi_minor, textured):
     rng = np.random.default_rng(8)
     chi_square = []
     for _ in range(_SEEDS):
@@ -320,7 +316,7 @@ def _turn(angle: float) -> float:
     return (angle + math.pi / 2) % math.pi - math.pi / 2
 
 
-def test_lens_distortion_is_taken_out() -> None:
+def test_lens_distortion_is_taken_out():
     camera = LensDistortion(
         matrix=np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]),
         distortion=np.array([-0.35, 0.1, 0, 0]),
@@ -345,7 +341,7 @@ def test_lens_distortion_is_taken_out() -> None:
     assert state.at_px == pytest.approx((raw.x_px, raw.y_px), abs=2)
 
 
-def test_both_modes_agree_where_the_threshold_is_the_half_level() -> None:
+def test_both_modes_agree_where_the_threshold_is_the_half_level():
     scene = Drawing(truth=_TRUTH, amplitude=120, ambient=70, noise=1.0)
     frame = frame_of(scene, np.random.default_rng(0))
     literal, _ = measure(frame, _MIDDLE, LiteralSettings(threshold=130))
@@ -370,6 +366,6 @@ def test_both_modes_agree_where_the_threshold_is_the_half_level() -> None:
         (LiteralSettings, "threshold", 255),
     ],
 )
-def test_settings_that_cannot_work_are_refused(settings: Any, name: str, value: object) -> None:
+def test_settings_that_cannot_work_are_refused(settings, name, value):
     with pytest.raises(ValueError, match=name):
         settings(**{name: value})

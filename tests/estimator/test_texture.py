@@ -1,7 +1,5 @@
 """The wall's texture told from its colours, against walls that are known."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -42,7 +40,7 @@ def unevenness(image: np.ndarray) -> float:
     return float(ratio.std() / ratio.mean())
 
 
-def test_a_pigment_is_taken_out_and_the_light_left() -> None:
+def test_a_pigment_is_taken_out_and_the_light_left():
     # Samples are means of 2.5 px, over which a pigment of waves of 12 px bends by some 3 %: a
     # fifth of the 10 to 20 % that it takes is the most that may be left.
     image = tinted(bell(), veins(np.random.default_rng(0), 6.0))
@@ -52,7 +50,7 @@ def test_a_pigment_is_taken_out_and_the_light_left() -> None:
     assert unevenness(even) < unevenness(image[..., 0]) / 5
 
 
-def test_what_is_as_dark_in_every_colour_stays() -> None:
+def test_what_is_as_dark_in_every_colour_stays():
     grey = bell() * np.exp(-0.3 * veins(np.random.default_rng(1), 6.0))
     light = grey.astype(np.float32)
     even = without_texture(Patch(light, 0, 0), np.dstack([light] * 3), ELLIPSE).signal
@@ -61,7 +59,7 @@ def test_what_is_as_dark_in_every_colour_stays() -> None:
 
 
 @pytest.mark.parametrize("semi_minor_px", [25.0, 35.0])
-def test_a_bell_on_a_veined_wall_is_measured_better_in_colour(semi_minor_px: float) -> None:
+def test_a_bell_on_a_veined_wall_is_measured_better_in_colour(semi_minor_px):
     rng = np.random.default_rng(2)
     errors: dict[str, list[float]] = {"colour": [], "red": []}
     for _ in range(12):
@@ -83,7 +81,7 @@ def sizes_px(image: np.ndarray, channel: int) -> list[float]:
     return [spot_in(seen).semi_minor_px for seen in (frame, alone)]
 
 
-def test_light_of_another_colour_than_the_rest_leaves_its_size() -> None:
+def test_light_of_another_colour_than_the_rest_leaves_its_size():
     # Behind a spot of reddish light on bluish ambient light the exponents find no pigment.
     rng = np.random.default_rng(3)
     spot_light, ambient = bell() - 13, 13.0
@@ -96,7 +94,7 @@ def test_light_of_another_colour_than_the_rest_leaves_its_size() -> None:
     assert abs(both - red) < 0.01 * SEMI_MINOR_PX
 
 
-def test_a_saturated_colour_tells_no_texture() -> None:
+def test_a_saturated_colour_tells_no_texture():
     # Red is at full scale over the middle of the bell; green, in which it is measured, is not.
     image = bell()[..., None] * (2.2, 1.3, 1.1) + np.random.default_rng(4).normal(0, 3, (*SHAPE, 3))
     both, green = sizes_px(image, 1)

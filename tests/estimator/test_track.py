@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 import multiprocessing
 import os
@@ -31,7 +29,7 @@ def _two_spots(first: Truth, second: Truth, rng: np.random.Generator) -> np.ndar
     return np.maximum(*frames)
 
 
-def test_the_first_frame_needs_no_start() -> None:
+def test_the_first_frame_needs_no_start():
     rng = np.random.default_rng(0)
     for truth in (
         _TRUTH,
@@ -45,14 +43,14 @@ def test_the_first_frame_needs_no_start() -> None:
         assert state.spot is spot
 
 
-def test_a_spot_is_found_in_a_large_frame() -> None:
+def test_a_spot_is_found_in_a_large_frame():
     truth = replace(_TRUTH, x=1700, y=150)
     frame = frame_of(replace(_SCENE, truth=truth), np.random.default_rng(0), (1080, 1920))
     spot, _ = measure(frame, TrackState(), SubpixelSettings())
     assert _near(spot, truth)
 
 
-def test_jumps_of_60_px_and_slow_growth_are_followed() -> None:
+def test_jumps_of_60_px_and_slow_growth_are_followed():
     rng = np.random.default_rng(1)
     wall = any_wall(rng)
     truth = replace(_TRUTH, x=300, y=240)
@@ -68,7 +66,7 @@ def test_jumps_of_60_px_and_slow_growth_are_followed() -> None:
     assert all(_near(r, t, within=0.6) for r, t in zip(results, truths, strict=True))
 
 
-def test_after_a_loss_the_spot_is_found_again_within_two_frames() -> None:
+def test_after_a_loss_the_spot_is_found_again_within_two_frames():
     rng = np.random.default_rng(2)
     elsewhere = replace(_TRUTH, x=130, y=350)
     scenes = [_SCENE, _NOTHING, _NOTHING, replace(_SCENE, truth=elsewhere)]
@@ -80,9 +78,7 @@ def test_after_a_loss_the_spot_is_found_again_within_two_frames() -> None:
 
 
 @pytest.mark.parametrize("change", [{"x": 130, "y": 350}, {"semi_minor": 100, "semi_major": 110}])
-def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(
-    change: dict[str, float],
-) -> None:
+def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(change):
     rng = np.random.default_rng(3)
     changed = replace(_TRUTH, **change)
     frames = [frame_of(replace(_SCENE, truth=t), rng) for t in (_TRUTH, changed, changed)]
@@ -92,7 +88,7 @@ def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(
     assert _near(after, changed)
 
 
-def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides() -> None:
+def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides():
     left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
     frame = _two_spots(left, right, np.random.default_rng(5))
     result, state = measure(frame, TrackState(), SubpixelSettings())
@@ -104,7 +100,7 @@ def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides() -> None:
         assert _near(spot, truth)
 
 
-def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one() -> None:
+def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one():
     left, right = replace(_TRUTH, x=200), replace(_TRUTH, x=430)
     rng = np.random.default_rng(6)
     first = frame_of(replace(_SCENE, truth=left, amplitude=120), rng)
@@ -138,9 +134,7 @@ _KINDS: dict[str, Callable[[Drawing, np.random.Generator], Drawing]] = {
 
 
 @pytest.mark.parametrize("kind", _KINDS)
-def test_a_spot_that_is_followed_is_the_one_that_is_found(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_spot_that_is_followed_is_the_one_that_is_found(kind, monkeypatch):
     rng = np.random.default_rng(12)
     scene = _KINDS[kind](_SCENE, rng)
     places = [scene.truth.moved(dx, dy) for dx, dy in ((0, 0), (2, 1), (1, 7), (9, 3), (8, 4))]
@@ -170,7 +164,7 @@ def _values(spot: Spot) -> np.ndarray:
     return np.array([spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad])
 
 
-def test_what_takes_the_place_of_a_spot_is_not_followed() -> None:
+def test_what_takes_the_place_of_a_spot_is_not_followed():
     rng = np.random.default_rng(13)
     v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
     distance = np.hypot(u - _TRUTH.x, v - _TRUTH.y)
@@ -186,7 +180,7 @@ def test_what_takes_the_place_of_a_spot_is_not_followed() -> None:
             assert state.spot is None
 
 
-def test_saturation_and_channel_follow_the_light() -> None:
+def test_saturation_and_channel_follow_the_light():
     rng = np.random.default_rng(14)
     wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
     state = TrackState()
@@ -200,7 +194,7 @@ def test_saturation_and_channel_follow_the_light() -> None:
         assert _near(spot, _TRUTH, within=0.3)
 
 
-def test_measure_keeps_nothing_but_its_state() -> None:
+def test_measure_keeps_nothing_but_its_state():
     rng = np.random.default_rng(7)
     frames = [frame_of(replace(_SCENE, truth=_TRUTH.moved(d, 0)), rng) for d in (0, 20)]
     settings = SubpixelSettings()
@@ -212,18 +206,18 @@ def test_measure_keeps_nothing_but_its_state() -> None:
     assert once.semi_minor_px == again.semi_minor_px and once.x_px == again.x_px
 
 
-def test_glints_vessels_and_shafts_are_no_spots() -> None:
+def test_glints_vessels_and_shafts_are_no_spots():
     assert false_spots(60, seed=8) == 0
 
 
 @pytest.mark.slow
-def test_ten_thousand_frames_without_a_spot_show_none() -> None:
+def test_ten_thousand_frames_without_a_spot_show_none():
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=spawn) as pool:
         assert sum(pool.map(false_spots, [500] * 20, range(100, 120))) == 0
 
 
-def test_both_modes_yield_one_result_a_frame() -> None:
+def test_both_modes_yield_one_result_a_frame():
     rng = np.random.default_rng(10)
     frames = [frame_of(s, rng) for s in (_NOTHING, _SCENE, _NOTHING)]
     for settings in (LiteralSettings(threshold=150), SubpixelSettings()):

@@ -1,7 +1,5 @@
 """`eyespot track`: what it writes, what it says, and how it ends."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math
@@ -51,24 +49,24 @@ NOTHING = NoSpot(Reason.NONE_FOUND)
 
 
 @pytest.fixture(scope="module")
-def images() -> list[np.ndarray]:
+def images():
     return recorded(8)
 
 
 @pytest.fixture
-def frames(tmp_path, images) -> Path:
+def frames(tmp_path, images):
     return write_folder(tmp_path / "frames", images, "{}.png")
 
 
 @pytest.fixture
-def microscope(tmp_path) -> Path:
+def microscope(tmp_path):
     """A telecentric one with a curved response."""
     size = SHAPE[1], SHAPE[0]
     return a_microscope_file(tmp_path, size, response="srgb", paper_exposure_s=0.01)
 
 
 @pytest.fixture
-def distorted(tmp_path) -> Path:
+def distorted(tmp_path):
     """A calibration of OpenCV's with 8 px of distortion in the corners."""
     path = tmp_path / "camera.yml"
     storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
@@ -88,7 +86,7 @@ EYE = ("--pinhole-height-mm", 200, "--eye-radius-mm", 11.5)
 
 
 @pytest.fixture
-def calibration(tmp_path) -> Path:
+def calibration(tmp_path):
     path = tmp_path / "calibration.json"
     write_calibration(path, a_calibration({"k": 20.0, "b": -4.5}))
     return path

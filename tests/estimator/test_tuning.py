@@ -1,7 +1,5 @@
 """The detector's constants stand in one table, each with what it decides."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 from statistics import NormalDist

@@ -1,7 +1,5 @@
 """Recordings for the viewer rerun, read back with rerun's own reader."""
 
-from __future__ import annotations
-
 import io
 import sys
 from pathlib import Path
@@ -36,14 +34,12 @@ def columns_of(recording: Path) -> dict[str, dict[int, Any]]:
 
 
 @pytest.fixture(scope="module")
-def stack(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def stack(tmp_path_factory):
     labels = [labels_of(index) for index in range(4)]
     return write_stack(tmp_path_factory.mktemp("drawn") / "stack", labels)
 
 
-def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
-    stack: Path, tmp_path: Path
-) -> None:
+def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(stack, tmp_path):
     recording, spots = tmp_path / "a.rrd", tmp_path / "spots.csv"
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
     printed("track", stack, "--out", spots, "--rerun", recording)
@@ -61,7 +57,7 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(
         assert image.shape == (120, 160, 3)
 
 
-def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path: Path) -> None:
+def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path):
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
     scene = load_scene(
         None,
@@ -94,7 +90,7 @@ def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path:
     assert len(columns["/microscope:EncodedImage:blob"]) == 9
 
 
-def test_the_rig_records_what_it_measures(tmp_path: Path) -> None:
+def test_the_rig_records_what_it_measures(tmp_path):
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
     v, u = np.mgrid[:240, :320]
     image = np.where(np.hypot(u - 150, v - 110) < 40, 180, 20).astype(np.uint8)
@@ -121,7 +117,7 @@ def areas_px(contour: list[list[float]]) -> float:
     return abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
 
 
-def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack: Path, tmp_path: Path) -> None:
+def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack, tmp_path):
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
     record_stack(stack, str(tmp_path / "a.rrd"))
     columns = columns_of(tmp_path / "a.rrd")
@@ -132,7 +128,7 @@ def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack: Path, tmp_path
         np.testing.assert_allclose(beam, labels.d_mm * np.array(labels.axis), atol=1e-6)
 
 
-def test_the_rings_of_the_retina_lie_on_the_eyeball() -> None:
+def test_the_rings_of_the_retina_lie_on_the_eyeball():
     from estimator.viewer import _heights_mm
 
     class Eye:
@@ -144,9 +140,7 @@ def test_the_rings_of_the_retina_lie_on_the_eyeball() -> None:
     assert (heights < 0).all()
 
 
-def test_a_live_view_without_a_display_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_live_view_without_a_display_is_refused(tmp_path, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(ValueError, match="live needs a display"):
@@ -157,8 +151,8 @@ def test_a_live_view_without_a_display_is_refused(
     ("target", "said"), [("a.mp4", r"NAME\.rrd, or live"), ("a.rrd", r"eyespot\[rerun\]")]
 )
 def test_a_recording_that_cannot_be_made_is_refused_before_the_run(
-    stack: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, target: str, said: str
-) -> None:
+    stack, tmp_path, monkeypatch, target, said
+):
     monkeypatch.setitem(sys.modules, "rerun", None)  # stands in for a machine without it
     with pytest.raises(ValueError, match=said):
         record_stack(stack, str(tmp_path / target))

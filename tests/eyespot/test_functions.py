@@ -1,7 +1,5 @@
 """`import eyespot`: the functions return what the commands write, and print nothing."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path
@@ -30,7 +28,7 @@ TABLE = {
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def made(tmp_path_factory):
     """A folder with a stack, the fit of its beam, and what the process printed that made them."""
     folder = tmp_path_factory.mktemp("made")
     code = (
@@ -47,11 +45,11 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_nothing_is_printed(made: Path) -> None:
+def test_nothing_is_printed(made):
     assert (made / "printed.txt").read_text() == ""
 
 
-def test_track_returns_what_the_command_writes(made: Path) -> None:
+def test_track_returns_what_the_command_writes(made):
     spots = eyespot.track(made / "stack", calibration=made / "beam.json")
     out = made / "spots.csv"
     words = ("track", made / "stack", "--calibration", made / "beam.json", "-o", out)
@@ -65,7 +63,7 @@ def test_track_returns_what_the_command_writes(made: Path) -> None:
     assert read_spots(made / "own.csv")[1].result
 
 
-def test_a_table_of_spots_begins_with_what_one_looks_at(made: Path) -> None:
+def test_a_table_of_spots_begins_with_what_one_looks_at(made):
     spots = eyespot.track(made / "stack", calibration=made / "beam.json")
     assert [*spots.columns[:9]] == [
         *("frame", "file_name", "time_s", "distance_mm", "distance_low_mm", "distance_high_mm"),
@@ -76,7 +74,7 @@ def test_a_table_of_spots_begins_with_what_one_looks_at(made: Path) -> None:
     assert spots.attrs["ended"] == "complete"
 
 
-def test_a_fit_has_its_parameters_with_standard_deviations(made: Path) -> None:
+def test_a_fit_has_its_parameters_with_standard_deviations(made):
     fit = eyespot.fit(made / "stack", model="cone")
     calibration = read_calibration(made / "beam.json")
     for name, value in calibration.values.items():
@@ -90,14 +88,14 @@ def test_a_fit_has_its_parameters_with_standard_deviations(made: Path) -> None:
         fit.save(made / "beam.json")
 
 
-def test_wrong_options_are_named(made: Path) -> None:
+def test_wrong_options_are_named(made):
     with pytest.raises(InputError, match="colour is unknown; known are mode"):
         eyespot.track(made / "stack", colour="red")
     with pytest.raises(InputError, match=r"model: .*got 'disc'"):
         eyespot.fit(made / "stack", model="disc")
 
 
-def test_a_study_has_its_commands_options() -> None:
+def test_a_study_has_its_commands_options():
     import inspect
 
     parameters = inspect.signature(eyespot.studies.eccentricity).parameters
@@ -108,6 +106,6 @@ def test_a_study_has_its_commands_options() -> None:
         eyespot.studies.eccentricity(out=Path("never"), geometries=64)
 
 
-def test_setting_what_the_study_varies_is_refused() -> None:
+def test_setting_what_the_study_varies_is_refused():
     with pytest.raises(InputError, match="no effect in this study"):
         eyespot.studies.eccentricity(out=Path("never"), changes=("spot.eccentricity_mm=6",))

@@ -60,6 +60,7 @@ def folder(tmp_path_factory):
         storage.write("image_height", 480)
         storage.release()
     image = cv2.imread(str(folder / STACK / "frames" / "000000.png"))
+    assert image is not None
     for suffix in ("png", "jpg", "bmp", "webp", "jp2", "tif"):
         assert cv2.imwrite(str(folder / f"image.{suffix}"), image)
     assert cv2.imwrite(str(folder / "image.pgm"), image[:, :, 0])

@@ -1,12 +1,9 @@
 """Inputs that once ended in a traceback, a hang or gigabytes of memory; each is a class of them."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct
 import zlib
-from pathlib import Path
 
 import pytest
 
@@ -147,7 +144,7 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
         ("rows: 3\n   cols: 3\n   dt: d\n   data: []", "0 numbers, but rows and cols"),
     ],
 )
-def test_an_odd_matrix_of_opencv_is_refused(tmp_path: Path, matrix: str, words: str) -> None:
+def test_an_odd_matrix_of_opencv_is_refused(tmp_path, matrix, words):
     path = tmp_path / "camera.yml"
     path.write_text(
         f"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\nK: !!opencv-matrix\n   {matrix}\n"
@@ -156,7 +153,7 @@ def test_an_odd_matrix_of_opencv_is_refused(tmp_path: Path, matrix: str, words: 
         read_microscope(path, pinhole_height_mm=200.0, eye_radius_mm=11.5)
 
 
-def test_a_value_in_a_message_has_at_most_two_hundred_characters() -> None:
+def test_a_value_in_a_message_has_at_most_two_hundred_characters():
     assert shortened("x") == "'x'"
     assert len(shortened("x" * 200_000)) == 201
     assert "large" in shortened(10**5000)

@@ -1,7 +1,5 @@
 """The command line: what a person sees when something goes wrong, and the exit codes."""
 
-from __future__ import annotations
-
 import errno
 import importlib.metadata
 import os

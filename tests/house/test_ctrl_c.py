@@ -1,7 +1,5 @@
 """Ctrl-C ends every command with exit code 130, whatever the command is doing."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -66,7 +66,7 @@ def imports_of(tree):
             yield from (Import(alias.name, node.lineno, late) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names = tuple(alias.name for alias in node.names)
-            yield Import(node.module, node.lineno, late, names)
+            yield Import(node.module or "", node.lineno, late, names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             if ast.unparse(node.func).endswith(("import_module", "__import__")):
                 yield Import(str(node.args[0].value), node.lineno, late)
@@ -212,7 +212,7 @@ def test_what_a_face_offers_is_there_and_not_hidden_by_a_module_of_the_same_name
 
 
 def test_no_module_and_no_room_imports_itself_by_way_of_others():
-    rooms = defaultdict(set)
+    rooms: dict[str, set[str]] = defaultdict(set)
     for module in MODULES.keys() - ROOMS:
         others = {room_of(home) for home in homes_imported_by(module)}
         rooms[room_of(module)] |= others - {room_of(module)}

@@ -1,7 +1,5 @@
 """Which libLLVM is chosen, and that one which would abort the process is never loaded."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

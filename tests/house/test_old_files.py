@@ -1,12 +1,9 @@
 """Files as eyespot 0.1.0 wrote them are read for ever, and newer ones are refused by name."""
 
-from __future__ import annotations
-
 import json
 import math
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +24,7 @@ OLD = Path(__file__).parents[1] / "files-0.1"
 STACK = OLD / "small-v1" / "train" / "0000"
 
 
-def test_a_stack_of_0_1_is_read() -> None:
+def test_a_stack_of_0_1_is_read():
     stack = read_stack(STACK)
     stack.verify()
     first, second = stack.labels
@@ -52,7 +49,7 @@ def test_a_stack_of_0_1_is_read() -> None:
     np.testing.assert_allclose(poses[0].position_mm, first.tip_mm, atol=1e-5)
 
 
-def test_a_set_of_0_1_is_read() -> None:
+def test_a_set_of_0_1_is_read():
     labelled = read_set(OLD / "small-v1")
     assert labelled.name == "small-v1"
     assert [(stack.split, stack.name, stack.condition) for stack in labelled.stacks] == [
@@ -70,7 +67,7 @@ def test_a_set_of_0_1_is_read() -> None:
     assert len(str(caught.value).splitlines()) == 2
 
 
-def test_spots_of_version_1_may_say_that_a_frame_met_a_bug(tmp_path: Path) -> None:
+def test_spots_of_version_1_may_say_that_a_frame_met_a_bug(tmp_path):
     text = (OLD / "spots.csv").read_text()
     assert "occluded" in text
     (tmp_path / "spots.csv").write_text(text.replace("occluded", "internal_error"))
@@ -79,7 +76,7 @@ def test_spots_of_version_1_may_say_that_a_frame_met_a_bug(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])
-def test_spots_of_0_1_are_read(name: str) -> None:
+def test_spots_of_0_1_are_read(name):
     first, second, third = read_spots(OLD / name)
     assert isinstance(first.result, Spot)
     assert (first.result.x_px, first.result.semi_minor_px) == (320.5, 60.0)
@@ -92,7 +89,7 @@ def test_spots_of_0_1_are_read(name: str) -> None:
     assert math.isnan(third.result.coverage)
 
 
-def test_calibrations_of_0_1_are_read() -> None:
+def test_calibrations_of_0_1_are_read():
     planar = read_calibration(OLD / "calibration.json")
     assert dict(planar.values) == {"k": 20.0, "b": -5.117, "scale": 0.0067}
     assert planar.sigma("k") == 0.1
@@ -102,7 +99,7 @@ def test_calibrations_of_0_1_are_read() -> None:
     assert lens.values["sag"] == 0.12
 
 
-def test_a_scene_and_a_spec_of_0_1_are_read() -> None:
+def test_a_scene_and_a_spec_of_0_1_are_read():
     assert load_scene(OLD / "scene.toml") == Scene()
     spec = load_spec(OLD / "spec.toml")
     assert (spec.name, spec.splits.train) == ("small-v1", 1)
@@ -132,9 +129,7 @@ def _newer(path: Path) -> None:
         ("spec.toml", load_spec),
     ],
 )
-def test_a_newer_file_is_refused_with_the_way_out(
-    tmp_path: Path, name: str, read: Callable[[Path], object]
-) -> None:
+def test_a_newer_file_is_refused_with_the_way_out(tmp_path, name, read):
     shutil.copytree(OLD, tmp_path, dirs_exist_ok=True)
     _newer(tmp_path / name)
     newer = (

@@ -1,7 +1,5 @@
 """The wheel holds all that eyespot needs to run away from its checkout."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import sysconfig

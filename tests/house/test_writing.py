@@ -1,7 +1,5 @@
 """Whatever stops a writer, the next one finishes; two writers of one thing do not mix."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal
@@ -42,7 +40,7 @@ def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:
     return {name: (int(killed), int(full)) for name, killed, full in found}
 
 
-def test_a_stopped_writer_leaves_what_the_same_command_finishes() -> None:
+def test_a_stopped_writer_leaves_what_the_same_command_finishes():
     found = stopped_often("--quick")
     assert list(found) == ["stack", "set", "run", "scene", "coco", "hdf5", "rosbag2"]
     # A file takes seven steps: a folder, its first write, its end, its name, and three to clean up.
@@ -52,7 +50,7 @@ def test_a_stopped_writer_leaves_what_the_same_command_finishes() -> None:
 
 
 @pytest.mark.slow
-def test_a_writer_that_is_stopped_at_any_step_leaves_what_the_same_command_finishes() -> None:
+def test_a_writer_that_is_stopped_at_any_step_leaves_what_the_same_command_finishes():
     found = stopped_often()
     assert found["stack"][0] > 11 * 6
     assert found["set"][0] > 30 * 6
@@ -67,14 +65,14 @@ def begun_stack(folder: Path) -> Path:
     return folder.with_name(f".{folder.name}.partial") / "frames" / "000000.png"
 
 
-def test_a_stopped_stack_outlives_a_run_that_fails_before_it_renders(tmp_path: Path) -> None:
+def test_a_stopped_stack_outlives_a_run_that_fails_before_it_renders(tmp_path):
     frame = begun_stack(tmp_path / "stack")
     with pytest.raises(ZeroDivisionError), StackWriter(tmp_path / "stack"):
         raise ZeroDivisionError
     assert frame.is_file()
 
 
-def test_a_run_that_fails_before_it_renders_leaves_nothing(tmp_path: Path) -> None:
+def test_a_run_that_fails_before_it_renders_leaves_nothing(tmp_path):
     with pytest.raises(ZeroDivisionError), StackWriter(tmp_path / "stack"):
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
@@ -130,7 +128,7 @@ def another_process_writes(out: Path, writer: str) -> Iterator[subprocess.Popen[
 
 
 @pytest.mark.parametrize("writer", WRITERS)
-def test_the_second_run_of_two_is_refused_at_once(writer: str, tmp_path: Path) -> None:
+def test_the_second_run_of_two_is_refused_at_once(writer, tmp_path):
     stack, out = tiny_stack(tmp_path / "stack"), tmp_path / "out"
     with another_process_writes(out, writer) as first:
         with pytest.raises(BeingWrittenError, match="out is being written by another process"):
@@ -145,7 +143,7 @@ def test_the_second_run_of_two_is_refused_at_once(writer: str, tmp_path: Path) -
 
 @pytest.mark.parametrize("writer", [name for name in WRITERS if name != "study"])
 @pytest.mark.parametrize("kind", ["file", "folder", "link"])
-def test_no_command_writes_over_what_is_there(kind: str, writer: str, tmp_path: Path) -> None:
+def test_no_command_writes_over_what_is_there(kind, writer, tmp_path):
     stack, out, mine = tiny_stack(tmp_path / "stack"), tmp_path / "out", tmp_path / "mine"
     mine.write_text("mine")
     match kind:
@@ -163,7 +161,7 @@ def test_no_command_writes_over_what_is_there(kind: str, writer: str, tmp_path: 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "out", "stack"]
 
 
-def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path: Path) -> None:
+def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path):
     (tmp_path / "c.html").write_text("mine")
     with pytest.raises(InputError, match=r"c\.html already exists"):
         fit([tmp_path / "no such recording"], tmp_path / "c.json", Choices(model="plane"))
@@ -171,7 +169,7 @@ def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("writer", ["export", "score", "fit"])
-def test_no_command_removes_a_stopped_stack_of_the_same_name(writer: str, tmp_path: Path) -> None:
+def test_no_command_removes_a_stopped_stack_of_the_same_name(writer, tmp_path):
     frame = begun_stack(tmp_path / "out")
     broken = tiny_stack(tmp_path / "stack")
     (broken / "metadata.jsonl").unlink()
@@ -181,15 +179,13 @@ def test_no_command_removes_a_stopped_stack_of_the_same_name(writer: str, tmp_pa
 
 
 @pytest.mark.parametrize("writer", ["export", "score", "preview", "fit"])
-def test_a_folder_that_does_not_exist_is_named_before_the_work(writer: str, tmp_path: Path) -> None:
+def test_a_folder_that_does_not_exist_is_named_before_the_work(writer, tmp_path):
     with pytest.raises(InputError, match="nowhere is no folder"):
         WRITERS[writer](tmp_path / "no such stack", tmp_path / "nowhere" / "out")
 
 
 @pytest.mark.parametrize("writer", ["render", "export", "score", "fit"])
-def test_a_disk_that_is_too_small_is_refused_before_the_work(
-    writer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_too_small_is_refused_before_the_work(writer, tmp_path, monkeypatch):
     stack = tiny_stack(tmp_path / "stack")
     # A stub: a disk of that size needs the right to mount one.
     small = os.statvfs_result((4096, 4096, 0, 0, 0, 0, 0, 0, 0, 255))
@@ -199,7 +195,7 @@ def test_a_disk_that_is_too_small_is_refused_before_the_work(
     assert [path.name for path in tmp_path.iterdir()] == ["stack"]
 
 
-def test_a_stack_is_verified_with_everything_in_its_folder(tmp_path: Path) -> None:
+def test_a_stack_is_verified_with_everything_in_its_folder(tmp_path):
     stack = read_stack(tiny_stack(tmp_path / "stack"))
     stack.verify()
     frame = stack.folder / "frames" / "000000.png"
