@@ -24,6 +24,11 @@ def camera(height: float, **kwargs) -> optics.Microscope:
     return optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE, **kwargs)
 
 
+# Python's floats under the same names, so that one compilation serves all tests.
+SQUARE = {"incidence": 0.0, "incidence_azimuth": 0.0, "half_angle": HALF_ANGLE, "apex_offset": APEX}
+"""A cone of light square to the wall."""
+
+
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_scale_at_the_pole_is_delta(height):
     step = camera(height).project(jnp.array([[0.0, 0.0, -R_EYE], [1.0, 0.0, -R_EYE]]))
@@ -92,16 +97,8 @@ def test_a_pinhole_on_the_retina_is_refused_with_the_way_out(height):
     "wall", [optics.Sphere(R_EYE), optics.pole_plane(eye_radius=R_EYE, tilt=0.2)]
 )
 def test_beam_at_spot_meets_the_wall_there_at_that_distance_and_incidence(wall):
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=3.0,
-        azimuth=0.7,
-        distance=4.0,
-        incidence=0.5,
-        incidence_azimuth=1.1,
-        half_angle=HALF_ANGLE,
-        apex_offset=APEX,
-    )
+    tilted = SQUARE | {"azimuth": 0.7, "incidence": 0.5, "incidence_azimuth": 1.1}
+    beam = optics.beam_at_spot(wall, eccentricity=3.0, distance=4.0, **tilted)
     spot = beam.spot(wall)
     np.testing.assert_allclose(spot.distance, 4.0, rtol=1e-13)
     np.testing.assert_allclose(jnp.hypot(*spot.point[:2]), 3.0, rtol=1e-13)
@@ -110,21 +107,13 @@ def test_beam_at_spot_meets_the_wall_there_at_that_distance_and_incidence(wall):
 
 
 def test_rays_that_miss_or_point_away_say_so_and_stay_finite():
-    sphere = optics.Sphere(R_EYE)
     origin = jnp.array([[0.0, 0.0, 30.0], [0.0, 0.0, 30.0], [0.0, 0.0, 0.0]])
     direction = jnp.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    hit = sphere.intersect(origin, direction)
-    assert hit.status.tolist() == [optics.MISS, optics.BEHIND, optics.HIT]
-    gradient = jax.grad(lambda o: jnp.sum(sphere.intersect(o, direction).point))(origin)
-    assert bool(jnp.isfinite(gradient).all())
-    plane = optics.pole_plane(eye_radius=R_EYE)
-    assert plane.intersect(origin, direction).status.tolist() == [
-        optics.MISS,
-        optics.BEHIND,
-        optics.HIT,
-    ]
-    gradient = jax.grad(lambda o: jnp.sum(plane.intersect(o, direction).point))(origin)
-    assert bool(jnp.isfinite(gradient).all())
+    for wall in (optics.Sphere(R_EYE), optics.pole_plane(eye_radius=R_EYE)):
+        status = wall.intersect(origin, direction).status
+        assert status.tolist() == [optics.MISS, optics.BEHIND, optics.HIT]
+        gradient = jax.grad(lambda o, w=wall: jnp.sum(w.intersect(o, direction).point))(origin)
+        assert bool(jnp.isfinite(gradient).all())
 
 
 @pytest.mark.parametrize("incidence", [0.0, 0.3, 0.8])
@@ -134,12 +123,7 @@ def test_contact_is_where_the_rim_first_touches(incidence):
     for wall in (optics.Sphere(R_EYE), optics.pole_plane(eye_radius=R_EYE)):
         d = optics.contact_distance(wall, incidence=incidence, rim_radius=rim)
         beam = optics.beam_at_spot(
-            wall,
-            eccentricity=4.0,
-            distance=d,
-            incidence=incidence,
-            half_angle=HALF_ANGLE,
-            apex_offset=APEX,
+            wall, eccentricity=4.0, distance=d, **SQUARE | {"incidence": incidence}
         )
         first, second = optics.perpendicular_frame(beam.axis)
         points = beam.tip + rim * (
@@ -191,9 +175,7 @@ def test_square_spot_images_as_the_closed_form_conic(height):
 
 def test_square_spot_images_as_a_circle_from_the_sphere():
     wall, eye = optics.Sphere(R_EYE), camera(R_EYE)
-    beam = optics.beam_at_spot(
-        wall, eccentricity=6.0, distance=5.0, half_angle=HALF_ANGLE, apex_offset=APEX
-    )
+    beam = optics.beam_at_spot(wall, eccentricity=6.0, distance=5.0, **SQUARE)
     contour = jax.jit(optics.spot_contour)(beam, wall, eye)
     ellipse = jax.jit(optics.ellipse_of_contour)(contour)
     radii = jnp.linalg.norm(contour - ellipse.centre, axis=-1)
@@ -225,15 +207,8 @@ def test_ellipse_of_an_ellipse_is_itself_whatever_the_spacing_of_its_points():
 
 def test_number_of_contour_points_does_not_move_the_ellipse():
     wall, eye = optics.Sphere(R_EYE), camera(200.0)
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=5.0,
-        distance=6.0,
-        incidence=0.6,
-        incidence_azimuth=1.0,
-        half_angle=0.14,
-        apex_offset=-1.0,
-    )
+    wide = {"incidence": 0.6, "incidence_azimuth": 1.0, "half_angle": 0.14, "apex_offset": -1.0}
+    beam = optics.beam_at_spot(wall, eccentricity=5.0, distance=6.0, **wide)
     spot_ellipse = jax.jit(optics.spot_ellipse, static_argnames="points")
     coarse, fine = (spot_ellipse(beam, wall, eye, points=n) for n in (128, 1024))
     # dt is taken from chords, whose error falls with n^2; it weighs residuals of 1e-3 of an axis.
@@ -241,11 +216,8 @@ def test_number_of_contour_points_does_not_move_the_ellipse():
 
 
 WALL = optics.Sphere(R_EYE)
-SQUARE = {"incidence": 0.0, "incidence_azimuth": 0.0, "half_angle": HALF_ANGLE, "apex_offset": APEX}
-"""A cone of light square to the wall."""
 
 
-# The tests pass the same names and Python's floats, so that one compilation serves all of them.
 @jax.jit
 def forward_axis(eye, d, beam):
     return optics.exact_semi_minor(WALL, eye, distance=d, **beam)
