@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import math
 import sys
-from collections import Counter
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from estimator import SubpixelSettings, TrackState, measure
-from estimator.distance.budget import Budget, Budgets, ToolMotion
+from estimator.distance.budget import Budgets, ToolMotion
 from estimator.distance.ranger import Ranger
 from formats.spots import Spot
 from formats.stated import Stated
@@ -47,36 +47,27 @@ COVARIANCE = np.array([[4e-4, -1e-4, 0.0], [-1e-4, 1e-4, 0.0], [0.0, 0.0, (1e-3 
 
 
 class Errors(NamedTuple):
-    """What a reading is computed with is wrong by these.
-
-    Attributes:
-        stated: what the budget is told, and the errors are drawn from.
-        covariance: of the calibration.
-        moving: whether the tool moves.
-    """
+    """What a reading is computed with is wrong by these."""
 
     stated: Stated
-    covariance: np.ndarray
-    moving: bool
-
-
-ALL = Errors(STATED, COVARIANCE, True)
-_NONE = Stated(axis_sigma_deg=0.2, incidence_deg=INCIDENCE_DEG)
+    covariance: np.ndarray = 0 * COVARIANCE
+    moving: bool = False
 
 
 def _only(**stated: float) -> Stated:
-    return _NONE.model_copy(update=stated)
+    return Stated(**{"axis_sigma_deg": 0.2, "incidence_deg": INCIDENCE_DEG} | stated)
 
 
+ALL = Errors(STATED, COVARIANCE, True)
 ONE_BY_ONE = {
-    "image": Errors(_NONE, 0 * COVARIANCE, False),
-    "calibration": Errors(_NONE, COVARIANCE, False),
-    "tilt": Errors(_only(axis_sigma_deg=1.0), 0 * COVARIANCE, False),
-    "eye radius": Errors(_only(eye_radius_sigma_mm=1.0), 0 * COVARIANCE, False),
-    "pinhole": Errors(_only(inverse_working_distance_sigma=0.001), 0 * COVARIANCE, False),
-    "size": Errors(_only(size_per_mm=0.00065), 0 * COVARIANCE, False),
-    "touch": Errors(_only(touch_sigma_mm=0.02), 0 * COVARIANCE, False),
-    "clock": Errors(_only(clock_sigma_s=0.01), 0 * COVARIANCE, True),
+    "image": Errors(_only()),
+    "calibration": Errors(_only(), COVARIANCE),
+    "tilt": Errors(_only(axis_sigma_deg=1.0)),
+    "eye radius": Errors(_only(eye_radius_sigma_mm=1.0)),
+    "pinhole": Errors(_only(inverse_working_distance_sigma=0.001)),
+    "size": Errors(_only(size_per_mm=0.00065)),
+    "touch": Errors(_only(touch_sigma_mm=0.02)),
+    "clock": Errors(_only(clock_sigma_s=0.01), moving=True),
 }
 """One cause, the image's, which every frame has, and an axis that is known to 0.2 degrees."""
 
@@ -95,43 +86,13 @@ PLACES = (
 
 
 class Seen(NamedTuple):
-    """A spot that was rendered and measured.
-
-    Attributes:
-        height_mm: of the pinhole.
-        principal_px: principal point.
-        axis: of the beam.
-        distance_mm: true |SO|.
-        spot: as measured.
-    """
+    """A spot that was rendered and measured, the pinhole's height, the beam and the true |SO|."""
 
     height_mm: float
     principal_px: tuple[float, float]
     axis: np.ndarray
     distance_mm: float
     spot: Spot
-
-
-class Read(NamedTuple):
-    """A reading.
-
-    Attributes:
-        model: that it was made with.
-        known_axis: whether the robot's axis was known.
-        budget: of the reading.
-        truth_mm: the distance at the time that the clock said.
-    """
-
-    model: str
-    known_axis: bool
-    budget: Budget
-    truth_mm: float
-
-    @property
-    def inside(self) -> bool:
-        """Whether the 95 % interval contains the truth."""
-        low, high = self.budget.interval_mm
-        return low <= self.truth_mm <= high
 
 
 def scene_at(place: tuple[float, float, str], seed: int) -> Scene:
@@ -189,8 +150,11 @@ def _seen_at(world: World, count: int, noise: np.random.Generator) -> Iterator[S
 
 def read(
     seen: Seen, model: str, *, known_axis: bool, errors: Errors, noise: np.random.Generator
-) -> Read | None:
-    """The reading of a spot by a lab that knows everything up to its stated uncertainties."""
+) -> dict[str, Any] | None:
+    """The reading of a spot by a lab that knows everything up to its stated uncertainties.
+
+    `truth_mm` is the distance at the time that the clock said.
+    """
     stated = errors.stated
     believed = np.array([K, B, SCALE])
     if errors.covariance.any():
@@ -235,12 +199,22 @@ def read(
     )
     budget = Budgets(ranger, stated).of(seen.spot, found, axis=told, motion=motion)
     truth = seen.distance_mm + math.hypot(*motion.velocity_mm_s) * late
-    return None if budget is None else Read(model, known_axis, budget, truth)
+    if budget is None:
+        return None
+    low, high = budget.interval_mm
+    return {
+        "model": model if known_axis else f"{model}, axis unknown",
+        "inside": low <= truth <= high,
+        "sigma_mm": budget.sigma_mm,
+        "error_mm": budget.corrected_mm - truth,
+        "raw_error_mm": budget.reading_mm - truth,
+        "cause": budget.largest and budget.largest.cause.meaning,
+    }
 
 
 def readings(
     spots: list[Seen], *, seed: int, errors: Errors = ALL, blind: bool = True
-) -> list[Read]:
+) -> pd.DataFrame:
     """One reading of each spot, by the models in turn; if `blind` also without an axis."""
     noise = np.random.default_rng([seed, 1])
     ways = [(model, True) for model in MODELS]
@@ -249,31 +223,28 @@ def readings(
         read(spot, model, known_axis=axis, errors=errors, noise=noise)
         for spot, (model, axis) in zip(spots, ways * len(spots), strict=False)
     )
-    return [reading for reading in found if reading is not None]
+    return pd.DataFrame([reading for reading in found if reading is not None])
 
 
 def main() -> None:
-    """Print the coverage of all readings, and by model."""
+    """Print the coverage of all readings, by model, and of one cause at a time."""
     count, seed = int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0
     spots = list(seen_spots(count, seed=seed))
     found = readings(spots, seed=seed)
     print(f"{count} frames, {len(spots)} with a spot, {len(found)} with a distance")
-    for model, known in sorted({(r.model, r.known_axis) for r in found} | {("all", True)}):
-        own = [r for r in found if model == "all" or (r.model, r.known_axis) == (model, known)]
-        sigma = np.median([r.budget.sigma_mm for r in own])
-        error = np.sqrt(np.mean([(r.budget.corrected_mm - r.truth_mm) ** 2 for r in own]))
-        raw = np.sqrt(np.mean([(r.budget.reading_mm - r.truth_mm) ** 2 for r in own]))
-        causes = Counter(r.budget.largest.cause.meaning for r in own if r.budget.largest)
+    for model, own in [("all", found), *found.groupby("model")]:
+        error, raw = (own[name].pow(2).mean() ** 0.5 for name in ("error_mm", "raw_error_mm"))
         print(
-            f"{model}{'' if known else ', axis unknown'}: {len(own)} readings, "
-            f"{100 * np.mean([r.inside for r in own]):.1f} % inside; median u {sigma:.3f} mm, "
-            f"RMS error {error:.3f} mm (uncorrected {raw:.3f}); {dict(causes)}"
+            f"{model}: {len(own)} readings, {100 * own.inside.mean():.1f} % inside; median u "
+            f"{own.sigma_mm.median():.3f} mm, RMS error {error:.3f} mm (uncorrected {raw:.3f}); "
+            f"{own.cause.value_counts().to_dict()}"
         )
     for name, errors in ONE_BY_ONE.items():
         own = readings(spots, seed=seed, errors=errors, blind=False)
-        sigma = np.median([r.budget.sigma_mm for r in own])
-        inside = 100 * np.mean([r.inside for r in own])
-        print(f"only {name}: {inside:.1f} % of {len(own)} inside; median u {sigma:.4f} mm")
+        print(
+            f"only {name}: {100 * own.inside.mean():.1f} % of {len(own)} inside; median u "
+            f"{own.sigma_mm.median():.4f} mm"
+        )
 
 
 if __name__ == "__main__":
