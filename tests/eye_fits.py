@@ -13,12 +13,13 @@ from __future__ import annotations
 import math
 import sys
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 from jaxtyping import Array
 
 import optics
@@ -48,26 +49,6 @@ MICROSCOPE = a_microscope(
     scale_mm_px=0.0065, principal_point_px=(0.0, 0.0), pinhole_height_mm=200.0
 )
 """What the table knows of the microscope: a pinhole far above, and a scale that is 3 % off."""
-
-
-class Read(NamedTuple):
-    """What one eye gives.
-
-    Attributes:
-        errors: of the distances read at `READ_C_MM`, mm.
-        sigmas: their standard deviations as stated, mm.
-        kappa: fitted, 1/mm.
-        kappa_sigma: its standard error as stated.
-        best_kappa: fitted to the same withdrawals without any error or prior of the retina.
-        good: chi squared per degree of freedom.
-    """
-
-    errors: np.ndarray
-    sigmas: np.ndarray
-    kappa: float
-    kappa_sigma: float
-    best_kappa: float
-    good: float
 
 
 @eqx.filter_jit
@@ -166,15 +147,19 @@ def eyes(count: int, *, seed: int, path: str):
         yield jax.tree.map(lambda leaf, n=n: leaf[n], every), group.retina_semi_axes[n]
 
 
-def calibrated_eyes(count: int, *, seed: int = 0, path: str = "flat, phakic") -> list[Read]:
-    """Calibrate random eyes and read distances in them."""
-    return [
+def calibrated_eyes(count: int, *, seed: int = 0, path: str = "flat, phakic") -> pd.DataFrame:
+    """Calibrate random eyes and read a distance at each of `READ_C_MM` in them; a row an eye.
+
+    `errors_mm` and `sigmas_mm` are those of the distances; `kappa_pull` is the error of the fitted
+    kappa over its standard error, against a fit without any error or prior of the retina.
+    """
+    return pd.DataFrame(
         _calibrated(camera, semi_axes, np.random.default_rng([seed, n]))
         for n, (camera, semi_axes) in enumerate(eyes(count, seed=seed, path=path))
-    ]
+    )
 
 
-def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator) -> Read:
+def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator) -> dict[str, Any]:
     withdrawn = [
         (c, azimuth, TILT, towards, d)
         for c, azimuth, towards in zip(
@@ -212,14 +197,13 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
         )
         for ellipse, axis in zip(ellipses[len(withdrawn) :], axes[len(withdrawn) :], strict=True)
     ]
-    return Read(
-        errors=np.array([r.distance_mm for r in ranges]) - [row[-1] for row in read],
-        sigmas=np.array([r.sigma_mm for r in ranges]),
-        kappa=fit.values["inverse_working_distance"],
-        kappa_sigma=own.sigma("inverse_working_distance"),
-        best_kappa=best.values["inverse_working_distance"],
-        good=(fit.chi_squared or math.nan) / fit.degrees_of_freedom,
-    )
+    kappa = "inverse_working_distance"
+    return {
+        "errors_mm": np.array([r.distance_mm for r in ranges]) - [row[-1] for row in read],
+        "sigmas_mm": np.array([r.sigma_mm for r in ranges]),
+        "kappa_pull": (fit.values[kappa] - best.values[kappa]) / own.sigma(kappa),
+        "good": (fit.chi_squared or math.nan) / fit.degrees_of_freedom,
+    }
 
 
 def measured(ellipse: np.ndarray, noise: np.random.Generator, *, errors: float = 1.0) -> Spot:
@@ -229,12 +213,11 @@ def measured(ellipse: np.ndarray, noise: np.random.Generator, *, errors: float =
     return a_spot(*(ellipse + shift).tolist(), covariance=matrix)
 
 
-def pulls(found: list[Read]) -> dict[str, np.ndarray]:
-    """Errors over stated standard deviations, by what was measured; eyes in order."""
-    rows = np.array([read.errors / read.sigmas for read in found])
-    kappa = [(read.kappa - read.best_kappa) / read.kappa_sigma for read in found]
+def pulls(found: pd.DataFrame) -> pd.DataFrame:
+    """Errors over stated standard deviations, by what was measured; a row an eye."""
     names = [f"d at c = {c:g} mm" for c in READ_C_MM]
-    return dict(zip(names, rows.T, strict=True)) | {"kappa": np.array(kappa)}
+    table = pd.DataFrame([*(found.errors_mm / found.sigmas_mm)], columns=names)
+    return table.assign(kappa=found.kappa_pull)
 
 
 def main() -> None:
@@ -242,14 +225,15 @@ def main() -> None:
     count = int(sys.argv[1])
     for path in ("flat, phakic", "flat, aphakic"):
         found = calibrated_eyes(count, path=path)
-        good = [read.good for read in found]
-        print(f"{path}: {count} eyes, chi squared/n {np.median(good):.2f}, at most {max(good):.2f}")
+        print(
+            f"{path}: {count} eyes, chi squared/n {found.good.median():.2f}, at most "
+            f"{found.good.max():.2f}"
+        )
         for name, pull in pulls(found).items():
             inside = [100 * np.mean(np.abs(pull) < z) for z in (1.0, 1.959964)]
             print(f"  {name}: {inside[0]:.1f} % within sigma, {inside[1]:.1f} % within 1.96 sigma")
-        errors = np.abs([read.errors for read in found])
-        sigmas = np.median([read.sigmas for read in found], axis=0)
-        for c, column, sigma in zip(READ_C_MM, errors.T, sigmas, strict=True):
+        errors, sigmas = np.abs(np.stack(found.errors_mm)), np.stack(found.sigmas_mm)
+        for c, column, sigma in zip(READ_C_MM, errors.T, np.median(sigmas, axis=0), strict=True):
             half, most = np.quantile(column, [0.5, 0.95])
             print(f"  c = {c:g} mm: |error| {half:.3f} (95 %: {most:.3f}) mm, sigma {sigma:.3f} mm")
 

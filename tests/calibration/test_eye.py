@@ -241,7 +241,7 @@ def test_stated_intervals_hold_the_truth_in_200_random_eyes():
     """
     count = 200
     found = eye_fits.pulls(eye_fits.calibrated_eyes(count))
-    level = 0.01 / (2 * len(found))
+    level = 0.01 / (2 * len(found.columns))
     for name, pull in found.items():
         for share in (0.6827, 0.95):
             hits = int(np.sum(np.abs(pull) < stats.norm.ppf(0.5 + share / 2)))

@@ -66,12 +66,14 @@ def session_of(
     open_: Callable[[], Source],
     options: Options = Options(),
     poses: Callable[[], PoseTrack] | None = None,
+    *,
+    live: bool = False,
 ) -> Iterator[Session]:
-    session = Session(open_, options.reader(), poses=poses)
-    try:
+    """A session; one of a recording has come to its end."""
+    with contextlib.closing(Session(open_, options.reader(), poses=poses)) as session:
+        if not live:
+            wait_until(lambda: session.at_end, "the end of the recording")
         yield session
-    finally:
-        session.close()
 
 
 def shown(session: Session) -> tuple[int, float]:
@@ -82,33 +84,37 @@ def shown(session: Session) -> tuple[int, float]:
     return session.view.number, spot.semi_minor_px
 
 
+def see(session: Session, number: int) -> float:
+    """Wait until a frame is shown; its radius."""
+    wait_until(lambda: shown(session)[0] == number, f"frame {number}")
+    return shown(session)[1]
+
+
 def version_of(session: Session) -> int:
     return session.view.version if session.view else -1
 
 
 def test_a_recording_is_paused_stepped_and_sought():
     with session_of(recording) as session:
-        wait_until(lambda: session.at_end, "the end of the recording")
         assert shown(session) == (19, pytest.approx(39, abs=0.05))
         session.seek(5)
-        wait_until(lambda: shown(session)[0] == 5, "frame 5")
+        see(session, 5)
         assert shown(session)[1] == pytest.approx(25, abs=0.05)
         session.step(2)
-        wait_until(lambda: shown(session)[0] == 7, "two frames on")
+        see(session, 7)
         session.step(-1)
-        wait_until(lambda: shown(session)[0] == 6, "one frame back")
+        see(session, 6)
         time.sleep(0.1)  # five frames' time: it must have stayed
         assert shown(session) == (6, pytest.approx(26, abs=0.05))
 
 
 def test_what_is_recorded_is_what_was_shown(tmp_path):
     with session_of(recording) as session:
-        wait_until(lambda: session.at_end, "the end of the recording")
         session.start_recording(tmp_path / "spots.csv")
         session.seek(2)
-        wait_until(lambda: shown(session)[0] == 2, "frame 2")
+        see(session, 2)
         session.step(3)
-        wait_until(lambda: shown(session)[0] == 5, "frame 5")
+        see(session, 5)
         session.stop_recording()
         with pytest.raises(InputError, match="exists"):
             session.start_recording(tmp_path / "spots.csv")
@@ -120,12 +126,11 @@ def test_what_is_recorded_is_what_was_shown(tmp_path):
 
 def test_frames_that_are_recorded_in_a_bag_are_measured_again(tmp_path):
     with session_of(recording) as session:
-        wait_until(lambda: session.at_end, "the end of the recording")
         session.start_recording(tmp_path / "session.bag")
         session.seek(0)
-        wait_until(lambda: shown(session)[0] == 0, "frame 0")
+        see(session, 0)
         session.step(1)
-        wait_until(lambda: shown(session)[0] == 1, "frame 1")
+        see(session, 1)
         session.stop_recording()
         assert session.recording_fault == ""
     frames = list(open_source(tmp_path / "session.bag"))
@@ -145,15 +150,14 @@ def withdrawn() -> PoseTrack:
 
 def test_the_robots_reading_and_its_poses_are_recorded(tmp_path):
     with session_of(recording, poses=withdrawn) as session:
-        wait_until(lambda: session.at_end, "the end of the recording")
         # Frames at 50 Hz; 1 mm/s.
         robot = [moment.robot_mm for moment in session.course]
         assert robot == pytest.approx([n / 50 for n in range(20)], abs=1e-9)
         session.start_recording(tmp_path / "session.bag")
         session.seek(10)
-        wait_until(lambda: shown(session)[0] == 10, "frame 10")
+        see(session, 10)
         session.step(2)
-        wait_until(lambda: shown(session)[0] == 12, "frame 12")
+        see(session, 12)
         session.stop_recording()
         assert session.recording_fault == ""
     assert [f.time_s for f in open_source(tmp_path / "session.bag")] == [1.2, 1.22, 1.24]
@@ -171,7 +175,6 @@ def test_a_withdrawal_is_covered_fitted_and_saved(stack, tmp_path):
         session_of(lambda: open_source(stack), options, lambda: poses) as session,
         contextlib.closing(Guide(session, tmp_path, microscope)) as guide,
     ):
-        wait_until(lambda: session.at_end, "the end of the recording")
         guide.start()
         guide.look()
         assert (guide.stage, guide.spots, guide.enough) == (Stage.WITHDRAWING, 0, False)
@@ -201,12 +204,11 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path):
     frames = [Frame(index=n, time_s=n + 1.0, image=disc(30) / 255.0) for n in range(3)]
     source = Source(name="floats", read=lambda: iter(frames), rate_hz=1e3, length=3)
     with session_of(lambda: source) as session:
-        wait_until(lambda: session.at_end, "the end")
         session.start_recording(tmp_path / "session.bag")
         session.seek(0)
         wait_until(lambda: version_of(session) >= 3, "frame 0 again")
         session.pause(False)
-        wait_until(lambda: shown(session)[0] == 2, "the last frame")
+        see(session, 2)
         session.stop_recording()
         assert "images of 8 or 16 bits; got float64" in session.recording_fault
     assert not list(tmp_path.iterdir())
@@ -220,7 +222,6 @@ def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, f
     frames = [good[0], Frame.unreadable(1, 1.0, "is empty"), good[2]]
     source = Source(name="bag", read=lambda: (frames[n] for n in order), rate_hz=1e3, length=3)
     with session_of(lambda: source) as session:
-        wait_until(lambda: session.at_end, "the end")
         assert shown(session)[0] == number
         assert session.fault == fault
 
@@ -234,7 +235,7 @@ def test_a_camera_that_was_lost_comes_back_by_itself():
             yield Frame(index=0, time_s=time.time(), image=disc(30))
         raise InputError("camera 0 stopped. Check its cable.")
 
-    with session_of(lambda: Source(name="camera 0", read=read, live=True)) as session:
+    with session_of(lambda: Source(name="camera 0", read=read, live=True), live=True) as session:
         wait_until(lambda: session.view, "a frame")
         lost = True
         wait_until(lambda: session.fault, "the fault")
@@ -249,7 +250,6 @@ def test_the_course_covers_the_last_thirty_seconds():
             yield Frame(index=n, time_s=float(n), image=disc(30))
 
     with session_of(lambda: Source(name="slow", read=read, rate_hz=1e3)) as session:
-        wait_until(lambda: session.at_end, "the end")
         times = [moment.time_s for moment in session.course]
     assert times == list(range(19, 50))
 
@@ -296,13 +296,16 @@ def browser():
         browser.close()
 
 
+CONSOLE = "eyespot", "console", "--port", "{port}"
+
+
 @contextlib.contextmanager
-def console(*command: str, log: Path) -> Iterator[str]:
+def console(*command: object, log: Path) -> Iterator[str]:
     """A program that serves the page; its address."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    words = [sys.executable, *(word.format(port=port) for word in command)]
+    words = [sys.executable, "-m", *(str(word).format(port=port) for word in command)]
     # NiceGUI starts otherwise where it sees pytest's variable.
     environment = {name: value for name, value in os.environ.items() if "PYTEST" not in name}
     with log.open("wb") as output:
@@ -343,21 +346,16 @@ def stack(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack, tmp_path):
-    calibration = str(calibrated(tmp_path, "exact"))
-    command = ["-m", "eyespot", "console", str(stack), "--calibration", calibration]
-    command += ["--poses", str(stack / "kinematics.csv"), "--eye-from-robot", "0,0,0,1"]
-    command += ["--folder", str(tmp_path), "--port", "{port}"]
-    with console(*command, log=tmp_path / "log") as address:
+    options = ["--calibration", calibrated(tmp_path, "exact"), "--eye-from-robot", "0,0,0,1"]
+    options += ["--poses", stack / "kinematics.csv", "--folder", tmp_path]
+    with console(*CONSOLE, stack, *options, log=tmp_path / "log") as address:
         page, other = browser.new_page(), browser.new_page()
         for window in (page, other):
             window.goto(address)
         wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
-        page.keyboard.press("ArrowLeft")
-        wait_until(lambda: "frame 11 of 12" in text(page, "where"), "a step back")
-        page.keyboard.press("ArrowLeft")
-        wait_until(lambda: "frame 10 of 12" in text(page, "where"), "another step back")
-        page.keyboard.press("ArrowLeft")
-        wait_until(lambda: "frame 9 of 12" in text(page, "where"), "a third step back")
+        for number in (11, 10, 9):
+            page.keyboard.press("ArrowLeft")
+            wait_until(lambda n=number: f"frame {n} of 12" in text(page, "where"), "a step back")
         # A click where no spot is; then one on the spot.
         image, box = page.locator(".image img"), page.locator(".image img").bounding_box()
         label = read_stack(stack).labels[8]
@@ -394,9 +392,8 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack
 
 @pytest.mark.slow
 def test_a_calibration_is_guided_to_its_report(browser, stack, tmp_path):
-    command = ["-m", "eyespot", "console", str(stack), "--poses", str(stack / "kinematics.csv")]
-    command += ["--folder", str(tmp_path), "--port", "{port}"]
-    with console(*command, log=tmp_path / "log") as address:
+    options = ["--poses", stack / "kinematics.csv", "--folder", tmp_path]
+    with console(*CONSOLE, stack, *options, log=tmp_path / "log") as address:
         page = browser.new_page()
         page.goto(address)
         wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
@@ -439,9 +436,8 @@ LAGS = """() => new Promise(done => {
 @pytest.mark.slow
 def test_a_camera_is_shown_at_once_and_its_loss_and_return_are_seen(browser, tmp_path):
     unplugged = tmp_path / "unplugged"
-    with console(
-        "-m", "tests.console_camera", "{port}", str(unplugged), log=tmp_path / "log"
-    ) as address:
+    command = "tests.console_camera", "{port}", unplugged
+    with console(*command, log=tmp_path / "log") as address:
         page, slow = browser.new_page(), browser.new_page()
         for window in (page, slow):
             window.goto(address)
@@ -481,9 +477,8 @@ def frame_number(page: Any) -> int:
 
 @pytest.mark.slow
 def test_beyond_this_machine_the_page_asks_for_a_token(browser, stack, tmp_path):
-    command = ["-m", "eyespot", "console", str(stack), "--host", "0.0.0.0", "--port", "{port}"]
     log = tmp_path / "log"
-    with console(*command, log=log) as address:
+    with console(*CONSOLE, stack, "--host", "0.0.0.0", log=log) as address:
         token = log.read_text().rpartition("token: ")[2].strip()
         page = browser.new_context().new_page()
         page.goto(address)

@@ -5,19 +5,16 @@ import numpy as np
 import pytest
 
 from estimator import SubpixelSettings, TrackState, measure
-from formats.spots import NoSpot, Reason, Spot
+from formats.spots import NoSpot, Reason
 from scenes.drawn import SHAPE, Drawing, Truth, frame_of
-from tests.drawn_spots import bell
+from tests.drawn_spots import bell, spot_in
 
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
 _MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
 
 
-def _measured(scene: Drawing, seed: int) -> Spot:
-    frame = frame_of(scene, np.random.default_rng(seed))
-    spot, _ = measure(frame, _MIDDLE, SubpixelSettings())
-    assert isinstance(spot, Spot), spot
-    return spot
+def _measured(scene, seed):
+    return spot_in(frame_of(scene, np.random.default_rng(seed)), at=_MIDDLE.at_px)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.1, 2.5])

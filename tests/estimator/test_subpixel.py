@@ -1,6 +1,7 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from statistics import NormalDist
 
 import cv2
@@ -30,15 +31,12 @@ from tests.drawn_spots import (
     with_quarter_in_shadow,
     with_shaft,
 )
+from tests.drawn_spots import spot_in
 
-_MIDDLE = TrackState(at_px=(SHAPE[1] / 2, SHAPE[0] / 2))
+_AT = SHAPE[1] / 2, SHAPE[0] / 2
+_MIDDLE = TrackState(at_px=_AT)
+_measured = partial(spot_in, at=_AT)
 _TRUTH = Truth(x=321.3, y=238.8, semi_major=66, semi_minor=60, angle=0.7)
-
-
-def _measured(frame: np.ndarray, settings: SubpixelSettings | None = None) -> Spot:
-    spot, _ = measure(frame, _MIDDLE, settings or SubpixelSettings())
-    assert isinstance(spot, Spot), spot
-    return spot
 
 
 def _errors(make: Callable[[np.random.Generator], Drawing], number: int) -> np.ndarray:

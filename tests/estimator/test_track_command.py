@@ -25,7 +25,7 @@ from formats.calibration import read_calibration, write_calibration
 from formats.camera import LensDistortion, Response
 from formats.microscope import read_microscope
 from formats.poses import Pose
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
 from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
 from tests import command_line
@@ -116,17 +116,13 @@ def test_parquet_has_typed_columns_and_nulls(tmp_path, frames):
     assert [k for k, x in enumerate(table["x_px"].to_pylist()) if x is None] == [GONE]
 
 
-@pytest.mark.parametrize("content", [b"", b"PAR1 and no more"])
-def test_a_damaged_parquet_file_is_refused_by_name(tmp_path, content):
-    path = tmp_path / "spots.parquet"
-    path.write_bytes(content)
-    with pytest.raises(ValueError, match=r"spots\.parquet: cannot be read"):
-        read_spots(path)
-
-
-def test_parquet_of_something_else_is_refused(tmp_path):
+def test_what_is_no_parquet_file_of_spots_is_refused_by_name(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
-    path = tmp_path / "other.parquet"
+    path = tmp_path / "spots.parquet"
+    for content in (b"", b"PAR1 and no more"):
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=r"spots\.parquet: cannot be read"):
+            read_spots(path)
     pytest.importorskip("pyarrow.parquet").write_table(pyarrow.table({"frame": [1]}), path)
     with pytest.raises(ValueError, match="not a spots file: column 'file_name' is missing"):
         read_spots(path)
@@ -255,33 +251,17 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
         assert with_axis.sigma_mm < without.sigma_mm
 
 
-def drawn_pixels(picture: np.ndarray, image: np.ndarray) -> np.ndarray:
-    """(n, 2) of the pixels that a line went through, below the text."""
+def off_the_line_px(picture, image, ellipse):
+    """Distance from an ellipse, to first order, of pixels that a line went through below the text.
+
+    Without the cross in the middle.
+    """
     change = np.abs(picture.astype(int) - image).max(axis=2)
     rows, columns = np.nonzero(change > 80)  # of the 135 and more that the line's colour differs
-    return np.stack([columns, rows], axis=1)[rows > 30]
-
-
-def off_contour_px(points: np.ndarray, ellipse: Truth | Spot) -> np.ndarray:
-    """Distance of points from an ellipse, to first order."""
-    if isinstance(ellipse, Spot):
-        ellipse = Truth(
-            x=ellipse.x_px,
-            y=ellipse.y_px,
-            semi_major=ellipse.semi_major_px,
-            semi_minor=ellipse.semi_minor_px,
-            angle=ellipse.angle_rad,
-        )
-    c, s = math.cos(ellipse.angle), math.sin(ellipse.angle)
-    u, v = (points - (ellipse.x, ellipse.y)).T
-    x, y = (u * c + v * s) / ellipse.semi_major, (v * c - u * s) / ellipse.semi_minor
-    radius = np.hypot(x, y)
-    return (radius - 1) * ellipse.semi_minor
-
-
-def on_the_contour(points: np.ndarray, ellipse: Truth | Spot) -> np.ndarray:
-    """The points that are not the cross in the middle."""
-    off = off_contour_px(points, ellipse)
+    x0, y0, major, minor, angle = ellipse
+    u, v = columns[rows > 30] - x0, rows[rows > 30] - y0
+    c, s = math.cos(angle), math.sin(angle)
+    off = (np.hypot((u * c + v * s) / major, (v * c - u * s) / minor) - 1) * minor
     return off[off > -15]
 
 
@@ -293,11 +273,12 @@ def test_the_overlay_folder_shows_each_ellipse_where_the_spot_is(tmp_path, frame
     for k, path in enumerate(pictures):
         stored = cv2.imread(str(path))
         assert stored is not None
-        points = drawn_pixels(stored[:, :, ::-1], images[k])
+        one = truth(k)
+        ellipse = one.x, one.y, one.semi_major, one.semi_minor, one.angle
+        off = off_the_line_px(stored[:, :, ::-1], images[k], ellipse)
         if k == GONE:
-            assert len(points) == 0
+            assert len(off) == 0
             continue
-        off = on_the_contour(points, truth(k))
         assert len(off) > 50
         assert np.abs(off).max() < 1.5  # a line of 1 px, smoothed over its neighbours
 
@@ -311,11 +292,10 @@ def test_the_overlay_of_a_distorting_lens_is_drawn_as_the_lens_sees_it(images):
     frame = Frame(index=0, time_s=0.0, image=images[0])
     record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=ideal)
     picture = annotated(frame, record, response=Response(), camera=CAMERA)
-    off = on_the_contour(drawn_pixels(picture, images[0]), seen)
-    assert np.abs(off).max() < 1.5
+    assert np.abs(off_the_line_px(picture, images[0], seen.ellipse)).max() < 1.5
     # The test could fail: without the camera the drawing would lie elsewhere.
     plain = annotated(frame, record, response=Response())
-    assert np.abs(on_the_contour(drawn_pixels(plain, images[0]), seen)).max() > 1.5
+    assert np.abs(off_the_line_px(plain, images[0], seen.ellipse)).max() > 1.5
 
 
 @pytest.mark.parametrize("dtype", ["uint16", "float32"])
@@ -486,22 +466,6 @@ def test_ctrl_c_between_writing_and_counting_a_video_frame_is_no_fault(
         with suppress(KeyboardInterrupt):
             draw(frame, record)
     assert video.stat().st_size > 0
-
-
-def test_a_spots_file_is_replaced_whole_or_stays(tmp_path):
-    path = tmp_path / "spots.csv"
-    record = SpotRecord(frame=0, file_name="", time_s=0.0, mode="subpixel", result=NOTHING)
-    write_spots(path, [record])
-    before = path.read_bytes()
-
-    def torn():
-        yield record
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        write_spots(path, torn())
-    assert path.read_bytes() == before
-    assert list(tmp_path.iterdir()) == [path]
 
 
 def far_apart() -> list[np.ndarray]:
