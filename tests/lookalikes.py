@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -88,9 +88,9 @@ LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 }
 
 
-def taken_for_spots(name: str, number: int, seed: int) -> int:
-    """In how many of the frames the sub-pixel mode finds a spot."""
-    frames = (LOOKALIKES[name](np.random.default_rng([seed, k])) for k in range(number))
+def taken_for_spots(name: str, numbers: Iterable[int], seed: int) -> int:
+    """In how many of these frames the sub-pixel mode finds a spot."""
+    frames = (LOOKALIKES[name](np.random.default_rng([seed, k])) for k in numbers)
     results = (measure(frame, TrackState(), SubpixelSettings())[0] for frame in frames)
     return sum(isinstance(result, Spot) for result in results)
 

@@ -1,5 +1,6 @@
 from collections.abc import Iterable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,20 +27,35 @@ _MODES = (
 _STATES = (TrackState(), TrackState(at_px=(10.0, 10.0)), TrackState(at_px=(-1e9, 1e9)))
 
 
-def _typed_or_refused(frame: object) -> None:
-    """The claim of this file: a spot of finite size, a reason, or a ValueError."""
+def _assert_sound(spot: Spot, mode: SubpixelSettings | LiteralSettings) -> None:
+    """Its numbers are those of an ellipse, and its errors those of a measurement.
+
+    Warnings are errors here, so a root of a negative number, a division by zero and an overflow
+    are seen too.
+    """
+    assert 0 < spot.semi_minor_px <= spot.semi_major_px < 1e5
+    assert np.isfinite([spot.x_px, spot.y_px, spot.angle_rad]).all()
+    assert 0 <= spot.saturated <= 1
+    if isinstance(mode, SubpixelSettings):
+        assert (np.diag(spot.covariance) >= 0).all()
+        assert np.isfinite(spot.covariance).all()
+        assert 0 < spot.edge_width_px < np.inf
+        assert 0 <= spot.coverage <= 1 + 1e-9  # a sum of 192 parts of one
+        assert 0 <= spot.inlier_fraction <= 1
+
+
+def _typed_or_refused(frame: Any) -> None:
+    """A sound spot, a reason, or a ValueError."""
     for mode in _MODES:
         for state in _STATES:
             try:
-                result, after = measure(frame, state, mode)  # type: ignore[arg-type]
+                result, after = measure(frame, state, mode)
             except ValueError as error:
                 assert "frame" in str(error)
                 continue
             assert isinstance(after, TrackState)
             if isinstance(result, Spot):
-                assert 0 < result.semi_minor_px <= result.semi_major_px < 1e5
-                assert np.isfinite([result.x_px, result.y_px, result.angle_rad]).all()
-                assert 0 <= result.saturated <= 1
+                _assert_sound(result, mode)
             else:
                 assert isinstance(result, NoSpot)
 
@@ -167,23 +183,6 @@ def _settings_for(
     return [every[k] for k in rng.choice(len(every), 2, replace=False)]
 
 
-def _sound(spot: Spot, mode: SubpixelSettings | LiteralSettings) -> None:
-    """Assert that a spot's numbers are those of an ellipse, and its errors those of a measurement.
-
-    Warnings are errors here, so a root of a negative number, a division by zero and an overflow
-    are seen too.
-    """
-    assert 0 < spot.semi_minor_px <= spot.semi_major_px < 1e5
-    assert np.isfinite([spot.x_px, spot.y_px, spot.angle_rad]).all()
-    assert 0 <= spot.saturated <= 1
-    if isinstance(mode, SubpixelSettings):
-        assert (np.diag(spot.covariance) >= 0).all()
-        assert np.isfinite(spot.covariance).all()
-        assert 0 < spot.edge_width_px < np.inf
-        assert 0 <= spot.coverage <= 1 + 1e-9  # a sum of 192 parts of one
-        assert 0 <= spot.inlier_fraction <= 1
-
-
 def _measured_without_a_fault(seeds: Iterable[int]) -> None:
     for seed in seeds:
         rng = np.random.default_rng(seed)
@@ -193,7 +192,7 @@ def _measured_without_a_fault(seeds: Iterable[int]) -> None:
             _, state = measure(frame, TrackState(), mode)
             spot, _ = measure(later, state, mode)
             if isinstance(spot, Spot):
-                _sound(spot, mode)
+                _assert_sound(spot, mode)
                 camera = mode.camera if isinstance(mode, SubpixelSettings) else None
                 spot_shape(later, spot, response=mode.response, camera=camera)
 

@@ -21,7 +21,7 @@ from tests.own_frames import (
 
 @pytest.mark.parametrize("name", LOOKALIKES)
 def test_what_only_looks_like_a_spot_is_none(name):
-    assert taken_for_spots(name, 6, seed=11) == 0
+    assert taken_for_spots(name, range(6), seed=11) == 0
 
 
 @pytest.mark.parametrize("unevenness", [-0.5, 0.5])

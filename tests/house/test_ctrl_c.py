@@ -102,29 +102,23 @@ with ending_on_ctrl_c():
 """
 
 
-def test_a_command_that_writes_its_results_is_not_ended_before_it_has():
+@pytest.mark.parametrize(
+    ("seconds", "again", "ended"), [(2, False, ("written\n", 0)), (100, True, ("", 130))]
+)
+def test_a_command_that_writes_its_results_ends_after_it_or_at_a_second_ctrl_c(
+    seconds, again, ended
+):
     """On a busy machine that takes longer than a command may take that does nothing of use."""
     command = subprocess.Popen(
-        [sys.executable, "-c", FINISHING.format(seconds=2)], stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", FINISHING.format(seconds=seconds)], stdout=subprocess.PIPE, text=True
     )
     assert command.stdout is not None
-    assert command.stdout.readline() == "ready\n"
-    command.send_signal(signal.SIGINT)
+    for line in ("ready\n", "writing\n"):
+        assert command.stdout.readline() == line
+        if line == "ready\n" or again:
+            command.send_signal(signal.SIGINT)
     rest, _ = command.communicate(timeout=PATIENCE_S)
-    assert rest == "writing\nwritten\n"
-
-
-def test_a_second_ctrl_c_ends_a_command_that_writes_its_results():
-    command = subprocess.Popen(
-        [sys.executable, "-c", FINISHING.format(seconds=100)], stdout=subprocess.PIPE, text=True
-    )
-    assert command.stdout is not None
-    assert command.stdout.readline() == "ready\n"
-    command.send_signal(signal.SIGINT)
-    assert command.stdout.readline() == "writing\n"
-    command.send_signal(signal.SIGINT)
-    rest, _ = command.communicate(timeout=PATIENCE_S)
-    assert (rest, command.returncode) == ("", 130)
+    assert (rest, command.returncode) == ended
 
 
 @pytest.fixture(scope="module")
