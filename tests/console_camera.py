@@ -14,22 +14,15 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-import numpy as np
-
 from estimator import Frame, Source
 from estimator.console.page import serve
 from estimator.run.options import Options
 from formats.inputs import InputError
-
-
-def disc() -> np.ndarray:
-    v, u = np.mgrid[:240, :320]
-    inside = np.clip(40.5 - np.hypot(u - 150, v - 110), 0, 1)
-    return np.rint(20 + 160 * inside).astype(np.uint8)
+from tests.drawn_spots import disc
 
 
 def camera(unplugged: Path) -> Source:
-    image = disc()
+    image = disc((240, 320), 150, 110, 40)
 
     def read() -> Iterator[Frame]:
         for index in count():

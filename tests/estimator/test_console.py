@@ -14,6 +14,7 @@ import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +33,7 @@ from formats.microscope import read_microscope
 from formats.poses import Pose, PoseTrack, read_poses
 from formats.spots import NoSpot, Reason, Spot, read_spots
 from formats.stack import read_stack
+from tests import drawn_spots
 from tests.made_up import a_spot
 from tests.rig_recordings import HOME, calibrated, rendered_stack
 
@@ -45,10 +47,7 @@ def wait_until(done: Callable[[], Any], what: str) -> None:
         time.sleep(0.02)
 
 
-def disc(radius: float, bright: int = 180) -> np.ndarray:
-    v, u = np.mgrid[:120, :160]
-    inside = np.clip(radius + 0.5 - np.hypot(u - 80, v - 60), 0, 1)
-    return np.rint(20 + (bright - 20) * inside).astype(np.uint8)
+disc = partial(drawn_spots.disc, (120, 160), 80, 60)
 
 
 def recording(frames: int = 20) -> Source:

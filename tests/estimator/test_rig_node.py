@@ -17,6 +17,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Self
 from xmlrpc.client import ServerProxy
@@ -34,6 +35,7 @@ from estimator.rig.rig import Parameters, Rig
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from formats.poses import read_poses
+from tests import drawn_spots
 from tests.made_up import a_microscope_file
 from tests.rig_recordings import (
     HOME,
@@ -59,13 +61,7 @@ def pose_message(qw: float = 1.0) -> Any:
     return message(ROS1, "geometry_msgs/msg/Transform", translation=place, rotation=turn)
 
 
-def disc(x: float, y: float, radius: float) -> np.ndarray:
-    """A bright disc with an edge a pixel wide, 320x240 px."""
-    v, u = np.mgrid[:240, :320]
-    inside = np.clip(radius + 0.5 - np.hypot(u - x, v - y), 0, 1)
-    return np.rint(20 + 160 * inside).astype(np.uint8)
-
-
+disc = partial(drawn_spots.disc, (240, 320))
 DARK = np.full((240, 320), 20, np.uint8)
 
 

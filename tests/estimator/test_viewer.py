@@ -17,6 +17,7 @@ from formats.stack import read_stack
 from scenes import load_scene, render_stack
 from tests.command_line import printed
 from tests.drawn_sets import labels_of, write_stack
+from tests.drawn_spots import disc
 
 
 def columns_of(recording: Path) -> dict[str, dict[int, Any]]:
@@ -92,8 +93,7 @@ def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path)
 
 def test_the_rig_records_what_it_measures(tmp_path):
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
-    v, u = np.mgrid[:240, :320]
-    image = np.where(np.hypot(u - 150, v - 110) < 40, 180, 20).astype(np.uint8)
+    image = disc((240, 320), 150, 110, 40)
     message = SimpleNamespace(
         height=240, width=320, encoding="mono8", is_bigendian=0, step=320, data=image.ravel()
     )

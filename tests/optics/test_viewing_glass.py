@@ -68,24 +68,31 @@ def cone_scene(form):
     )
 
 
+def seen_through(glass, path, camera, spp):
+    """A dark retina behind the path's surfaces, its camera and the integrator."""
+    retina = viewing.Conic(depth=0.0, curvature=-1.0 / RADIUS)
+    matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": REFLECTANCE}}
+    return {
+        "integrator": {"type": "path", "max_depth": 12, "rr_depth": 100},
+        "wall": glass.conic_mesh(retina, edge=9.0, vertex=glass.retinal_pole(path), bsdf=matt),
+        "sensor": glass.outside_camera(path, camera, width=WIDTH, height=HEIGHT, spp=spp),
+        **glass.surfaces(path),
+    }
+
+
 def photographed(glass, path, camera):
     """Mitsuba's images, seeds x H x W, of a dark wall that a point lights from inside the eye."""
     import mitsuba as mi
 
-    retina = viewing.Conic(depth=0.0, curvature=-1.0 / RADIUS)
-    matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": REFLECTANCE}}
     scene = mi.load_dict(
         {
             "type": "scene",
-            "integrator": {"type": "path", "max_depth": 12, "rr_depth": 100},
-            "wall": glass.conic_mesh(retina, edge=9.0, vertex=glass.retinal_pole(path), bsdf=matt),
             "lamp": {
                 "type": "point",
                 "position": LAMP.tolist(),
                 "intensity": {"type": "rgb", "value": 1.0},
             },
-            "sensor": glass.outside_camera(path, camera, width=WIDTH, height=HEIGHT, spp=SPP),
-            **glass.surfaces(path),
+            **seen_through(glass, path, camera, SPP),
         }
     )
     return np.array(
@@ -152,17 +159,7 @@ def test_a_rendered_frame_is_mitsubas_through_real_surfaces(glass, form):
     ours = renderer.render(0).radiance[..., 1]
     (tip,), (axis,) = world.motion.at(world.times[:1])
     content = mitsuba_dict(world, uniform=np.zeros(3))
-    matt = {"type": "diffuse", "reflectance": {"type": "rgb", "value": REFLECTANCE}}
-    retina = viewing.Conic(depth=0.0, curvature=-1.0 / RADIUS)
-    content |= {
-        "integrator": {"type": "path", "max_depth": 12, "rr_depth": 100},
-        "wall": glass.conic_mesh(retina, edge=9.0, vertex=glass.retinal_pole(path), bsdf=matt),
-        "sensor": glass.outside_camera(
-            path, world.microscope, width=WIDTH, height=HEIGHT, spp=4 * SPP
-        ),
-        **glass.surfaces(path),
-    }
-    scene = mi.load_dict(content)
+    scene = mi.load_dict(content | seen_through(glass, path, world.microscope, 4 * SPP))
     parameters = mi.traverse(scene)
     parameters["source.tip"], parameters["source.axis"] = mi.Point3f(tip), mi.Vector3f(axis)
     parameters.update()
