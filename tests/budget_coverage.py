@@ -55,7 +55,7 @@ class Errors(NamedTuple):
 
 
 def _only(**stated: float) -> Stated:
-    return Stated(**{"axis_sigma_deg": 0.2, "incidence_deg": INCIDENCE_DEG} | stated)
+    return Stated(axis_sigma_deg=0.2, incidence_deg=INCIDENCE_DEG).model_copy(update=stated)
 
 
 ALL = Errors(STATED, COVARIANCE, True)

@@ -105,13 +105,20 @@ def run(*words: object) -> Called:
 
 def run_process(*words: object, cwd: Path | str | None = None, **environment: str) -> Called:
     """Run a command in a new process, with additions to the environment."""
+    return _in_new_process([EYESPOT, *map(str, words)], cwd, {"COLUMNS": "400"} | environment)
+
+
+def run_python(code: str, cwd: Path | str | None = None, **environment: str) -> Called:
+    """Run a program, given as its text, in a new process."""
+    return _in_new_process([sys.executable, "-c", code], cwd, environment)
+
+
+def _in_new_process(
+    command: Sequence[str | Path], cwd: Path | str | None, environment: dict[str, str]
+) -> Called:
+    environment = os.environ | environment
     done = subprocess.run(
-        [EYESPOT, *map(str, words)],
-        cwd=cwd,
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | {"COLUMNS": "400"} | environment,
+        command, cwd=cwd, env=environment, capture_output=True, text=True, check=False
     )
     return Called(done.returncode, done.stdout, done.stderr)
 

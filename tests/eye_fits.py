@@ -232,7 +232,7 @@ def main() -> None:
         for name, pull in pulls(found).items():
             inside = [100 * np.mean(np.abs(pull) < z) for z in (1.0, 1.959964)]
             print(f"  {name}: {inside[0]:.1f} % within sigma, {inside[1]:.1f} % within 1.96 sigma")
-        errors, sigmas = np.abs(np.stack(found.errors_mm)), np.stack(found.sigmas_mm)
+        errors, sigmas = np.abs([*found.errors_mm]), [*found.sigmas_mm]
         for c, column, sigma in zip(READ_C_MM, errors.T, np.median(sigmas, axis=0), strict=True):
             half, most = np.quantile(column, [0.5, 0.95])
             print(f"  c = {c:g} mm: |error| {half:.3f} (95 %: {most:.3f}) mm, sigma {sigma:.3f} mm")

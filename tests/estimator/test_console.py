@@ -354,7 +354,8 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack
         wait_until(lambda: "frame 12 of 12" in text(page, "where"), "the last frame")
         for number in (11, 10, 9):
             page.keyboard.press("ArrowLeft")
-            wait_until(lambda n=number: f"frame {n} of 12" in text(page, "where"), "a step back")
+            place = f"frame {number} of 12"
+            wait_until(lambda: place in text(page, "where"), "a step back")  # noqa: B023
         # A click where no spot is; then one on the spot.
         image, box = page.locator(".image img"), page.locator(".image img").bounding_box()
         label = read_stack(stack).labels[8]

@@ -5,7 +5,6 @@ import math
 import os
 import re
 import subprocess
-import sys
 import time
 import tracemalloc
 from collections.abc import Iterator
@@ -20,7 +19,7 @@ from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
 from scenes.drawn import Drawing, Truth, frame_of
-from tests.command_line import EYESPOT, printed, run
+from tests.command_line import EYESPOT, Called, printed, run, run_python
 from tests.drawn_recording import SHAPE, new_reader, write_folder
 
 
@@ -49,9 +48,7 @@ def whole(images):
     return [(k, "spot", spot.x_px) for k, spot in enumerate(spots)]
 
 
-def with_room(
-    frames: Path, *options: str | Path, largest_file: int = 2**30
-) -> subprocess.CompletedProcess[str]:
+def with_room(frames: Path, *options: str | Path, largest_file: int = 2**30) -> Called:
     """Run `eyespot track`, for which no file may grow beyond a size: then writing fails."""
     code = f"""
 import resource, sys
@@ -60,8 +57,7 @@ resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file},) * 2)
 sys.argv = {["eyespot", "track", *map(str, (frames, *options))]!r}
 eyespot.main()
 """
-    command = [sys.executable, "-c", code]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
+    return run_python(code)
 
 
 def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
@@ -122,12 +118,12 @@ def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(tmp_path, frame
     assert before.endswith(b"\n")
     assert lines_of(partial)[:8] == whole
     refused = with_room(frames, "--out", out)
-    assert refused.returncode == 2
+    assert refused.exit_code == 2
     assert f"{partial} exists" in refused.stderr
     assert "remove it" in refused.stderr
     assert partial.read_bytes() == before
     partial.unlink()
-    assert with_room(frames, "--out", out).returncode == 0
+    assert with_room(frames, "--out", out).exit_code == 0
     assert lines_of(out) == whole
 
 
@@ -135,7 +131,7 @@ def test_a_place_that_cannot_be_written_is_noticed_before_the_first_frame(tmp_pa
     (frames / "0.png").write_bytes(b"damaged")  # would be reported first if it were read first
     out = tmp_path / "spots.csv"
     done = with_room(frames, "--out", out, largest_file=0)
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert done.stderr.startswith(f"eyespot: {out}: File too large")
     assert list(tmp_path.iterdir()) == [frames]
 
@@ -149,7 +145,7 @@ def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
     lines = lines_of(out)
     assert 0 < len(lines) < 8
     assert lines == whole[: len(lines)]
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert json.loads(done.stdout)["ended"] == "disk_full"
     assert f"{out} holds the {len(lines)} frames before that. Free some space" in done.stderr
     assert f"The other {8 - len(lines)} need about 0.0 MB" in done.stderr
@@ -160,7 +156,7 @@ def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
 def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(tmp_path, frames, whole):
     # The lines have 5.1 KB, a Parquet file of so many columns has 20 KB.
     done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=5_300)
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert f"What was measured is in {tmp_path / 'spots.partial.csv'}" in done.stderr
     assert lines_of(tmp_path / "spots.partial.csv") == whole
     assert not (tmp_path / "spots.parquet").exists()
@@ -171,7 +167,7 @@ def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(tmp_path, fram
     out, overlay = tmp_path / "spots.csv", tmp_path / name
     options = ("--out", out, "--overlay", overlay, "--json")
     done = with_room(frames, *options, largest_file=5_300)  # the spots have 5.1 KB, a video 5.5 KB
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert re.search(rf"{overlay}: only [0-7] of 8 frames could be written", done.stderr)
     assert f"{out} holds the 8 frames" in done.stderr
     assert json.loads(done.stdout)["overlay"] is None
@@ -183,7 +179,7 @@ def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(tmp_path, f
     overlay = tmp_path / "overlay"
     options = ("--out", tmp_path / "spots.csv", "--overlay", overlay)
     done = with_room(frames, *options, largest_file=20_000)
-    assert done.returncode == 2
+    assert done.exit_code == 2
     assert f"{overlay / '000000.png'}: File too large" in done.stderr
     assert list(tmp_path.iterdir()) == [frames]
 

@@ -1,8 +1,6 @@
 """Distances of spots: against the models of `optics`, exact geometry, and many noisy repeats."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,6 +18,7 @@ from formats.calibration import LENS_PARAMETERS
 from formats.camera import Response
 from formats.inputs import InputError
 from formats.spots import Reason
+from tests.command_line import run_python
 from tests.made_up import CONE, a_calibration, a_microscope, a_spot
 from tests.photon_stacks import Recording, direct_light, half_maximum
 from tests.photons import Drop, counted_light
@@ -421,9 +420,8 @@ for model in ("planar", "small_plane", "corrected", "stereographic"):
     assert ranger.distance(a_spot(300, 200, 60, 55)).distance_mm > 0
 print(*sys.modules)
 """
-    child = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=HOME
-    )
+    child = run_python(code, cwd=HOME)
+    assert child.exit_code == 0, child.stderr
     assert not {"jax", "equinox"} & set(child.stdout.split())
 
 

@@ -1,7 +1,5 @@
 """`import eyespot`: the functions return what the commands write, and print nothing."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -11,7 +9,7 @@ import eyespot
 from formats.calibration import read_calibration
 from formats.inputs import InputError
 from formats.spots import read_spots
-from tests.command_line import printed
+from tests.command_line import printed, run_python
 
 HOME = Path(__file__).resolve().parents[2]
 TABLE = {
@@ -38,9 +36,8 @@ def made(tmp_path_factory):
         "eyespot.track('stack', calibration='beam.json')\n"
         "eyespot.score('stack', mode='subpixel')\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True
-    )
+    done = run_python(code, cwd=folder)
+    assert done.exit_code == 0, done.stderr
     (folder / "printed.txt").write_text(done.stdout + done.stderr)
     return folder
 

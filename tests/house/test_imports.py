@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.command_line import run_python
+
 HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
@@ -253,9 +255,7 @@ def test_what_a_user_can_correct_is_an_input_error():
 def modules_after(*steps):
     """The modules that a new process has loaded after each of these statements."""
     code = "import sys\n" + "".join(f"{step}\nprint('LOADED', *sys.modules)\n" for step in steps)
-    child = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=False, cwd=HOME
-    )
+    child = run_python(code, cwd=HOME)
     loaded = [line for line in child.stdout.splitlines() if line.startswith("LOADED")]
     assert len(loaded) == len(steps), child.stderr
     return [set(line.split()) for line in loaded]

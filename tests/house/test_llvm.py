@@ -1,13 +1,12 @@
 """Which libLLVM is chosen, and that one which would abort the process is never loaded."""
 
 import importlib.util
-import os
-import subprocess
 import sys
 
 import pytest
 
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE, Llvm, find_llvm
+from tests.command_line import run_python
 
 
 @pytest.fixture
@@ -104,16 +103,6 @@ def test_a_library_that_cannot_tell_its_version_counts_as_too_old(tmp_path):
     assert "older than LLVM 16" in find_in(tmp_path).refused[0].reason
 
 
-def run_python(code, **environment):
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | environment,
-    )
-
-
 def test_drjit_runs_on_the_library_that_was_found():
     child = run_python(
         "from scenes.machine.variant import load_mitsuba\n"
@@ -139,5 +128,5 @@ def test_an_old_llvm_is_refused_and_does_not_abort_the_process(tmp_path):
     old.touch()
     code = "from scenes import load_mitsuba\nload_mitsuba()\n"
     refused = run_python(code, **{ENVIRONMENT_VARIABLE: str(old)})
-    assert refused.returncode == 1  # a Python exception; an abort would be -6
+    assert refused.exit_code == 1  # a Python exception; an abort would be -6
     assert "LLVM 15, but Dr.Jit needs 19 or newer" in refused.stderr

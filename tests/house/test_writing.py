@@ -28,13 +28,8 @@ HOME = Path(__file__).resolve().parents[2]
 
 def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:
     """How often each task was killed, and met a full disk; see killed_writers."""
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "tests.killed_writers", *arguments],
-        cwd=HOME,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    command = [sys.executable, "-W", "ignore", "-m", "tests.killed_writers", *arguments]
+    done = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     found = re.findall(r"(\w+): killed (\d+) times, full (\d+) times", done.stdout)
     return {name: (int(killed), int(full)) for name, killed, full in found}
@@ -56,12 +51,19 @@ def test_a_writer_that_is_stopped_at_any_step_leaves_what_the_same_command_finis
     assert found["set"][0] > 30 * 6
 
 
-def begun_stack(folder: Path) -> Path:
-    """What a stopped render of a stack leaves; returns a frame of it."""
-    with pytest.raises(KeyboardInterrupt), StackWriter(folder) as writer:
+def tiny_stack(folder: Path, *, stopped: bool = False) -> Path:
+    with StackWriter(folder) as writer:
         writer.describe(stack={}, microscope=MICROSCOPE)
         writer.add(np.zeros((6, 8, 3), np.uint8), labels_of(0), np.zeros((6, 8), np.uint8))
-        raise KeyboardInterrupt
+        if stopped:
+            raise KeyboardInterrupt
+    return folder
+
+
+def begun_stack(folder: Path) -> Path:
+    """What a stopped render of a stack leaves; returns a frame of it."""
+    with pytest.raises(KeyboardInterrupt):
+        tiny_stack(folder, stopped=True)
     return folder.with_name(f".{folder.name}.partial") / "frames" / "000000.png"
 
 
@@ -78,24 +80,13 @@ def test_a_run_that_fails_before_it_renders_leaves_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def tiny_stack(folder: Path) -> Path:
-    with StackWriter(folder) as writer:
-        writer.describe(stack={}, microscope=MICROSCOPE)
-        writer.add(np.zeros((6, 8, 3), np.uint8), labels_of(0), np.zeros((6, 8), np.uint8))
-    return folder
-
-
-def write_study(out: Path) -> None:
-    Study("static", out=out, quick=True)
-
-
 WRITERS: dict[str, Callable[[Path, Path], object]] = {
     "render": lambda stack, out: render_stack(load_scene(None), out),
     "preview": lambda stack, out: write_preview(load_scene(None), out),
     "export": lambda stack, out: export(stack, to="coco", out=out),
     "score": lambda stack, out: score(stack, [], mode="literal", out=out),
     "fit": lambda stack, out: fit([stack], out, Choices(model="cone")),
-    "study": lambda stack, out: write_study(out),
+    "study": lambda stack, out: Study("static", out=out, quick=True),
 }
 
 
@@ -206,17 +197,16 @@ def test_a_stack_is_verified_with_everything_in_its_folder(tmp_path):
     frame.unlink()
     (tmp_path / "same.png").rename(frame)
     stack.verify()
+    extra = stack.folder / "extra"
     for make, said in (
-        (lambda path: path.symlink_to("nothing"), "a link"),
-        (os.mkfifo, "a device, socket or pipe"),
-        (os.mkdir, "an empty folder"),
+        (lambda: extra.symlink_to("nothing"), "a link"),
+        (lambda: os.mkfifo(extra), "a device, socket or pipe"),
+        (extra.mkdir, "an empty folder"),
     ):
-        make(stack.folder / "extra")
+        make()
         with pytest.raises(InputError, match=f"extra is {said}"):
             stack.verify()
-        os.rmdir(stack.folder / "extra") if said == "an empty folder" else os.unlink(
-            stack.folder / "extra"
-        )
-    (stack.folder / "extra").touch()
+        extra.rmdir() if extra.is_dir() else extra.unlink()
+    extra.touch()
     with pytest.raises(InputError, match=r"extra is not in manifest\.json"):
         stack.verify()
