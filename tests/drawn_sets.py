@@ -14,21 +14,13 @@ import numpy as np
 from formats.stack import FrameLabels, StackWriter
 from scenes import load_scene
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.made_up import microscope_content
 
 SHAPE = (120, 160)
 STACKS = {"train": ("a", "b"), "adverse": ("shadow-0000",)}
-MICROSCOPE = {
-    "width_px": SHAPE[1],
-    "height_px": SHAPE[0],
-    "camera_matrix": [[858.2, 0.0, 79.5], [0.0, 858.2, 59.5], [0.0, 0.0, 1.0]],
-    "distortion": [0.0] * 5,
-    "scale_mm_px": 23.0 / 858.2,
-    "principal_point_px": [79.5, 59.5],
-    "pinhole_height_mm": 11.5,
-    "eye_radius_mm": 11.5,
-    "response": "linear",
-    "paper_exposure_s": 0.02,
-}
+MICROSCOPE: dict[str, object] = microscope_content(
+    SHAPE[::-1], scale_mm_px=23.0 / 858.2, pinhole_height_mm=11.5, paper_exposure_s=0.02
+)
 
 
 def image_row(labels: FrameLabels, *, stack: str) -> dict[str, Any]:

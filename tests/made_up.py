@@ -68,31 +68,35 @@ def a_microscope(**changed: Any) -> MicroscopeFile:
     return MicroscopeFile(**given | changed)
 
 
-def a_microscope_file(
-    folder: Path,
+def microscope_content(
     size_px: tuple[int, int] = (640, 480),
     *,
     scale_mm_px: float = 0.0067,
     pinhole_height_mm: float | None = None,
     **keys: Any,
-) -> Path:
-    """microscope.json, telecentric without a pinhole; looks at the middle of the frame."""
-    u, v = ((side - 1) / 2 for side in size_px)
+) -> dict[str, Any]:
+    """Content of a microscope file, telecentric without a pinhole; by default of a centred one."""
+    centre = [(side - 1) / 2 for side in size_px]
     content: dict[str, Any] = {
-        "schema": 1,
         "width_px": size_px[0],
         "height_px": size_px[1],
         "camera_matrix": None,
         "distortion": [0.0] * 5,
         "scale_mm_px": scale_mm_px,
-        "principal_point_px": [u, v],
+        "principal_point_px": centre,
         "pinhole_height_mm": pinhole_height_mm,
         "eye_radius_mm": 11.5,
         "response": "linear",
-    }
+    } | keys
     if pinhole_height_mm is not None:
-        focal = (pinhole_height_mm + 11.5) / scale_mm_px
-        content["camera_matrix"] = [[focal, 0, u], [0, focal, v], [0, 0, 1]]
+        focal = (pinhole_height_mm + content["eye_radius_mm"]) / scale_mm_px
+        u, v = content["principal_point_px"]
+        content["camera_matrix"] = [[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]]
+    return content
+
+
+def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> Path:
+    """microscope.json with `microscope_content`."""
     path = folder / "microscope.json"
-    path.write_text(json.dumps(content | keys))
+    path.write_text(json.dumps({"schema": 1} | microscope_content(*size_px, **keys)))
     return path

@@ -23,6 +23,7 @@ from formats.microscope import MicroscopeFile
 from formats.stack import StackWriter
 from scenes import load_scene
 from tests.drawn_sets import labels_of
+from tests.made_up import microscope_content
 from tests.photon_stacks import (
     INDEX,
     TUBE,
@@ -219,20 +220,15 @@ def widened(recording: Recording, part: float, rng: np.random.Generator) -> Reco
 
 def microscope_of(recording: Recording, frames: Frames) -> dict[str, Any]:
     """Content of microscope.json."""
-    own, (u0, v0) = recording, frames.principal_point
-    f = (own.pinhole + own.radius) / own.scale
-    return {
-        "width_px": own.width,
-        "height_px": own.height,
-        "camera_matrix": [[f, 0.0, float(u0)], [0.0, f, float(v0)], [0.0, 0.0, 1.0]],
-        "distortion": [0.0] * 5,
-        "scale_mm_px": own.scale,
-        "principal_point_px": [float(u0), float(v0)],
-        "pinhole_height_mm": own.pinhole,
-        "eye_radius_mm": own.radius,
-        "response": "linear",
-        "paper_exposure_s": None,
-    }
+    own = recording
+    return microscope_content(
+        (own.width, own.height),
+        scale_mm_px=own.scale,
+        pinhole_height_mm=own.pinhole,
+        principal_point_px=frames.principal_point.tolist(),
+        eye_radius_mm=own.radius,
+        paper_exposure_s=None,
+    )
 
 
 def footage_of(recording: Recording, frames: Frames) -> Footage:
