@@ -71,6 +71,13 @@ def test_a_label_line_that_is_no_object_is_refused(tmp_path, line):
         read_stack(tmp_path).verify()
 
 
+def test_a_key_with_line_breaks_is_shown_in_one_line(tmp_path):
+    shutil.copytree(OLD / "small-v1" / "train" / "0000", tmp_path, dirs_exist_ok=True)
+    (tmp_path / "metadata.jsonl").write_text('{"a\\n\\nb": 1}\n')
+    with pytest.raises(InputError, match=r"missing or unknown: 'a\\n\\nb', axis"):
+        read_stack(tmp_path)
+
+
 def huge_png(width: int, height: int) -> bytes:
     """A whole PNG of some hundred bytes that announces a size."""
 
