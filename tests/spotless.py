@@ -6,7 +6,8 @@ import numpy as np
 
 from estimator import SubpixelSettings, TrackState, measure
 from formats.spots import Spot
-from scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, with_glints, with_shaft
+from scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of
+from tests.drawn_spots import with_glints, with_shaft
 
 
 def spotless_frame(rng: np.random.Generator) -> np.ndarray:

@@ -27,11 +27,11 @@ from tests.drawn_spots import (
     bell,
     domed_edge,
     flank,
+    spot_in,
     with_glints,
     with_quarter_in_shadow,
     with_shaft,
 )
-from tests.drawn_spots import spot_in
 
 _AT = SHAPE[1] / 2, SHAPE[0] / 2
 _MIDDLE = TrackState(at_px=_AT)

@@ -11,7 +11,6 @@ import pytest
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure, track
 from formats.spots import NoSpot, Reason, Spot
-from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 from tests.drawn_spots import with_shaft
 from tests.spotless import false_spots
