@@ -314,9 +314,6 @@ def run(
     if not chosen:
         known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
         raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
-    images = images_of(stacks)
-    scored = images if split is None else images[images.split == split]
-    spots = {e.name: read_set_spots(e.spots, stacks, images.index) for e in given if e.spots}
     found, measured = {entry.name: entry for entry in given}, dict[str, list[SpotRecord]]()
     # A path on this machine means nothing to others.
     is_sample = folder.resolve() == sample_folder().resolve()
@@ -325,6 +322,9 @@ def run(
         if out and whole:
             whole.mkdir()
             require_space(out, _LEAST_BYTES)
+        images = images_of(stacks)
+        scored = images if split is None else images[images.split == split]
+        spots = {e.name: read_set_spots(e.spots, stacks, images.index) for e in given if e.spots}
         with progress("Tracking", total=len(scored) * len(modes)) as advance:
             for own in modes:
                 begin = time.perf_counter()
