@@ -259,7 +259,7 @@ def possible(values: Mapping[str, float]) -> bool:
     """
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
-        -_HOLLOW <= values["sag"] / values["aperture_radius"] <= 1.0
+        -_HOLLOW * values["aperture_radius"] <= values["sag"] <= values["aperture_radius"]
         and values["aperture_radius"] >= (1.0 - _CUT) * values["core_radius"]
         and values["rim_height"] >= 0
     )

@@ -118,6 +118,10 @@ _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
 _MOST_TABLES = 6
+_SURE = 0.005
+"""Relative standard error of a core up to which one fit is enough."""
+_UNSURE = 4.0
+"""Difference of two fits' chi squared that says nothing: two standard errors of one parameter."""
 _NAMED = 10  # frames that an error message names
 
 
@@ -310,7 +314,7 @@ class _FitRun(NamedTuple):
             solver.brighten()
         for tau in (EVEN, solver.tau) if even else (solver.tau,):
             solver.tau = tau
-            solver.minimise(_TOLERANCE[True], follow=True, most_steps=_GUESS_STEPS)
+            solver.minimise(_TOLERANCE[True], follow=True, keep_chord=True, most_steps=_GUESS_STEPS)
         return solver
 
     def whole_fit(self, some: BeamSolver) -> ImageFit:
@@ -323,7 +327,7 @@ class _FitRun(NamedTuple):
                 f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
                 f"{100 * _HOPELESS:g} % are allowed"
             )
-            return _result(some, ("FIRST_ROUND", why), None)
+            return _result(some, ("FIRST_ROUND", why))
         solver = self.solver(some.point, first=False, every=True)
         solver.spread, solver.error = some.spread, some.error
         if self.lens is not None:
@@ -335,6 +339,8 @@ class _FitRun(NamedTuple):
         if solver.textured and not solver.surely_textured:
             solver.flatten()
         failed, of_table = self._settled(solver)
+        if failed is None and "core_radius" in self.names:
+            of_table = self._from_wider_core(solver, of_table)
         return _result(solver, failed, of_table)
 
     def _tabulate(self, solver: BeamSolver, *, coarse: bool) -> None:
@@ -365,8 +371,8 @@ class _FitRun(NamedTuple):
             if too_far:
                 solver.point = point.halfway(best)
             else:
-                best, least, asked = point, found.first, self._step(solver, point, solver.point)
-            step = self._step(solver, best, solver.point)
+                best, least, asked = point, found.first, solver.difference(point, solver.point)
+            step = solver.difference(best, solver.point)
             left = math.sqrt(float(step @ solver.effective()[0] @ step))
             if self.lens is None or left < _NEAR:
                 break
@@ -384,12 +390,38 @@ class _FitRun(NamedTuple):
             return ("TABLES", why), np.outer(asked, asked)
         return None, np.outer(asked, asked)
 
-    def _step(self, solver: BeamSolver, before: Point, after: Point) -> Float[np.ndarray, "p"]:
-        """Difference of the parameters' coordinates."""
-        return solver.coordinates(after.values) - solver.coordinates(before.values)
+    def _from_wider_core(
+        self, solver: BeamSolver, of_table: np.ndarray | None
+    ) -> np.ndarray | None:
+        """Fit again from a wider core if its error is large, and keep the result if it is alike.
+
+        Behind a high drop the core's edge is imaged far out. Where it leaves the images, these tell
+        how narrow the core may be, but not how wide. A fit from below ends there, with an error
+        that is that of one side only.
+        """
+        here, cost, core = solver.point, solver.equations.cost, solver.point.values["core_radius"]
+        at = self.names.index("core_radius")
+        sigma = math.sqrt(np.linalg.pinv(solver.effective()[0])[at, at]) * solver.sizes[at]
+        if sigma < _SURE * core:
+            return of_table
+        wider = core + 2.0 * sigma
+        rim = max(here.values["aperture_radius"], wider)
+        values = here.values | {"core_radius": wider, "aperture_radius": rim}
+        solver.point = Point(values, here.states)
+        failed, of_last = self._settled(solver)
+        if failed is None and solver.equations.cost < cost + _UNSURE:
+            return of_last
+        solver.point = here
+        self._tabulate(solver, coarse=False)
+        solver.evaluate()
+        return of_table
 
 
-def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | None) -> ImageFit:
+def _result(
+    solver: BeamSolver,
+    failed: Failure | None,
+    of_table: np.ndarray | None = None,
+) -> ImageFit:
     values, names = solver.point.values, solver.names
     information, slopes_of = solver.effective()
     covariance, lost = covariance_and_lost(information, names, [values[name] for name in names])
@@ -419,8 +451,8 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
         grown = np.diag(of_table)[known] / np.diag(covariance)[known]
         inflation = float(np.sqrt(1 + np.max(grown)))
         covariance = covariance + of_table
-    by = solver.by_coordinates(values)
-    covariance = propagated(by, covariance)
+    sizes = np.diag(solver.sizes)
+    covariance = propagated(sizes, covariance)
     errors = np.sqrt(np.diag(covariance)).tolist()
     residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
     cells = solver.cells
@@ -440,7 +472,7 @@ def _result(solver: BeamSolver, failed: Failure | None, of_table: np.ndarray | N
     least, _ = covariance_and_lost(solver.effective()[0], names)
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined
-        over = np.array(errors)[beam] / np.sqrt(np.diag(propagated(by, least)))[beam]
+        over = np.array(errors)[beam] / np.sqrt(np.diag(propagated(sizes, least)))[beam]
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,

@@ -63,7 +63,6 @@ _FIRST_ORDER = 0.01
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
-_ROUNDEST = 0.99  # sag over the aperture's radius
 _FLAT_MM = 1e-5  # least sag of a table
 _ENCLOSED = 1e-4  # least excess of a table's rim over its core, relative
 
@@ -78,6 +77,9 @@ class LinearLensLight:
     def __init__(self, footage: Footage, names: tuple[str, ...]) -> None:
         self.footage = footage
         self.free = tuple(name for name in names if name in LENS)
+        # Of a cap whose one part is known, the light is linear in both.
+        others = (name for name in CAP if name not in names and set(CAP) & set(names))
+        self._by = (*self.free, *others)
         self._table: LensTable | None = None
         self._samples: LensSamples | None = None
         self._coarse = True
@@ -104,7 +106,7 @@ class LinearLensLight:
             self._halvings = max(_HALVINGS, needed)
         self._samples = lens_samples(
             lens,
-            self.free,
+            self._by,
             medium_index=medium,
             nearest=max(NEAREST_MM, least - _MARGIN_MM),
             farthest=farthest,
@@ -135,45 +137,56 @@ class LinearLensLight:
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
         least = {"sag": FLATTEST * values["aperture_radius"]}
-        at = np.array([max(abs(self._at[name]), least.get(name, 0.0)) for name in self.free])
+        at = np.array([max(abs(self._at[name]), least.get(name, 0.0)) for name in self._by])
         return bool(np.any(np.abs(self.moved(values)) > change * at))
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
-        """Differences of the lens's free parameters from those of the table.
+        """Differences of the lens's parameters from those of the table.
 
-        The light follows the cap's curvature. So the sag's difference is that of the curvature, in
-        the sag's unit, and along a line of equal curvature where the aperture changes.
+        The light is nearly linear in the cap's curvature and chord (see `cap_shape`), so what has
+        moved are the changes of sag and rim to first order in these.
         """
-        moved = np.array([values[name] - self._at[name] for name in self.free])
-        if "sag" in self.free:
-            at, by_sag, by_radius = cap_curvature(self._at)
-            bent = cap_curvature(values)[0] - at
-            wider = values["aperture_radius"] - self._at["aperture_radius"]
-            moved[self.free.index("sag")] = (bent - by_radius * wider) / by_sag
-        return moved
+        moved = {name: values[name] - self._at[name] for name in self._by}
+        if "sag" in moved:
+            reshaped = np.subtract(cap_shape(values), cap_shape(self._at))
+            moved |= zip(CAP, cap_slopes(self._at) @ reshaped, strict=True)
+        return np.array([*moved.values()])
 
-    def slopes(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
+    def slopes(self, values: Mapping[str, float]) -> Float[np.ndarray, "p q"]:
         """Derivatives of what has `moved` by the lens's free parameters."""
-        slopes = dict(zip(self.free, np.eye(len(self.free)), strict=True))
-        if "sag" in self.free:
-            _, by_sag, by_radius = cap_curvature(values)
-            _, at_by_sag, at_by_radius = cap_curvature(self._at)
-            slopes["sag"] = by_sag * slopes["sag"]
-            slopes["sag"] += (by_radius - at_by_radius) * slopes.get("aperture_radius", 0.0)
-            slopes["sag"] /= at_by_sag
-        return np.array([*slopes.values()]).reshape(len(self.free), len(self.free))
+        slopes = np.eye(len(self._by))
+        if "sag" in self._by:
+            cap = [self._by.index(name) for name in CAP]
+            slopes[np.ix_(cap, cap)] = cap_slopes(self._at) @ np.linalg.inv(cap_slopes(values))
+        return slopes[:, : len(self.free)]
 
 
-def cap_curvature(values: Mapping[str, float]) -> tuple[float, float, float]:
-    """Curvature of a lens's cap, 1/mm, and its derivatives by sag and aperture_radius, 1/mm².
+CAP = ("sag", "aperture_radius")
 
-    A half ball counts as a little flatter, because there the curvature does not show the sag.
+
+def cap_shape(values: Mapping[str, float]) -> tuple[float, float]:
+    """A cap's curvature, 1/mm, and its chord from the apex to the rim, mm.
+
+    Both are regular for every cap, from a flat end to a half ball, whose rim does not change with
+    the chord.
     """
-    radius = values["aperture_radius"]
-    sag = min(values["sag"], _ROUNDEST * radius)
-    square = radius**2 + sag**2
-    by_sag = 2.0 * (radius**2 - sag**2) / square**2
-    return 2.0 * sag / square, by_sag, -4.0 * sag * radius / square**2
+    square = values["sag"] ** 2 + values["aperture_radius"] ** 2
+    return 2.0 * values["sag"] / square, math.sqrt(square)
+
+
+def cap_of(shape: Float[np.ndarray, "2"]) -> tuple[float, float]:
+    """Sag and rim's radius of a cap with this `cap_shape`; a rim of 0 if there is none."""
+    curvature, chord = shape.tolist()
+    sag = 0.5 * curvature * chord**2
+    return sag, math.sqrt(max(chord**2 - sag**2, 0.0))
+
+
+def cap_slopes(values: Mapping[str, float]) -> Float[np.ndarray, "2 2"]:
+    """Derivatives of sag and rim's radius by curvature and chord."""
+    curvature, chord = cap_shape(values)
+    sag, rim = (values[name] for name in CAP)
+    of_sag = np.array([0.5 * chord**2, curvature * chord])
+    return np.array([of_sag, (np.array([0.0, chord]) - sag * of_sag) / rim])
 
 
 TILE = 16  # cells along a tile's side

@@ -30,6 +30,7 @@ from scipy.optimize import brentq
 
 from calibration.pixels.data import Footage, possible
 from calibration.pixels.light import (
+    CAP,
     NEAREST_MM,
     SHIFT,
     STATES,
@@ -38,6 +39,9 @@ from calibration.pixels.light import (
     FrameLight,
     Light,
     LinearLensLight,
+    cap_of,
+    cap_shape,
+    cap_slopes,
 )
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from calibration.spots.cone_trials import JointPrior, Prior, prior_terms
@@ -128,6 +132,10 @@ class BeamSolver:
         image = footage.light[0]
         self.inside = cells.means(image, np.ones(image.shape, bool))[1]
         self.sizes = np.array([_size(name, point.values, priors) for name in names])
+        self._steps = self.sizes.copy()  # of the coordinates
+        self._shapes_cap = set(CAP) <= set(names)
+        if self._shapes_cap:
+            self._steps[names.index("sag")] /= cap_slopes(point.values)[0, 0]
         self.spread = np.ones(len(STATES))  # of the states, in their units
         # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
         self.tau, self.error = _FREE if len(self.numbers) > _FEW else EVEN, 0.0
@@ -218,14 +226,24 @@ class BeamSolver:
             raise InputError("the spot is not near its place in the start values. Check these.")
         self.point.values["sensitivity"] = sensitivity
         self.point.values["illumination"] = max(product / sensitivity, 0.0)
-        self.sizes[self.names.index("sensitivity")] = sensitivity
+        at = self.names.index("sensitivity")
+        self.sizes[at] = self._steps[at] = sensitivity
 
-    def minimise(self, tolerance: float, *, follow: bool, most_steps: int = MOST_STEPS) -> Minimum:
+    def minimise(
+        self,
+        tolerance: float,
+        *,
+        follow: bool,
+        keep_chord: bool = False,
+        most_steps: int = MOST_STEPS,
+    ) -> Minimum:
         """Fit with the weights and variances as they are.
 
         Args:
             tolerance: of chi squared.
             follow: whether a lens's table is computed anew where the lens moves far.
+            keep_chord: whether a free cap keeps its chord. Behind a high drop the light hardly
+                shows it, so that steps from far off lead to a half ball.
             most_steps: after which it ends anyway.
         """
         start, size, best = self.point, len(self.names), math.inf
@@ -246,6 +264,10 @@ class BeamSolver:
             if at is None:
                 return none
             found = self._equations(point, at)
+            if keep_chord and self._shapes_cap:
+                chord = self.names.index("aperture_radius")
+                found.gradient[chord] = 0.0
+                found.information[chord] = found.information[:, chord] = np.eye(x.size)[chord]
             self.progress(found.cost)
             if found.cost < best:  # the fit goes on from there
                 best, self.point, self.now, self.equations = found.cost, point, at, found
@@ -314,32 +336,34 @@ class BeamSolver:
         return NormalEquations(cost, gradient, information)
 
     def coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
-        """What the fit steps in: the free parameters over their sizes.
+        """What the fit steps in: the free parameters, over the sizes of steps.
 
-        In place of the sag it is the sag over the square of the rim's radius, nearly half of the
-        cap's curvature. The light follows this, so the valley of equal light is almost straight.
+        In place of sag and rim it is the cap's `cap_shape`. The light follows the curvature, so the
+        valley of equal light is almost straight.
         """
         own = dict(values)
-        if self.lens is not None:
-            own["sag"] /= own["aperture_radius"] ** 2
-        return np.array([own[name] for name in self.names]) / self.sizes
+        if self._shapes_cap:
+            own |= zip(CAP, cap_shape(values), strict=True)
+        return np.array([own[name] for name in self.names]) / self._steps
 
     def _values(self, at: Float[np.ndarray, "p"]) -> dict[str, float]:
         """All parameters at these coordinates."""
-        own = dict(zip(self.names, (at * self.sizes).tolist(), strict=True))
-        values = self.point.values | own
-        if "sag" in own:
-            values["sag"] *= values["aperture_radius"] ** 2
-        return values
+        own = dict(zip(self.names, (at * self._steps).tolist(), strict=True))
+        if self._shapes_cap:
+            own |= zip(CAP, cap_of(np.array([own[name] for name in CAP])), strict=True)
+        return self.point.values | own
 
     def by_coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
         """Derivatives of the free parameters by their coordinates."""
-        slopes = dict(zip(self.names, np.diag(self.sizes), strict=True))
-        if "sag" in slopes:
-            sag, rim = values["sag"], values["aperture_radius"]
-            slopes["sag"] = rim**2 * slopes["sag"]
-            slopes["sag"] += 2.0 * sag / rim * slopes.get("aperture_radius", 0.0)
-        return np.array([*slopes.values()])
+        slopes = np.eye(len(self.names))
+        if self._shapes_cap:
+            cap = [self.names.index(name) for name in CAP]
+            slopes[np.ix_(cap, cap)] = cap_slopes(values)
+        return slopes * self._steps
+
+    def difference(self, before: Point, after: Point) -> Float[np.ndarray, "p"]:
+        """Difference of the free parameters over their sizes."""
+        return np.array([after.values[n] - before.values[n] for n in self.names]) / self.sizes
 
     def _slopes(
         self, k: int, own: FrameLight, texture: np.ndarray, by: Float[np.ndarray, "p p"]
@@ -460,7 +484,7 @@ class BeamSolver:
         self.evaluate()
 
     def effective(self) -> tuple[Float[np.ndarray, "p p"], Callable[[int], np.ndarray]]:
-        """Information of the parameters alone, and their derivatives in a frame.
+        """Information of the parameters over their sizes, and derivatives by these in a frame.
 
         Both with all else eliminated: the states and the map.
         """
@@ -469,11 +493,12 @@ class BeamSolver:
         by_state = np.linalg.solve(whole[p:, p:], whole[p:, :p]).T
         information = whole[:p, :p] - by_state @ whole[p:, :p]
         by = self.by_coordinates(self.point.values)
+        over_size = np.linalg.solve(by, np.diag(self.sizes))  # derivatives of the coordinates
         projected = []
         mixed = np.zeros((p, self.map.size))
         for k, own in enumerate(self.now.frames):
             slopes = self._slopes(k, own, self.map, by)
-            alone = slopes[:p] - by_state[:, q * k : q * (k + 1)] @ slopes[p:]
+            alone = over_size.T @ (slopes[:p] - by_state[:, q * k : q * (k + 1)] @ slopes[p:])
             projected.append(alone)
             mixed[:, own.cells] += alone * (self.weight[k, own.cells] * own.light)
         of_map = mixed / self.now.information
@@ -483,12 +508,12 @@ class BeamSolver:
             root = np.sqrt(self.weight[k, own.cells])
             return root * (projected[k] - of_map[:, own.cells] * own.light)
 
-        return information, slopes_of
+        return over_size.T @ information @ over_size, slopes_of
 
 
 def _size(name: str, values: Mapping[str, float], priors: Mapping[str, Prior]) -> float:
     """Scale of a parameter's coordinate; with it, the damping affects all of them equally."""
     value = values[name]
-    own = {"u": 1.0, "v": 1.0, "illumination": 0.01, "sag": max(value, 0.01)}
-    size = priors[name].sigma if name in priors else own.get(name) or abs(value) or 1.0
-    return size / values["aperture_radius"] ** 2 if name == "sag" else size
+    own = {"u": 1.0, "v": 1.0, "sag": max(value, 0.01)}
+    own["illumination"] = max(value, 0.01)
+    return priors[name].sigma if name in priors else own.get(name) or abs(value) or 1.0
