@@ -1,27 +1,23 @@
-"""Models image and lens of `eyespot fit`, fitted to every pixel of one stack.
-
-The fit of a lens starts from one that is chosen by the sizes and edge widths of the spots.
-"""
+"""Models image and lens of `eyespot fit`, fitted to every pixel of one stack."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from operator import itemgetter
-from typing import Any, Literal
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Float
+from jaxtyping import Array, ArrayLike
 from scipy import ndimage
-from scipy.optimize import least_squares
 
 import optics
 from calibration.command.choices import Choices
+from calibration.command.lens_guess import guessed_lenses
 from calibration.command.models import cone_start, known_cone
 from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels.data import FREE, LENS, UNITS, read_footage
+from calibration.pixels.data import FREE, LENS, UNITS, Footage, read_footage
 from calibration.pixels.fit import ImageFit, fit_image
 from calibration.recordings import Recording
 from calibration.solvers import propagated
@@ -30,141 +26,11 @@ from estimator.run.progress_bar import progress, say
 from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from formats.inputs import InputError
 from formats.stack import read_stack
-from optics.wall_light.lens import lens_of, lens_parameters
+from optics.wall_light.lens import lens_parameters
 
-_SAGS = (0.02, 0.08, 0.25, 0.5)
-"""Heights of the cap over the core's radius: nearly flat to a round drop."""
-_APERTURES = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)
-"""Numerical apertures. Neighbours differ by half, so one is within 23 % of any other."""
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
-_REFINEMENTS = 6  # steps of a guess
-_DISTANCES, _RADII = 6, 32  # whole batches of quadrature
-_STARTS = 3  # lenses to start from
-_SIZE_ERROR, _EDGE_ERROR = 0.05, 0.1
-"""Weights: expected errors of a guess's radius (relative) and of its relative edge width."""
-_ALIKE, _FOREIGN = 2.0, 9.0
-"""Median over the spots of the two errors' squares over these: below the first a lens is taken at
-once, and beyond the second it is no lens of these spots. Of true lenses it was 0.03 to 0.7 (with an
-image that shakes by 0.5 px), of wrong minima 5 to 25, of an ideal cone 15."""
-
-
-def guessed_lenses(
-    recording: Recording, kind: Mapping[str, float], widths: Mapping[str, Prior]
-) -> Iterator[dict[str, float]]:
-    """Lenses whose spots resemble those measured: the best of a coarse grid, by least squares.
-
-    Compares the half-maximum radius and the edge width on perpendicular planes with the semi-minor
-    axis and the edge width of the spots, at the distances given by the readings and the touch.
-
-    Args:
-        recording: the measured spots.
-        kind: `optics.wall_light.lens.PARAMETERS` of a lens of the same fibre, compared too.
-        widths: priors of the radii, where they are not known.
-
-    Yields:
-        The parameters of one lens after the other; those that resemble the spots come first.
-
-    Raises:
-        InputError: no lens resembles the spots, although the radii are not known.
-    """
-    trial = recording.trial
-    distance = np.maximum(trial.readings + trial.touch.mean, 0.05)
-    sampled = np.geomspace(distance.min(), distance.max(), _DISTANCES)
-    measured = _radii_on_wall(recording)
-
-    def mismatch(lens: Mapping[str, float]) -> Float[np.ndarray, "2n"]:
-        field = optics.LensField(lens_of(lens), optics.MEDIA[recording.medium])
-        radius, width = (np.interp(distance, sampled, y) for y in _spots(field, sampled))
-        edge = (width - recording.relative_edge_width) / _EDGE_ERROR
-        return np.concatenate([np.log(radius / measured) / _SIZE_ERROR, edge])
-
-    def misfit(lens: Mapping[str, float]) -> float:
-        # The median tolerates outliers; no spot agrees exactly with a coarse grid.
-        return float(np.median(np.square(mismatch(lens)).reshape(2, -1).sum(axis=0)))
-
-    names = ("sag", "numerical_aperture", *widths)
-
-    def refined(lens: dict[str, float]) -> dict[str, float]:
-        """Least squares from a lens of the grid; its steps are ratios, since all are positive."""
-
-        def changed(ratios: Float[np.ndarray, "p"]) -> dict[str, float]:
-            drop = lens | {n: lens[n] * math.exp(r) for n, r in zip(names, ratios, strict=True)}
-            drop["aperture_radius"] = max(drop["aperture_radius"], drop["core_radius"])
-            drop["sag"] = min(drop["sag"], drop["aperture_radius"])
-            return drop
-
-        def residuals(ratios: Float[np.ndarray, "p"]) -> Float[np.ndarray, "n"]:
-            drop = changed(ratios)
-            off = [(drop[name] - prior.mean) / prior.sigma for name, prior in widths.items()]
-            return np.concatenate([mismatch(drop), off])
-
-        start = np.zeros(len(names))
-        within = (start - 2.0, start + 2.0)
-        steps: Any = {"loss": "soft_l1", "diff_step": 0.02, "max_nfev": _REFINEMENTS}
-        return changed(least_squares(residuals, start, bounds=within, x_scale=0.1, **steps).x)
-
-    ranked = [(misfit(kind), dict(kind))]
-    for share in _SAGS:
-        cap = {**kind, "sag": share * kind["core_radius"]}
-        lenses = [{**cap, "numerical_aperture": aperture} for aperture in _APERTURES]
-        ranked.append(min(((misfit(lens), lens) for lens in lenses), key=itemgetter(0)))
-    others = []
-    for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]:
-        drop = refined(lens)
-        off = misfit(drop)
-        if off < _ALIKE:
-            yield drop
-        else:
-            others.append((off, drop))
-    others.sort(key=itemgetter(0))
-    if widths and len(others) == _STARTS and others[0][0] > _FOREIGN:
-        sizes, edges = np.median(np.abs(mismatch(others[0][1])).reshape(2, -1), axis=1)
-        raise InputError(
-            f"the spots are those of no glue lens: the most similar one misses their radii by "
-            f"{_SIZE_ERROR * sizes:.0%} and the widths of their edges by {_EDGE_ERROR * edges:.0%} "
-            "of the radius (medians).\nTry --model cone if their edges are sharp, or --lens FILE, "
-            "which begins with your lens whatever the spots say."
-        )
-    yield from (drop for _, drop in others)
-
-
-def _spots(
-    field: optics.LensField, distances: Float[np.ndarray, "n"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Half-maximum radius, mm, and relative edge width (see `Spot.edge_width_px`), at distances."""
-    rows = jnp.asarray(distances)[:, None]
-    radius = field.envelope(rows) * np.linspace(0.0, 1.0, _RADII)
-    light = np.asarray(field(radius=radius, distance=jnp.broadcast_to(rows, radius.shape))[1])
-    half = 0.5 * light.max(axis=1)
-    lit = light >= half[:, None]
-    last = np.minimum(_RADII - 1 - np.argmax(lit[:, ::-1], axis=1), _RADII - 2)
-    at = np.arange(len(distances))
-    inner, outer = light[at, last], light[at, last + 1]
-    step = np.asarray(radius)[:, 1]
-    edge = (last + (inner - half) / (inner - outer)) * step
-    # A Gaussian-blurred step of height 2 half has the slope 2 half/(sqrt(2 pi) width).
-    width = 2.0 * half * step / (np.sqrt(2.0 * np.pi) * (inner - outer))
-    return edge, width / edge
-
-
-def _radii_on_wall(recording: Recording) -> Float[np.ndarray, "n"]:
-    """Semi-minor axes on the wall, mm."""
-    microscope, trial = recording.microscope, recording.trial
-    size = np.asarray(trial.ellipses.semi_minor) * microscope.scale_mm_px
-    if trial.kind == "plane":
-        return size
-    right, down = (np.asarray(trial.ellipses.centre) - trial.principal_point).T
-    eye = {
-        "eye_radius": microscope.eye_radius_mm,
-        "inverse_working_distance": microscope.inverse_working_distance,
-    }
-    x, y, _ = optics.eyeball_point(
-        right_px=right, down_px=down, scale=microscope.scale_mm_px, **eye
-    )
-    return size * np.asarray(optics.corrected_factor(eccentricity=np.hypot(x, y), **eye))
-
-
+_APERTURE = 0.05  # numerical: start value
 _BLUR_PX = 1.0  # start value: a camera in focus
 _SPREAD_MM = 0.03  # start value: about that of paper
 _CONE_IN_FILE = ("half_angle", "b")
@@ -176,9 +42,13 @@ _STATED = 1.05
 """Factor above which the report says that numerical errors enlarge the standard errors."""
 _MAPS, _SMOOTHING = 6, 0.03
 """Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
-_WIDTHS = {"core_radius": Prior(0.9, 0.15), "aperture_radius": Prior(1.06, 0.12)}
-"""Radii of a fibre's core and of a drop's rim over the fibre's radius: cladding and jacket take up
-to a quarter of it, and glue may run over the edge."""
+_DROP = {
+    "core_radius": Prior(0.9, 0.15),
+    "aperture_radius": Prior(1.06, 0.12),
+    "sag": Prior(0.0, 0.5),
+}
+"""A fibre's core and a drop's rim and height over the fibre's radius: cladding and jacket take up
+to a quarter of it, glue may run over the edge, and glue that wets the face makes no half ball."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
@@ -188,11 +58,12 @@ _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
+    footage = _footage(recording, choices)
     own = known_cone(choices.known, recordings) if choices.known else None
     start = dict(own.mean) if own else cone_start(recordings)
     if "blur" in choices.names:
         start["blur"] = _BLUR_PX
-    return _fitted(recording, choices, "cone", [start], joint_prior=own)
+    return _fitted(recording, footage, choices, "cone", [start], joint_prior=own)
 
 
 def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
@@ -204,20 +75,22 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     A lens that was calibrated before is the start instead. What its file has an error of is free.
     """
     (recording,) = recordings
+    footage = _footage(recording, choices)
     if choices.known:
         start, joint = _known_lens(choices.known, choices.names)
         choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
-        return _fitted(recording, choices, "lens", [start], joint_prior=joint)
-    radius, widths = recording.fibre_radius_mm, {}
+        return _fitted(recording, footage, choices, "lens", [start], joint_prior=joint)
+    radius, drop = recording.fibre_radius_mm, {}
     if choices.lens:
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
-        widths = {name: Prior(*(radius * x for x in prior)) for name, prior in _WIDTHS.items()}
-        kind = {name: prior.mean for name, prior in widths.items()}
-        kind |= {"rim_height": 0.0, "sag": 0.0, "glue_index": _GLUE_INDEX}
-        kind["numerical_aperture"] = _APERTURES[0]
-    starts = guessed_lenses(recording, kind, widths)
-    return _fitted(recording, choices, "lens", starts, more={} if choices.names else widths)
+        drop = {name: Prior(*(radius * x for x in prior)) for name, prior in _DROP.items()}
+        kind = {name: prior.mean for name, prior in drop.items()}
+        kind |= {"rim_height": 0.0, "glue_index": _GLUE_INDEX}
+        kind["numerical_aperture"] = _APERTURE
+    starts = guessed_lenses(recording, footage, kind, drop)
+    more = {} if choices.names else drop
+    return _fitted(recording, footage, choices, "lens", starts, more=more)
 
 
 def _known_lens(
@@ -268,8 +141,23 @@ def _pose_start(recording: Recording) -> dict[str, float]:
     return dict(zip(("u", "v", *_BEAM), [*first.tolist(), *boresight.tolist()], strict=True))
 
 
+def _footage(recording: Recording, choices: Choices) -> Footage:
+    """The images of a recording.
+
+    Raises:
+        InputError: they show a tilted plane.
+    """
+    if any(recording.tilt):
+        raise InputError(
+            f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
+            "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
+        )
+    return read_footage(read_stack(recording.source), exposure=choices.exposure)
+
+
 def _fitted(
     recording: Recording,
+    footage: Footage,
     choices: Choices,
     source: Literal["cone", "lens"],
     starts: Iterable[dict[str, float]],
@@ -281,22 +169,17 @@ def _fitted(
 
     Args:
         recording: the stack with its measured spots.
+        footage: its images.
         choices: what was asked for.
         source: kind of the light source.
         starts: start values, the likeliest first.
         more: priors of parameters that are free beside those free by default.
         joint_prior: of the beam, from a calibration.
     """
-    if any(recording.tilt):
-        raise InputError(
-            f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
-            "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
-        )
     known = _pose_start(recording)
     if "spread" in choices.names:
         known["spread"] = _SPREAD_MM
     begins = (known | start for start in starts)
-    footage = read_footage(read_stack(recording.source), exposure=choices.exposure)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
     rounded = f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
@@ -309,7 +192,7 @@ def _fitted(
             source=source,
             start=next(begins),
             others=begins,
-            free=choices.names or (*FREE[source], *(more or {})),
+            free=choices.names or tuple(dict.fromkeys((*FREE[source], *(more or {})))),
             priors={**(more or {}), **choices.priors},
             joint_prior=joint_prior,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),

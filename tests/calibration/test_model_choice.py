@@ -12,8 +12,10 @@ import tomli_w
 import optics
 import scenes
 from calibration.command.fitting import chosen_model
-from calibration.command.pixel_models import guessed_lenses
+from calibration.command.lens_guess import guessed_lenses
+from calibration.pixels.data import read_footage
 from calibration.recordings import read_recording
+from formats.stack import read_stack
 from optics.wall_light.lens import lens_parameters
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
@@ -82,7 +84,8 @@ def test_of_two_exposures_the_metered_one_is_measured(stack):
 
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
     kind = lens_parameters(optics.load_lens("dome"))  # another lens on the same fibre
-    guess = next(guessed_lenses(read_recording(stack("lens", LENS)), kind, {}))
+    shown = stack("lens", LENS)
+    guess = next(guessed_lenses(read_recording(shown), read_footage(read_stack(shown)), kind, {}))
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
     assert guess["sag"] < 0.05
