@@ -7,7 +7,6 @@ import shlex
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
 from itertools import chain
 from pathlib import Path
 from typing import Literal
@@ -41,7 +40,7 @@ from benchmarks.sets.score.spots import (
 )
 from benchmarks.study import versions, write_json
 from estimator.run.progress_bar import progress, say
-from formats.calibration import read_calibration
+from formats.calibration import Calibration, read_calibration
 from formats.inputs import InputError, in_figure, in_utf8
 from formats.manifest import fingerprint
 from formats.spots import SpotRecord, write_spots
@@ -309,65 +308,83 @@ def run(
     if calibration is not None and mode not in ("auto", "pixels"):
         raise InputError("calibration has no effect without --mode auto or pixels. Give both.")
     beam = None if calibration is None else read_calibration(calibration)
-    stacks = stacks_of(folder)
-    chosen = [entry for entry in stacks if split in (None, entry.split)]
-    if not chosen:
-        known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
-        raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
-    found, measured = {entry.name: entry for entry in given}, dict[str, list[SpotRecord]]()
-    # A path on this machine means nothing to others.
-    is_sample = folder.resolve() == sample_folder().resolve()
-    name = "--sample" if is_sample else in_utf8(folder.resolve().name)
-    with written_whole(out) if out else nullcontext() as whole:
-        if out and whole:
-            whole.mkdir()
-            require_space(out, _LEAST_BYTES)
-        images = images_of(stacks)
-        scored = images if split is None else images[images.split == split]
-        spots = {e.name: read_set_spots(e.spots, stacks, images.index) for e in given if e.spots}
-        with progress("Tracking", total=len(scored) * len(modes)) as advance:
-            for own in modes:
-                begin = time.perf_counter()
-                measured[own] = track_set(
-                    *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
-                )
-                passed = time.perf_counter() - begin
-                spots[own] = {record.file_name: record for record in measured[own]}
-                found[own] = ScoredEstimator(
-                    name=own,
-                    command=f"eyespot score {name} --mode {own}",
-                    versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
-                    ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
-                )
-        kept = {
-            name: {image: record for image, record in records.items() if image in scored.index}
-            for name, records in spots.items()
-        }
-        if empty := [name for name, records in kept.items() if not records]:
-            raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
-        result = score(scored, kept, against=against)
-        if not (out and whole):
-            return result
+    if out is None:
+        return _scored(folder, given, modes, beam, unrelated, against, split)[0]
+    with written_whole(out) as whole:
+        whole.mkdir()
+        require_space(out, _LEAST_BYTES)
+        result, measured, found = _scored(folder, given, modes, beam, unrelated, against, split)
         write_json(whole / "score.json", _summary(result, folder))
         result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
-        for entry, records in measured.items():
-            write_spots(whole / f"{entry}.csv", records)
+        for name, records in measured.items():
+            write_spots(whole / f"{name}.csv", records)
+        words = ["eyespot", "score", folder, *spots_files]
         options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
         options |= {"out": out}
-        words = ["eyespot", "score", folder, *spots_files]
         if unrelated is not None:
             words.append("--unrelated" if unrelated else "--sequence")
-        words += chain(*([f"--{key}", value] for key, value in options.items() if value))
+        given_options = [[f"--{name}", value] for name, value in options.items() if value]
+        words += [*chain(*given_options), "--against", against]
         with matplotlib.rc_context(page.STYLE):
             page.write_page(
                 whole,
                 leaderboard(result, found, name=in_utf8(folder.resolve().name)),
-                command=shlex.join(map(str, [*words, "--against", against])),
+                command=shlex.join(map(str, words)),
                 versions=versions(),
                 summary_file="score.json",
             )
     say(f"Wrote {out / 'report.html'}.", result=True)
     return result
+
+
+def _scored(
+    folder: Path,
+    given: Sequence[ScoredEstimator],
+    modes: Sequence[Mode],
+    beam: Calibration | None,
+    unrelated: bool | None,
+    against: Against,
+    split: str | None,
+) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, ScoredEstimator]]:
+    """Measure and score; returns also the measured spots by mode, and all entries."""
+    stacks = stacks_of(folder)
+    chosen = [entry for entry in stacks if split in (None, entry.split)]
+    if not chosen:
+        known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
+        raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
+    images = images_of(stacks)
+    spots = {
+        entry.name: read_set_spots(entry.spots, stacks, images.index)
+        for entry in given
+        if entry.spots
+    }
+    measured: dict[str, list[SpotRecord]] = {}
+    found = {entry.name: entry for entry in given}
+    scored = images if split is None else images[images.split == split]
+    # A path on this machine means nothing to others.
+    is_sample = folder.resolve() == sample_folder().resolve()
+    name = "--sample" if is_sample else in_utf8(folder.resolve().name)
+    with progress("Tracking", total=len(scored) * len(modes)) as advance:
+        for own in modes:
+            begin = time.perf_counter()
+            measured[own] = track_set(
+                *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
+            )
+            passed = time.perf_counter() - begin
+            spots[own] = {record.file_name: record for record in measured[own]}
+            found[own] = ScoredEstimator(
+                name=own,
+                command=f"eyespot score {name} --mode {own}",
+                versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
+                ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
+            )
+    kept = {
+        name: {image: record for image, record in records.items() if image in scored.index}
+        for name, records in spots.items()
+    }
+    if empty := [name for name, records in kept.items() if not records]:
+        raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
+    return score(scored, kept, against=against), measured, found
 
 
 def _summary(result: Score, folder: Path) -> dict[str, object]:
