@@ -1,6 +1,7 @@
 """`eyespot fit` chooses the model, and a lens to start from, by what was measured alone."""
 
 import json
+import math
 import re
 import shutil
 import tomllib
@@ -14,7 +15,9 @@ import scenes
 from calibration.command.fitting import chosen_model
 from calibration.command.lens_guess import guessed_lenses
 from calibration.pixels.data import read_footage
+from calibration.pixels.light import cap_of, cap_shape, cap_slopes
 from calibration.recordings import read_recording
+from calibration.spots.cone_trials import Prior
 from formats.stack import read_stack
 from optics.wall_light.lens import lens_parameters
 
@@ -26,13 +29,13 @@ CONE = {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": -5.117}
 def stack(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stacks")
 
-    def render(name, source):
+    def render(name, source, **motion):
         if not (folder / name).exists():
             scene = scenes.Scene.model_validate(
                 {
                     "schema": 1,
                     "source": source,
-                    "motion": {"frames": 9},
+                    "motion": {"frames": 9, **motion},
                     "microscope": {"width_px": 320, "height_px": 240, "scale_mm_px": 0.0134},
                     "exposures": {"kinds": ["paper", "metered"]},
                 }
@@ -89,6 +92,40 @@ def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
     assert guess["sag"] < 0.05
+
+
+def test_a_high_drop_is_guessed_although_its_spots_have_no_edge(stack, tmp_path):
+    drop = {"core_radius": 0.21, "aperture_radius": 0.235, "glue_index": 1.49, "sag": 0.12}
+    drop |= {"numerical_aperture": 0.15, "glue_length": 0.12}
+    (tmp_path / "drop.toml").write_text(tomli_w.dumps({"schema": 1, "lens": drop}))
+    shown = stack("drop", {**LENS, "lens": str(tmp_path / "drop.toml")}, travel_mm=5.0)
+    # A flat end of the same fibre, and what is known of any: the start of a fit that knows nothing.
+    priors = {"core_radius": Prior(0.225, 0.0375), "aperture_radius": Prior(0.265, 0.03)}
+    priors |= {"sag": Prior(0.0, 0.125)}
+    kind = {name: prior.mean for name, prior in priors.items()}
+    kind |= {"rim_height": 0.0, "glue_index": 1.49, "numerical_aperture": 0.05}
+    footage = read_footage(read_stack(shown))
+    guess = next(guessed_lenses(read_recording(shown), footage, kind, priors))
+    # The light far away follows curvature and numerical aperture. A grid's neighbours differ by
+    # half, and rings of a textured wall are right to some 3 %.
+    assert cap_shape(guess)[0] == pytest.approx(cap_shape(drop)[0], rel=0.2)
+    assert guess["numerical_aperture"] == pytest.approx(0.15, rel=0.2)
+
+
+@pytest.mark.parametrize("sag", [0.0, 0.03, 0.25])
+def test_a_caps_curvature_and_chord_are_regular_from_a_flat_end_to_a_half_ball(sag):
+    cap = {"sag": sag, "aperture_radius": 0.25}
+    curvature, chord = cap_shape(cap)
+    # By Pythagoras, and by the sphere through apex and rim.
+    assert chord == pytest.approx(math.hypot(sag, 0.25))
+    assert sag == pytest.approx(curvature * (sag**2 + 0.25**2) / 2)
+    assert cap_of(np.array([curvature, chord])) == pytest.approx(tuple(cap.values()))
+    slopes, step = cap_slopes(cap), 1e-6
+    ends = [[np.add((curvature, chord), sign * by) for by in step * np.eye(2)] for sign in (1, -1)]
+    up, down = (np.array([cap_of(end) for end in part]) for part in ends)
+    # Central differences are right to the square of the step over the chord's, 1e-11.
+    np.testing.assert_allclose(slopes, (up - down).T / (2 * step), atol=1e-8)
+    assert np.linalg.det(slopes) == pytest.approx(chord**3 / (2 * 0.25))
 
 
 def test_several_recordings_of_a_lens_are_refused_with_a_remedy(stack):
