@@ -33,7 +33,9 @@ _RING_ERROR = 0.03
 """Expected error of a ring's light over the spot's: by the wall's texture and its slope."""
 _ALIKE, _FOREIGN = 1.0, 9.0
 """Mean square error of a spot's rings, median over the spots, in the unit above: below the first a
-lens is taken at once, and beyond the second it is no lens of these spots."""
+lens is taken at once, and beyond the second it is no lens of these spots. Of five true lenses (14,
+15, 28, 30 and 32 of `tests.random_fits`) it was 0.03 to 0.9, of wrong minima 2 to 9, and of the
+best lenses for two cones 25 and 32."""
 
 
 def guessed_lenses(
