@@ -31,7 +31,6 @@ from estimator.pixels.frame_model import (
     SHIFT,
     Direction,
     FrameState,
-    Linear,
     RobotPose,
     TextureVariances,
     contrast,
@@ -39,7 +38,7 @@ from estimator.pixels.frame_model import (
     texture_of,
 )
 from estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
-from estimator.pixels.solver import PoseSolution, PoseSolver
+from estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
 from formats.camera import CameraNoise
 from formats.spots import Outline
 from optics.wall_light.pose_light import BeamFrame
@@ -86,7 +85,6 @@ class Hypothesis:
     """One explanation of the frames so far.
 
     Attributes:
-        solver: of the window and with the wall's texture.
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
         learnt_px2: `lit_px2` when the texture was learnt.
@@ -97,8 +95,7 @@ class Hypothesis:
         shake_before_px: `shake_px` of the frame before.
     """
 
-    solver: PoseSolver
-    kept: list[tuple[FrameState, Linear]]
+    kept: Kept
     solution: PoseSolution
     learnt_px2: float
     mean_square: float = 1.0
@@ -110,11 +107,6 @@ class Hypothesis:
     def newest(self) -> FrameState:
         """The newest frame."""
         return self.solution.frames[-1]
-
-    @cached_property
-    def deviance(self) -> float:
-        """-2 log likelihood of all frames; an outlier has its price, too."""
-        return self.solver.deviance_of(self.solution)
 
     @cached_property
     def sigmas(self) -> Float[np.ndarray, "5"]:
@@ -133,7 +125,7 @@ class Hypothesis:
         Less the errors of both frames' shifts, by which a wall of which little is seen would seem
         to move on, ever farther.
         """
-        middle = self.newest.cells.motion.image_px(self.solver.window.middle_px)
+        middle = self.newest.cells.motion.image_px(self.solution.solver.window.middle_px)
         along_wall = self.step.image_px(middle) - middle
         return math.sqrt(max(float(along_wall @ along_wall) - 2.0 * self.shift_variance_px2, 0.0))
 
@@ -156,9 +148,8 @@ class Hypothesis:
     @property
     def outline(self) -> Outline:
         """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
-        window = self.solver.window
-        light = self.solver.model.light(self.newest, self.solution.own)
-        places = window.centres().reshape(-1, 2)[lit(light)]
+        centres = self.solution.solver.window.centres().reshape(-1, 2)
+        places = centres[lit(self.solution.light(self.newest))]
         middle = self.newest.cells.motion.image_px(places.mean(axis=0))
         # Half of an axis is twice the standard deviation along it.
         variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
@@ -169,7 +160,7 @@ class Hypothesis:
 
     def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
         """How far the wall has moved in the image from the map's begin to a frame, px."""
-        middle = self.solver.window.middle_px
+        middle = self.solution.solver.window.middle_px
         return frame.cells.motion.image_px(middle) - middle
 
     def drifted(self, shake_px: float) -> bool:
@@ -191,20 +182,20 @@ class Hypothesis:
         return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
 
 
-def lit_px2(solver: PoseSolver, solution: PoseSolution) -> float:
+def lit_px2(solution: PoseSolution) -> float:
     """Area of the window's wall that any frame of a solution lights."""
-    seen = [lit(solver.model.light(frame, solution.own)) for frame in solution.frames]
-    return float(np.count_nonzero(np.any(seen, axis=0))) * solver.window.side**2
+    seen = [lit(solution.light(frame)) for frame in solution.frames]
+    return float(np.count_nonzero(np.any(seen, axis=0))) * solution.solver.window.side**2
 
 
 def distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     """The best explanation, and others that are different and nearly as good."""
     if len(hypotheses) < 2:  # a likelihood takes some milliseconds
         return hypotheses
-    best, *others = sorted(hypotheses, key=lambda one: one.deviance)
+    best, *others = sorted(hypotheses, key=lambda one: one.solution.deviance)
     kept = [best]
     for hypothesis in others:
-        near = hypothesis.deviance - best.deviance < _UNDECIDED
+        near = hypothesis.solution.deviance - best.solution.deviance < _UNDECIDED
         if near and all(hypothesis.differs(other) for other in kept):
             kept.append(hypothesis)
     return kept
@@ -365,33 +356,32 @@ def explained_alone(
     found = [robust_fit(solver, [], start, own, steps=_STEPS_FIRST)[0] for start in starts]
     if not found:
         return [], mix
-    best = min(found, key=solver.deviance_of)
+    best = min(found, key=lambda one: one.deviance)
     mirrored = mirrored_start(solver, best.frames[0], own)
     if mirrored is not None:
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
     # Again with this wall's texture, in the channels in which it has the least.
-    usable = picture.usable & ~window.pixels(outliers(solver, best), picture.usable.shape)
+    usable = picture.usable & ~window.pixels(outliers(best), picture.usable.shape)
     picture = replace(picture, usable=usable)
-    clear = contrast(solver.model.light(best.frames[0], best.own), best.frames[0]) > _CLEAR
+    clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
     cells = picture.cells(mix)
     found = [
         solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
     ]
-    best = min(found, key=solver.deviance_of)
+    best = min(found, key=lambda one: one.deviance)
     if np.count_nonzero(best.linear[0].weight) < _FEWEST:
         return [], mix
-    solver = solver_for(mix, learnt_texture(solver, best))
+    solver = solver_for(mix, learnt_texture(best))
     again = [robust_fit(solver, [], one.frames[0], own) for one in found]
     # A pose may explain the light by chance, but not against the robot.
     consistent = [one for one in again if one[0].frames[0].axis_off < _AGAINST]
     hypotheses = [
         Hypothesis(
-            solver=solver,
             kept=[(one.frames[0], one.linear[0])],
             solution=one,
-            learnt_px2=lit_px2(solver, one),
+            learnt_px2=lit_px2(one),
             mean_square=mean_square.value,
             other_wall=mean_square.value > _OTHER_WALL,
         )
@@ -400,9 +390,11 @@ def explained_alone(
     return distinct(hypotheses), mix
 
 
-def learnt_texture(solver: PoseSolver, solution: PoseSolution) -> TextureVariances:
+def learnt_texture(solution: PoseSolution) -> TextureVariances:
     """The texture that all frames of a solution show. Takes a second or two."""
-    return texture_of(*solution.together, count=COUNT, side_mm=solver.model.side_mm)
+    return texture_of(
+        *together(solution.linear), count=COUNT, side_mm=solution.solver.model.side_mm
+    )
 
 
 _KEPT = 6  # earlier frames
@@ -442,7 +434,7 @@ def explained_with(
     def cells(motion: WallMotion) -> CellLight:
         return observation.picture.cells(mix, motion)
 
-    solver, kept, own = hypothesis.solver, hypothesis.kept, hypothesis.solution.own
+    solver, kept, own = hypothesis.solution.solver, hypothesis.kept, hypothesis.solution.own
     motion = hypothesis.expected_motion
     centre = np.array([spot.x_px, spot.y_px])
     on_map, before = motion.map_px(centre), hypothesis.newest.cells.motion.map_px(last_px)
@@ -465,16 +457,15 @@ def explained_with(
     found, mean_square, other_wall, kept = _fitted(
         solver, kept, start, own, cells, hypothesis.mean_square
     )
-    learnt_px2, seen_px2 = hypothesis.learnt_px2, lit_px2(solver, found)
+    learnt_px2, seen_px2 = hypothesis.learnt_px2, lit_px2(found)
     if seen_px2 > _MORE_WALL * learnt_px2 and not other_wall:
-        solver, learnt_px2 = solver.of_texture(learnt_texture(solver, found)), seen_px2
+        solver, learnt_px2 = solver.of_texture(learnt_texture(found)), seen_px2
         start, own = found.frames[-1], found.own
         found, mean_square, other_wall, kept = _fitted(
             solver, kept, start, own, cells, hypothesis.mean_square
         )
     return Hypothesis(
-        solver=solver,
-        kept=_kept(solver, found, kept),
+        kept=_kept(found, kept),
         solution=found,
         learnt_px2=learnt_px2,
         mean_square=mean_square,
@@ -486,16 +477,16 @@ def explained_with(
 
 def _fitted(
     solver: PoseSolver,
-    kept: list[tuple[FrameState, Linear]],
+    kept: Kept,
     start: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
     usual: float,
-) -> tuple[PoseSolution, float, bool, list[tuple[FrameState, Linear]]]:
+) -> tuple[PoseSolution, float, bool, Kept]:
     """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
     for _ in range(_ANEW):
         found, mean_square, other_wall = fit_wherever(solver, kept, start, own, cells, usual=usual)
-        fresh = remodelled(solver, kept, found)
+        fresh = remodelled(kept, found)
         if fresh is None or other_wall:
             break
         kept, start, own = fresh, found.frames[-1], found.own
@@ -528,9 +519,7 @@ def _start(
     return None if best is None else replace(best[0], log_ambient=last.log_ambient)
 
 
-def _kept(
-    solver: PoseSolver, solution: PoseSolution, before: list[tuple[FrameState, Linear]]
-) -> list[tuple[FrameState, Linear]]:
+def _kept(solution: PoseSolution, before: Kept) -> Kept:
     """The kept frames, with the newest if it shows the wall in another light.
 
     A spot that has grown far beyond the first frame's has cells of which that lights a part only.
@@ -542,7 +531,8 @@ def _kept(
         (state, line._replace(weight=old.weight))
         for (state, line), (_, old) in zip(kept, before, strict=True)
     ]
-    pose, apex_mm = newest[0].pose, solver.beam.apex_mm
+    pose, solver = newest[0].pose, solution.solver
+    apex_mm = solver.beam.apex_mm
     outgrown = (pose.distance + apex_mm) / _OUTGROWN
     if len(kept) > 1 and kept[0][0].pose.distance + apex_mm < outgrown:
         kept.pop(0)

@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 
 from estimator.pixels.cells import COUNT, SIDES, STILL, CellLight, CellWindow, WallMotion, rolled
 from estimator.pixels.frame_model import FrameState, Linear, share
-from estimator.pixels.solver import PoseSolution, PoseSolver
+from estimator.pixels.solver import Kept, PoseSolution, PoseSolver
 
 _FARTHEST = 6  # cells; 1 mm/s is two or three of them from frame to frame
 _TURN = 0.02  # standard deviation of the turn from frame to frame, rad
@@ -138,7 +138,7 @@ class MeanSquare(NamedTuple):
 
 def robust_fit(
     solver: PoseSolver,
-    kept: list[tuple[FrameState, Linear]],
+    kept: Kept,
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     *,
@@ -148,7 +148,7 @@ def robust_fit(
     line = solver.model.linear(frame, own)
     trust = _trust(_off_wall_at_start(solver, frame, own, line))
     solution = solver.solve(kept, frame, own, steps=steps, trust=trust, line=line)
-    line, left_out, deviations = _distances(solver, solution, trust)
+    line, left_out, deviations = _distances(solution, trust)
     tested = solution.linear[-1].weight > 0
     if kept:  # what comes into the light is new, no outlier
         before = np.sum([line.weight for _, line in kept], axis=0)
@@ -165,12 +165,12 @@ def robust_fit(
             break
         start, own = solution.frames[-1], solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
-        line, _, deviations = _distances(solver, solution, trust)
+        line, _, deviations = _distances(solution, trust)
     return solution, mean_square
 
 
 def _distances(
-    solver: PoseSolver, solution: PoseSolution, trust: Float[np.ndarray, "n"]
+    solution: PoseSolution, trust: Float[np.ndarray, "n"]
 ) -> tuple[Linear, Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
     """The newest frame's model with all trust, and its residuals in standard deviations.
 
@@ -179,12 +179,10 @@ def _distances(
     line = solution.linear[-1]
     line = line._replace(weight=line.weight / trust)
     left_out = np.abs(solution.left_out(len(solution.linear) - 1, trust))
-    return line, left_out, np.maximum(left_out, _grown(_off_wall(solver, line)))
+    return line, left_out, np.maximum(left_out, _grown(_off_wall(solution.solver, line)))
 
 
-def modelled(
-    solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray, "q"]
-) -> list[tuple[FrameState, Linear]]:
+def modelled(solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray, "q"]) -> Kept:
     """Frames with their models, in which outliers from the wall's texture have little weight."""
 
     def model(frame: FrameState) -> tuple[FrameState, Linear]:
@@ -199,9 +197,9 @@ def modelled(
 def moved(
     solver: PoseSolver,
     window: CellWindow,
-    kept: list[tuple[FrameState, Linear]],
+    kept: Kept,
     own: Float[np.ndarray, "q"],
-) -> tuple[PoseSolver, list[tuple[FrameState, Linear]]]:
+) -> tuple[PoseSolver, Kept]:
     """The solver of another window with its map, and kept frames with their models there.
 
     A frame is modelled anew only if it has some light in cells that are new.
@@ -223,9 +221,7 @@ def moved(
     return solver, kept
 
 
-def remodelled(
-    solver: PoseSolver, kept: list[tuple[FrameState, Linear]], solution: PoseSolution
-) -> list[tuple[FrameState, Linear]] | None:
+def remodelled(kept: Kept, solution: PoseSolution) -> Kept | None:
     """Kept frames, with new models of those that a solution moves too far for theirs.
 
     None if there are none.
@@ -239,17 +235,16 @@ def remodelled(
     if not too_far:
         return None
     kept = kept.copy()
-    fresh = modelled(solver, [solution.frames[k] for k in too_far], solution.own)
+    fresh = modelled(solution.solver, [solution.frames[k] for k in too_far], solution.own)
     for k, one in zip(too_far, fresh, strict=True):
         kept[k] = one
     return kept
 
 
-def outliers(solver: PoseSolver, solution: PoseSolution) -> Bool[np.ndarray, "n"]:
+def outliers(solution: PoseSolution) -> Bool[np.ndarray, "n"]:
     """Outliers of a first frame from the wall's texture: hidden, or in other light."""
-    return (
-        _grown(_off_wall(solver, solver.model.linear(solution.frames[-1], solution.own))) > _OUTLIER
-    )
+    line = solution.solver.model.linear(solution.frames[-1], solution.own)
+    return _grown(_off_wall(solution.solver, line)) > _OUTLIER
 
 
 def _trust(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
@@ -300,7 +295,7 @@ def _off_wall(solver: PoseSolver, line: Linear) -> Float[np.ndarray, "n"]:
 
 def fit_wherever(
     solver: PoseSolver,
-    kept: list[tuple[FrameState, Linear]],
+    kept: Kept,
     frame: FrameState,
     own: Float[np.ndarray, "q"],
     cells: Callable[[WallMotion], CellLight],
@@ -329,9 +324,9 @@ def fit_wherever(
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
             again, less = robust_fit(solver, kept, moved, own)
-            if _deviance(solver, again) < _deviance(solver, solution) - _SURE:
+            if _deviance(again) < _deviance(solution) - _SURE:
                 solution, mean_square = again, less
-        other_wall = _deviance(solver, solution) > _deviance(solver, alone) + _SURE
+        other_wall = _deviance(solution) > _deviance(alone) + _SURE
     newest = solution.frames[-1]
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
@@ -343,8 +338,8 @@ def fit_wherever(
     return solution, mean_square.value, other_wall
 
 
-def _deviance(solver: PoseSolver, solution: PoseSolution) -> float:
+def _deviance(solution: PoseSolution) -> float:
     """-2 log likelihood of the newest frame, given the earlier ones."""
     *earlier, _ = zip(solution.frames, solution.linear, strict=True)
-    before = solver.deviance(earlier, solution.own) if earlier else 0.0
-    return solver.deviance_of(solution) - before
+    before = solution.solver.deviance_of(earlier, solution.own) if earlier else 0.0
+    return solution.deviance - before

@@ -44,13 +44,19 @@ from estimator.pixels.frame_model import (
 )
 from optics.wall_light.pose_light import POSE
 
+Kept = list[tuple[FrameState, Linear]]
+"""Earlier frames with their models, which are fitted again with each new one."""
+Factor = tuple[np.ndarray, bool]
+"""A Cholesky factor, as `scipy.linalg.cho_factor` has it."""
+
 
 @dataclass(frozen=True, eq=False)
 class PoseSolution:
     """The states of all frames, and how well they are known.
 
     Attributes:
-        frames: with their new states.
+        solver: that found it, with the window and the wall's texture.
+        frames: with their new states; the newest is the last.
         linear: their models at these states.
         own: changes of the beam's own parameters, see `BeamLight`.
         covariance: of all states: `OWN` of each frame, then the beam's own.
@@ -60,14 +66,24 @@ class PoseSolution:
         converged: whether the last step was small.
     """
 
+    solver: PoseSolver
     frames: list[FrameState]
     linear: list[Linear]
     own: Float[np.ndarray, "q"]
     covariance: Float[np.ndarray, "s s"]
     cost: float
     texture_map: Float[np.ndarray, "n"]
-    factor: tuple[np.ndarray, bool]
+    factor: Factor
     converged: bool
+
+    @functools.cached_property
+    def deviance(self) -> float:
+        """-2 log likelihood of all frames; an outlier has its price, too."""
+        return self.solver.deviance(self.cost, self.linear, self.factor)
+
+    def light(self, frame: FrameState) -> Float[np.ndarray, "n"]:
+        """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
+        return self.solver.model.light(frame, self.own)
 
     @property
     def chi_squared(self) -> float:
@@ -75,21 +91,6 @@ class PoseSolution:
         total = sum(line.weight @ np.square(line.residual) for line in self.linear)
         total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
-
-    @property
-    def together(
-        self,
-    ) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "p n"]]:
-        """What all frames say of the wall, as if it was one frame of many states.
-
-        Residual, weight and derivatives, as `texture_of` takes them. How the frames differ from
-        each other says nothing of the reflectance.
-        """
-        weight = np.sum([line.weight for line in self.linear], axis=0)
-        shares = [line.weight / np.where(weight > 0, weight, 1.0) for line in self.linear]
-        parts = list(zip(shares, self.linear, strict=True))
-        residual = np.sum([share * line.residual for share, line in parts], axis=0)
-        return residual, weight, np.concatenate([share * line.slopes for share, line in parts])
 
     @property
     def newest_covariance(self) -> Float[np.ndarray, "5 5"]:
@@ -139,12 +140,27 @@ class PoseSolution:
         return np.where(used, (line.residual - mean) / np.sqrt(variance), 0.0)
 
 
-def solved(factor: tuple[np.ndarray, bool], values: np.ndarray) -> np.ndarray:
+def together(
+    lines: list[Linear],
+) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "p n"]]:
+    """What frames say of the wall, as if they were one frame of many states.
+
+    Residual, weight and derivatives, as `texture_of` takes them. How the frames differ from each
+    other says nothing of the reflectance.
+    """
+    weight = np.sum([line.weight for line in lines], axis=0)
+    shares = [line.weight / np.where(weight > 0, weight, 1.0) for line in lines]
+    parts = list(zip(shares, lines, strict=True))
+    residual = np.sum([share * line.residual for share, line in parts], axis=0)
+    return residual, weight, np.concatenate([share * line.slopes for share, line in parts])
+
+
+def solved(factor: Factor, values: np.ndarray) -> np.ndarray:
     """A positive definite system solved by the Cholesky factor of its matrix."""
     return cho_solve(factor, values, check_finite=False)
 
 
-def inverse_diagonal(factor: tuple[np.ndarray, bool]) -> Float[np.ndarray, "n"]:
+def inverse_diagonal(factor: Factor) -> Float[np.ndarray, "n"]:
     """Diagonal of a positive definite matrix's inverse, by its lower Cholesky factor."""
     inverse, _ = lapack.dtrtri(factor[0], lower=True)
     return np.square(np.tril(inverse)).sum(axis=0)
@@ -205,7 +221,7 @@ class PoseSolver:
         fresh.model = FrameModel(self.beam, self.window, self.texture, grain)
         return fresh
 
-    def with_map_of(self, kept: list[tuple[FrameState, Linear]]) -> PoseSolver:
+    def with_map_of(self, kept: Kept) -> PoseSolver:
         """The same with the map that frames show."""
         lines = [line for _, line in kept]
         return self.with_map(self._map(lines, self._factor(lines)))
@@ -217,7 +233,7 @@ class PoseSolver:
 
     def solve(
         self,
-        kept: list[tuple[FrameState, Linear]],
+        kept: Kept,
         frame: FrameState,
         own: Float[np.ndarray, "q"],
         *,
@@ -289,6 +305,7 @@ class PoseSolver:
             before = frames[k]
             frames[k] = self._moved(before, change[OWN * k : OWN * (k + 1)]) or before
         return PoseSolution(
+            solver=self,
             frames=frames,
             linear=lines,
             own=own,
@@ -299,19 +316,16 @@ class PoseSolver:
             converged=converged,
         )
 
-    def deviance(self, kept: list[tuple[FrameState, Linear]], own: Float[np.ndarray, "q"]) -> float:
+    def deviance_of(self, kept: Kept, own: Float[np.ndarray, "q"]) -> float:
         """-2 log likelihood of frames at their states, whatever the wall's texture is."""
         frames, lines = [state for state, _ in kept], [line for _, line in kept]
         factor = self._factor(lines)
         change = np.zeros(OWN * len(kept) + len(own))
         cost = self._cost(frames, lines, _motions(frames), own, change, factor)
-        return self._deviance(cost, lines, factor)
+        return self.deviance(cost, lines, factor)
 
-    def deviance_of(self, solution: PoseSolution) -> float:
-        """The same of all frames of a solution."""
-        return self._deviance(solution.cost, solution.linear, solution.factor)
-
-    def _deviance(self, cost: float, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> float:
+    def deviance(self, cost: float, lines: list[Linear], factor: Factor) -> float:
+        """The same of frames with this cost and this factor of the map's precision."""
         # The determinant of the data's covariance, by that of the map's precision.
         noise = -sum(float(np.sum(np.log(line.weight[line.weight > 0]))) for line in lines)
         return cost + noise + _log_determinant(factor) - self._prior_log_determinant
@@ -327,7 +341,7 @@ class PoseSolver:
         motions: list[RobotMotion | None],
         own: np.ndarray,
         change: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray, float, tuple[np.ndarray, bool]]:
+    ) -> tuple[np.ndarray, np.ndarray, float, Factor]:
         """Hessian of all states, gradient downhill, cost, and the factor of the map's precision."""
         size = change.size
         factor = self._factor(lines)
@@ -358,14 +372,14 @@ class PoseSolver:
         gradient[last] -= own
         return hessian, gradient, self._cost(frames, lines, motions, own, change, factor), factor
 
-    def _map(self, lines: list[Linear], factor: tuple[np.ndarray, bool]) -> np.ndarray:
+    def _map(self, lines: list[Linear], factor: Factor) -> np.ndarray:
         """Log reflectance of the cells by frames."""
         return solved(factor, self._weighted(lines))
 
     def _weighted(self, lines: list[Linear]) -> np.ndarray:
         return self._pull + np.sum([line.weight * line.residual for line in lines], axis=0)
 
-    def _factor(self, lines: list[Linear]) -> tuple[np.ndarray, bool]:
+    def _factor(self, lines: list[Linear]) -> Factor:
         """Cholesky factor of the precision of the map by frames."""
         weight = np.sum([line.weight for line in lines], axis=0)
         precision = self._precision.copy()
@@ -379,7 +393,7 @@ class PoseSolver:
         motions: list[RobotMotion | None],
         own: np.ndarray,
         change: np.ndarray,
-        factor: tuple[np.ndarray, bool],
+        factor: Factor,
     ) -> float:
         weighted = self._weighted(lines)
         cost = float(sum(line.weight @ np.square(line.residual) for line in lines))
@@ -419,7 +433,7 @@ def _precision(texture: TextureVariances, side_mm: float) -> Float[np.ndarray, "
     return solved(cho_factor(covariance, lower=True), np.eye(COUNT**2))
 
 
-def _log_determinant(factor: tuple[np.ndarray, bool]) -> float:
+def _log_determinant(factor: Factor) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
 
 

@@ -221,15 +221,14 @@ class PixelRanger:
         )
         flag = flag_of(self._hypotheses[0] if self._hypotheses else None, outline)
         if flag is None:
-            best = self._hypotheses[0]
-            self._shaken = shake_covariance(best.solver, best.solution)
+            self._shaken = shake_covariance(self._hypotheses[0].solution)
         return flag
 
     def _range(self, wall: WallMemory, outline: Outline) -> Range:
         best, *others = self._hypotheses
         self._last = outline if outline.measured else best.outline
         if wall is WallMemory.DROPPED:
-            self._unknown_px = max(self._unknown_px, farthest_px(best.solver.window))
+            self._unknown_px = max(self._unknown_px, farthest_px(best.solution.solver.window))
         return range_of(
             best,
             tuple(float(one.newest.pose.distance) for one in others),

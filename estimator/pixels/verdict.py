@@ -35,13 +35,12 @@ from estimator.pixels.first_frame import Hypothesis
 from estimator.pixels.frame_model import (
     BLOOM_SIGMA_PX,
     BLUR,
-    FrameState,
     TextureVariances,
     contrast,
     halo,
     lit,
 )
-from estimator.pixels.solver import PoseSolution, PoseSolver
+from estimator.pixels.solver import PoseSolution
 from formats.spots import Outline, Reason
 from optics.wall_light.pose_light import POSE
 
@@ -54,28 +53,20 @@ _CUBIC_SHARE = 1.5  # of the third degree over those of the first and second
 _LEAST = 0.02  # of the shading's terms, below which the ambient light counts as even
 
 
-def ambient_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
-    """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`.
-
-    Args:
-        solution: with the newest frame last.
-    """
+def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
+    """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`."""
     size = float(np.linalg.norm(solution.frames[-1].shade))
     if size < _LEAST:
         return np.zeros((POSE, POSE))
-    shares = [_share(solver, solution, frame) for frame in solution.frames]
+    shares = []  # of the ambient light in each cell's
+    for frame in solution.frames:
+        ambient = np.exp(frame.log_ambient)
+        shares.append(ambient / (np.maximum(solution.light(frame), 0.0) + ambient))
     pulls = [
         solution.answer([_CUBIC_SHARE * size * share * shape for share in shares])[:POSE]
         for shape in _CUBIC
     ]
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
-
-
-def _share(solver: PoseSolver, solution: PoseSolution, frame: FrameState) -> Float[np.ndarray, "n"]:
-    """The ambient light's share of each cell's light."""
-    light = np.maximum(solver.model.light(frame, solution.own), 0.0)
-    ambient = np.exp(frame.log_ambient)
-    return ambient / (light + ambient)
 
 
 _SMALL = 0.01
@@ -85,12 +76,11 @@ _FOURTH = 3.0  # mean of the fourth power of a normal number
 
 
 def bend_covariance(
-    solver: PoseSolver, solution: PoseSolution, covariance: Float[np.ndarray, "5 5"]
+    solution: PoseSolution, covariance: Float[np.ndarray, "5 5"]
 ) -> Float[np.ndarray, "5 5"]:
     """What the bend may do to the newest pose, in the terms of `POSE`.
 
     Args:
-        solution: with the newest frame last.
         covariance: of the newest pose without the bend.
     """
     frame, fitted = solution.frames[-1], solution.newest_covariance
@@ -99,7 +89,7 @@ def bend_covariance(
     earlier = [np.zeros(COUNT**2)] * (len(solution.frames) - 1)
     found = np.zeros((POSE, POSE))
     for k in np.flatnonzero(sizes > _SMALL):
-        evenly = _even_part(solver, frame, solution.own, covariance[:, k] / sigmas[k])
+        evenly = _even_part(solution, covariance[:, k] / sigmas[k])
         bend = solution.answer([*earlier, evenly])[:POSE]
         bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
         # Where the light says too little, the second order says nothing.
@@ -108,21 +98,17 @@ def bend_covariance(
     return found
 
 
-def _even_part(
-    solver: PoseSolver,
-    frame: FrameState,
-    own: Float[np.ndarray, "q"],
-    change: Float[np.ndarray, "5"],
-) -> Float[np.ndarray, "n"]:
-    """How the log light of a frame's cells changes by a change of its pose and by its opposite."""
-    model = solver.model
+def _even_part(solution: PoseSolution, change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n"]:
+    """How the newest frame's log light changes by a change of its pose and by its opposite."""
+    model, frame = solution.solver.model, solution.frames[-1]
     light = []
     for shift in (change, np.zeros(POSE), -change):
-        pose = solver.beam.pose(*frame.pose.moved(shift))
+        pose = model.beam.pose(*frame.pose.moved(shift))
         if pose is None:
             return np.zeros(COUNT**2)
         lattice = model.lattice(frame.cells.motion)
-        light.append(model.log_light(frame, solver.beam.irradiance_alone(lattice, pose, own)))
+        alone = model.beam.irradiance_alone(lattice, pose, solution.own)
+        light.append(model.log_light(frame, alone))
     ahead, here, back = light
     return 0.5 * (ahead + back) - here
 
@@ -136,15 +122,14 @@ _PER_DRIFT = 0.03  # error of the distance's pull, over the drift
 
 
 def drift_covariance(
-    solver: PoseSolver, solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
+    solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5 5"]:
     """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
 
     Args:
-        solution: with the newest frame last.
         drifts_px: shift of the image in each frame since the microscope file was right.
     """
-    pull = _pulled(solver, solution, drifts_px)
+    pull = _pulled(solution, drifts_px)
     shift = float(np.linalg.norm(pull[:2]))
     # Where the light hardly says anything, a linear forecast has no bound of its own.
     pull[2] = np.clip(pull[2], -shift, shift)
@@ -156,26 +141,27 @@ def drift_covariance(
     )
 
 
-def shake_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
+def shake_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What a shake of the view by a pixel along each side does to all poses on a map, per px².
 
     Args:
         solution: of the map's first frame, whose shake is not known.
     """
-    shaken = [drift_covariance(solver, solution, [shift]) for shift in np.eye(2)]
+    shaken = [drift_covariance(solution, [shift]) for shift in np.eye(2)]
     return np.sum(shaken, axis=0)
 
 
 def _pulled(
-    solver: PoseSolver, solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
+    solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
 ) -> Float[np.ndarray, "5"]:
     """How far the newest pose would be off."""
-    model, beam, own = solver.model, solver.beam, solution.own
+    model, own = solution.solver.model, solution.own
+    beam, middle_px = model.beam, model.window.middle_px
     changes, shift = [], np.zeros(3)
     for frame, drift in zip(solution.frames, drifts_px, strict=True):
         length, motion = float(np.linalg.norm(drift)), frame.cells.motion
         part = _STEP_PX / max(length, _STEP_PX)
-        middle = motion.image_px(solver.window.middle_px)
+        middle = motion.image_px(middle_px)
         (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
         shift = (there - here) / part
         other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
@@ -204,16 +190,12 @@ _ALONG_ONE, _MOST_PX2 = 0.7, 4.0
 along one direction, by seven pixels during the exposure; more is defocus, which is round."""
 
 
-def edge_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
-    """What such errors may have done to the newest pose, in the terms of `POSE`.
-
-    Args:
-        solution: with the newest frame last.
-    """
+def edge_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
+    """What such errors may have done to the newest pose, in the terms of `POSE`."""
     newest = solution.frames[-1]
     if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
         return np.zeros((POSE, POSE))
-    shifts = np.array([_changes(solver, solution, k) for k in range(len(solution.frames))])
+    shifts = np.array([_changes(solution, k) for k in range(len(solution.frames))])
     # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
     pulls = [solution.answer(list(shifts[:, k]))[:POSE] for k in range(shifts.shape[1])]
     # Where the spot moves on, the wall grows otherwise.
@@ -222,10 +204,10 @@ def edge_covariance(solver: PoseSolver, solution: PoseSolution) -> Float[np.ndar
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-def _changes(solver: PoseSolver, solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
+def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     """How frame k's log light changes by each of these errors."""
     frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
-    light = solver.model.light(frame, solution.own)
+    light, solver = solution.light(frame), solution.solver
     side, spot = solver.window.side, lit(light)
     radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
     light = np.exp(solver.model.log_light(frame, light))
@@ -283,15 +265,15 @@ def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     """
     if hypothesis is None or not hypothesis.solution.converged:
         return Reason.NOT_CONVERGED
-    nearest, farthest = hypothesis.solver.beam.within_mm
-    if not nearest < hypothesis.newest.pose.distance < farthest:
+    best, newest = hypothesis.solution, hypothesis.newest
+    beam, window = best.solver.beam, best.solver.window
+    nearest, farthest = beam.within_mm
+    if not nearest < newest.pose.distance < farthest:
         return Reason.OUT_OF_RANGE
-    best, sharp = hypothesis.solution, hypothesis.solver.beam.sharp
-    widened = hypothesis.newest.pose.distance + hypothesis.solver.beam.apex_mm
+    sharp, widened = beam.sharp, newest.pose.distance + beam.apex_mm
     if math.sqrt(best.shown_covariance[2, 2]) > _VAGUE[sharp] * widened:
         return Reason.NOT_CONVERGED
-    newest, window = hypothesis.newest, hypothesis.solver.window
-    by_beam = hypothesis.solver.model.light(newest, best.own)
+    by_beam = best.light(newest)
     spot = lit(by_beam)
     size = float(np.count_nonzero(spot)) * window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
@@ -327,22 +309,22 @@ def range_of(
         drift_px: of the view before the wall's map was begun.
         unknown_px: what it may have drifted without anybody seeing it.
     """
-    solver, solution = hypothesis.solver, hypothesis.solution
+    solution, beam = hypothesis.solution, hypothesis.solution.solver.beam
     # If the view shakes, its place in the first frame is not known.
     shake = max(hypothesis.shake_px, shake_px)
     newest = hypothesis.newest
-    swept = 0.0 if newest.sweep is None else solver.beam.swept_px(newest.pose, newest.sweep)
-    place = solver.beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept)
+    swept = 0.0 if newest.sweep is None else beam.swept_px(newest.pose, newest.sweep)
+    place = beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept)
     place_and_distance = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
     covariance = solution.newest_covariance + place_and_distance
-    covariance += edge_covariance(solver, solution) + ambient_covariance(solver, solution)
-    covariance += bend_covariance(solver, solution, covariance)
+    covariance += edge_covariance(solution) + ambient_covariance(solution)
+    covariance += bend_covariance(solution, covariance)
     covariance += shake**2 * shaken
     drifts = [drift_px + hypothesis.drift(frame) for frame in solution.frames]
     for shift in unknown_px * np.eye(2) if unknown_px else ():
-        covariance += drift_covariance(solver, solution, [shift for _ in drifts])
+        covariance += drift_covariance(solution, [shift for _ in drifts])
     if np.any(drifts):
-        covariance += drift_covariance(solver, solution, drifts)
+        covariance += drift_covariance(solution, drifts)
     pose = solution.frames[-1].pose
     found = TipPose(
         tip_mm=np.asarray(pose.tip),

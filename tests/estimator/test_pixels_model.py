@@ -6,7 +6,6 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.linalg import cho_factor
 from scipy.special import k1
 from scipy.stats import norm
 
@@ -28,7 +27,7 @@ from estimator.pixels.frame_model import (
     texture_of,
 )
 from estimator.pixels.picture import _most_even, hidden_pixels
-from estimator.pixels.solver import PoseSolution
+from estimator.pixels.solver import together
 from estimator.pixels.tracker import _like
 from formats.spots import Outline
 from optics.wall_light.cone import UniformCone
@@ -585,10 +584,7 @@ def test_frames_in_different_light_show_a_texture_that_one_frame_hides_in_its_li
     for wall, row in zip(drawn_walls(true, COUNT, rng, 5), off, strict=True):
         lines = [seen_in_a_bell(wall, rng, middle=middle) for middle in ((0, 0), (0.3, 0.2))]
         for k, seen in enumerate((lines[:1], lines)):
-            total = PoseSolution(
-                [], seen, np.zeros(0), np.eye(1), 0.0, wall, cho_factor(np.eye(1)), True
-            )
-            texture = texture_of(*total.together, count=COUNT, side_mm=SIDE_MM)
+            texture = texture_of(*together(seen), count=COUNT, side_mm=SIDE_MM)
             row[k] = abs(np.log(texture.variances[-1] / true.variances[-1]))
     one, both = np.median(off, axis=0)
     # Of the longest part a window shows one wave or two, so that one wall may be far off.
