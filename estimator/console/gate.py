@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import ipaddress
 import secrets
-from http.cookies import SimpleCookie
 from typing import Any
 from urllib.parse import parse_qs
 
-_COOKIE = "eyespot"
+from starlette.requests import HTTPConnection, Request
+from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.websockets import WebSocketClose
 
-
+_COOKIE, _GIVEN = "eyespot", ("POST", "/token")
 _ASK = """<!doctype html><title>eyespot</title><meta name=viewport content="width=device-width">
 <style>body{font:20px sans-serif;display:grid;place-content:center;height:90vh;gap:1em}
 input,button{font:inherit;padding:.4em}</style>
 <form method=post action=/token><label>Token, as the console printed it:
 <input name=token type=password autofocus></label> <button>Open</button></form>"""
-
-
 _MOST_BYTES = 4096
 
 
@@ -46,49 +45,37 @@ class Gate:
 
     async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
         """Let a request through, or answer it."""
-        if scope["type"] not in ("http", "websocket"):
-            await self._app(scope, receive, send)
-            return
-        headers = {name.decode(): value.decode("latin-1") for name, value in scope["headers"]}
-        host = headers.get("host", "")
-        name = host.rpartition(":")[0].strip("[]") or host
-        own = headers.get("origin", f"http://{host}").partition("://")[2] == host
-        if not own or (self._token is None and not is_loopback(name)):
-            await _refuse(scope, send, 403, b"Forbidden")
-        elif self._token is None or self._knows(headers):
-            await self._app(scope, receive, send)
-        elif scope["type"] == "http" and scope["path"] == "/token" and scope["method"] == "POST":
-            await self._enter(receive, send)
-        else:
-            await _refuse(scope, send, 401, _ASK.encode())
+        answer = self._app
+        if scope["type"] in ("http", "websocket"):
+            asked = HTTPConnection(scope)
+            host = asked.headers.get("host", "")
+            name = host.rpartition(":")[0].strip("[]") or host
+            own = asked.headers.get("origin", f"http://{host}").partition("://")[2] == host
+            if not own or (self._token is None and not is_loopback(name)):
+                answer = HTMLResponse("Forbidden", 403)
+            elif not self._is(asked.cookies.get(_COOKIE)):
+                answer = HTMLResponse(_ASK, 401)
+                if scope["type"] == "http" and (scope["method"], scope["path"]) == _GIVEN:
+                    answer = await self._entered(Request(scope, receive))
+            if answer is not self._app and scope["type"] == "websocket":
+                answer = WebSocketClose(1008)
+        await answer(scope, receive, send)
 
-    def _knows(self, headers: dict[str, str]) -> bool:
-        cookie = SimpleCookie(headers.get("cookie", "")).get(_COOKIE)
-        return cookie is not None and secrets.compare_digest(cookie.value, self._token or "")
+    def _is(self, given: str | None) -> bool:
+        """Whether what was given is the token; anything is where none is asked for."""
+        if self._token is None:
+            return True
+        return secrets.compare_digest((given or "").encode(), self._token.encode())
 
-    async def _enter(self, receive: Any, send: Any) -> None:
-        body, more = b"", True
-        while more and len(body) < _MOST_BYTES:
-            message = await receive()
-            body, more = body + message.get("body", b""), message.get("more_body", False)
+    async def _entered(self, request: Request) -> RedirectResponse:
+        """To the page, which asks again without the right token."""
+        body = b""
+        async for part in request.stream():
+            body += part
+            if len(body) >= _MOST_BYTES:
+                break
         given = parse_qs(body.decode("latin-1")).get("token", [""])[0]
-        cookie = f"{_COOKIE}={given}; HttpOnly; SameSite=Strict; Path=/"
-        right = secrets.compare_digest(given.encode(), (self._token or "").encode())
-        kept = [(b"set-cookie", cookie.encode("latin-1"))] if right else []
-        await send(
-            {
-                "type": "http.response.start",
-                "status": 303,
-                "headers": [(b"location", b"/"), *kept],
-            }
-        )
-        await send({"type": "http.response.body", "body": b""})
-
-
-async def _refuse(scope: Any, send: Any, status: int, body: bytes) -> None:
-    if scope["type"] == "websocket":
-        await send({"type": "websocket.close", "code": 1008})
-        return
-    headers = [(b"content-type", b"text/html; charset=utf-8")]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
+        page = RedirectResponse("/", 303)
+        if self._is(given):
+            page.set_cookie(_COOKIE, given, httponly=True, samesite="strict")
+        return page
