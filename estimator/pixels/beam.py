@@ -42,7 +42,6 @@ class Blurred(NamedTuple):
 
     Attributes:
         by_variance: their growth with the variance, in squares of a cell's side.
-        by_kurtosis: their growth with the kurtosis.
     """
 
     value: Float[np.ndarray, "n"]
@@ -167,7 +166,6 @@ class SeenLight(NamedTuple):
         slopes: its derivatives by the pose's changes and by the beam's own.
         bend: its derivative by the blur's variance, 1/px².
         tails: its derivative by the blur's excess kurtosis.
-        by_motion: what the motion changed of it.
     """
 
     value: Float[np.ndarray, "n"]
@@ -244,7 +242,6 @@ class BeamLight:
         """Irradiance of the cells per unit power, 1/mm², as the camera sees it.
 
         Args:
-            motion: of the wall's picture.
             own: changes of the beam's own parameters, in the terms of `spread`.
             sweep: motion during the exposure; None for a tip at rest.
             blur_px2: variance of the image's blur along each side.

@@ -159,14 +159,13 @@ class CellWindow(NamedTuple):
         self, cells: Bool[np.ndarray, "n"], shape: tuple[int, ...]
     ) -> Bool[np.ndarray, "h w"]:
         """The pixels of some cells, in an image of a shape."""
-        mask = np.zeros(shape, bool)
-        chosen = cells.reshape(COUNT, COUNT).repeat(self.side, axis=0).repeat(self.side, axis=1)
-        cut = [max(-first, 0) for first in (self.top, self.left)]
-        part = mask[max(self.top, 0) :, max(self.left, 0) :][
-            : len(chosen) - cut[0], : len(chosen) - cut[1]
-        ]
-        part[...] = chosen[cut[0] :, cut[1] :][: part.shape[0], : part.shape[1]]
-        return mask
+        rows, columns = (
+            (np.arange(length) - first) // self.side
+            for length, first in zip(shape, (self.top, self.left), strict=True)
+        )
+        # A border of no cell stands for all pixels outside the window.
+        bordered = np.pad(cells.reshape(COUNT, COUNT), 1)
+        return bordered[np.ix_(*(np.clip(at + 1, 0, COUNT + 1) for at in (rows, columns)))]
 
 
 def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np.ndarray, "*k n"]:

@@ -9,7 +9,7 @@ is fitted. A later frame continues each explanation.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
@@ -55,7 +55,6 @@ class Observation(NamedTuple):
     Attributes:
         direction: of the beam, from the robot.
         sweep: motion during the exposure, from the robot; None if unknown.
-        robot: where the robot says the tool is; None if it does not.
     """
 
     picture: FramePixels
@@ -87,12 +86,10 @@ class Hypothesis:
     Attributes:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
-        learnt_px2: `lit_px2` when the texture was learnt.
         mean_square: of the newest frame's residuals; see `frame_fit.MeanSquare`.
         other_wall: whether the newest frame shows another wall than the earlier ones or the
             reference.
         step: motion of the wall in the image since the frame before.
-        shake_before_px: `shake_px` of the frame before.
     """
 
     kept: Kept
@@ -133,17 +130,6 @@ class Hypothesis:
     def shake_px(self) -> float:
         """How far the image may jump from frame to frame, as it did of late."""
         return max(min(self.moved_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
-
-    @property
-    def shift_sigma_px(self) -> float:
-        """Standard deviation of the wall's shift in the next frame."""
-        return _STAYS_PX + self.shake_px
-
-    @property
-    def expected_motion(self) -> WallMotion:
-        """Of the wall in the next frame: it moves on as it did, unless it only shakes."""
-        motion = self.newest.cells.motion
-        return self.step.after(motion) if self.moved_px > _MOVES_ON_PX else motion
 
     @property
     def outline(self) -> Outline:
@@ -220,35 +206,25 @@ def scanned_starts(
     frame_at: Callable[[BeamFrame], FrameState],
     spot: Outline,
     own: np.ndarray,
-    directions: list[np.ndarray],
+    axes: Iterable[np.ndarray],
 ) -> list[FrameState]:
-    """The frame at the poses that are the likeliest along each direction, best first.
-
-    Args:
-        solver: of the frame's window.
-        own: changes of the beam's own parameters.
-    """
+    """The frame at the poses that are the likeliest along each direction, best first."""
     found: list[tuple[float, FrameState]] = []
     spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
     model = solver.model
     point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
-    for axis in directions:
-        costs: list[float] = []
-        states: list[FrameState | None] = []
-        for distance in _DISTANCES_MM:
+    for axis in axes:
+        costs, states = np.full(_DISTANCES_MM.size + 2, np.inf), {}
+        for k, distance in enumerate(_DISTANCES_MM, 1):
             pose = solver.beam.pose(point - distance * axis, axis)
             scanned = None if pose is None else model.scanned(frame_at(pose), own)
-            state, cost = (None, np.inf) if scanned is None else scanned
-            if state is not None:
-                cells = np.count_nonzero(lit(model.light(state, own)))
+            if scanned is not None:
+                states[k], cost = scanned
+                cells = np.count_nonzero(lit(model.light(states[k], own)))
                 size = cells * model.window.side**2 / spot_px2
-                cost += (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
-            states.append(state)
-            costs.append(cost)
-        padded = np.array([np.inf, *costs, np.inf])
-        for k in np.flatnonzero((padded[1:-1] <= padded[:-2]) & (padded[1:-1] <= padded[2:])):
-            state = states[k]
-            if state is not None:
+                costs[k] = cost + (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
+        for k, state in states.items():
+            if costs[k] <= min(costs[k - 1], costs[k + 1]):
                 found.append((costs[k], state))
     found.sort(key=lambda one: one[0])
     return [state for _, state in found[:_MOST]]
@@ -267,11 +243,6 @@ def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
 def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> FrameState | None:
     """A frame with the beam leaning to the other side of the wall's normal, as alike in the image.
 
-    Args:
-        solver: of the frame's window.
-        frame: at a pose that was found.
-        own: changes of the beam's own parameters.
-
     Returns:
         The frame, or None if such a beam meets no wall that is seen.
     """
@@ -283,16 +254,8 @@ def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> Fr
     return None if scanned is None else scanned[0]
 
 
-def likely_directions(
-    beam: BeamLight, spot: Outline, direction: Direction | None
-) -> list[np.ndarray]:
-    """Axes of the beam to start from: the robot's, or square to the wall and tilted as the spot."""
-    if direction is not None:
-        return [direction.axis]
-    return list(_tilted(beam, spot))
-
-
-def _tilted(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
+def likely_axes(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
+    """Axes of the beam to start from: square to the wall, and tilted as the spot."""
     along = np.array([np.cos(spot.angle_rad), np.sin(spot.angle_rad)])
     middle = np.array([spot.x_px, spot.y_px])
     points, normals = beam.wall_points(np.stack([middle, middle + along]))
@@ -335,7 +298,7 @@ def explained_alone(
     """
 
     def solver_for(mix: Mix, texture: TextureVariances) -> PoseSolver:
-        known = None if reference is None else reference.seen_in(mix).known
+        known = None if reference is None else reference.known_in(mix)
         return PoseSolver(beam, window, texture, known)
 
     picture, direction, sweep, robot = observation
@@ -349,7 +312,7 @@ def explained_alone(
         lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, sweep, robot),
         spot,
         own,
-        likely_directions(beam, spot, direction),
+        likely_axes(beam, spot) if direction is None else [direction.axis],
     )
     if beam.sharp:
         starts = [blurred for start in starts for blurred in blurred_starts(start, spot)]
@@ -435,7 +398,9 @@ def explained_with(
         return observation.picture.cells(mix, motion)
 
     solver, kept, own = hypothesis.solution.solver, hypothesis.kept, hypothesis.solution.own
-    motion = hypothesis.expected_motion
+    motion = hypothesis.newest.cells.motion
+    if hypothesis.moved_px > _MOVES_ON_PX:  # the wall moves on as it did; else it only shakes
+        motion = hypothesis.step.after(motion)
     centre = np.array([spot.x_px, spot.y_px])
     on_map, before = motion.map_px(centre), hypothesis.newest.cells.motion.map_px(last_px)
     reach = reach_px(spot, sharp=solver.beam.sharp)
@@ -450,7 +415,7 @@ def explained_with(
         return None
     start = replace(
         start,
-        shift_sigma=math.hypot(hypothesis.shift_sigma_px, math.sqrt(2.0) * shake_px),
+        shift_sigma=math.hypot(_STAYS_PX + hypothesis.shake_px, math.sqrt(2.0) * shake_px),
         # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
         robot=None if hypothesis.drifted(0.0) else observation.robot,
     )

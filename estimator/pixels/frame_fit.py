@@ -13,7 +13,7 @@ does not pay to leave the map.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
@@ -54,7 +54,6 @@ def registered(
     Args:
         line: the frame's model on the cells, fitted without the map.
         known: log reflectance of the cells by earlier frames.
-        variance: of `known`.
     """
     used = line.weight > 0
     residual, slopes = line.residual[used], line.slopes[:, used]
@@ -74,7 +73,9 @@ def registered(
         turned = (moved[2] / _TURN) ** 2
         return float(off @ (weight * off) - explained - np.sum(np.log(weight)) + turned)
 
-    best = min(_whole_cells(), key=lambda moved: misfit(moved, 0))
+    along = range(-_FARTHEST, _FARTHEST + 1)
+    whole_cells = [np.array([column, row, 0.0]) for column in along for row in along]
+    best = min(whole_cells, key=lambda moved: misfit(moved, 0))
     steps = np.vstack([np.zeros(3), 0.5 * np.eye(3) * [1.0, 1.0, 2.0 / COUNT]])
     found = minimize(
         misfit, best, args=(3,), method="Nelder-Mead", options={"initial_simplex": best + steps}
@@ -83,11 +84,6 @@ def registered(
     if gain < _SURE or np.abs(found[:2]).max() > _FARTHEST + 1:
         return None
     return WallMotion.about(window.middle_px, window.side * found[:2], float(found[2]))
-
-
-def _whole_cells() -> Iterator[Float[np.ndarray, "3"]]:
-    along = range(-_FARTHEST, _FARTHEST + 1)
-    return (np.array([column, row, 0.0]) for column in along for row in along)
 
 
 STEPS = 8
@@ -306,7 +302,6 @@ def fit_wherever(
 
     Args:
         frame: the newest one, where its wall is expected.
-        own: changes of the beam's own parameters.
         cells: the newest frame's light after a motion of the wall.
         usual: the mean square of the frame before. No other place is looked for where it has hardly
             grown, because each search takes as long as two frames.

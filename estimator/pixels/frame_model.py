@@ -270,7 +270,6 @@ def texture_of(
         residual: log light less its model, of count x count cells.
         weight: 1 over the variances of the residuals by the camera; 0 for cells that are not used.
         slopes: derivatives of the model by what was fitted to these residuals.
-        side_mm: of a cell on the wall.
     """
     chosen = np.flatnonzero(weight > 0)
     kernels = _kernels(count, side_mm)[:, chosen[:, None], chosen]
@@ -369,7 +368,6 @@ class Linear(NamedTuple):
     Attributes:
         residual: log of the measured light, less its model.
         slopes: derivatives of the model by the frame's states.
-        shared: derivatives by the beam's own parameters.
         weight: 1 over the variance; 0 for cells that are not used.
     """
 
@@ -388,13 +386,9 @@ class FrameState:
     """A frame and its states.
 
     Attributes:
-        pose: tip and axis.
         log_gain: of full wells over irradiance per unit power, mm².
         log_ambient: of the ambient light over the beam's power, 1/mm².
-        direction: of the beam by the robot, or None.
         ambient_prior: mean and standard deviation of `log_ambient`.
-        sweep: motion during the exposure.
-        robot: where the robot says the tool is.
         shade: logarithm of the ambient light less that in the middle, in terms of `SHADES`.
         blur_px2: variance of the image's blur.
         shift: of the wall since `cells` were cut, px.
@@ -439,7 +433,9 @@ def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
     precision[SHADE, SHADE] = np.diag(_SHADE**-2)
     pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
-    precision[BLUR, BLUR] = 1.0 / _blur_scale(frame) ** 2
+    # Of Cauchy's distribution the normal one that pulls alike, where the spot is not saturated.
+    blur = _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
+    precision[BLUR, BLUR] = 1.0 / blur**2
     pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
     precision[TAILS, TAILS] = _KURTOSIS**-2
     pull[TAILS] = -frame.kurtosis / _KURTOSIS**2
@@ -458,22 +454,17 @@ def prior_cost(frame: FrameState) -> float:
     mean, sigma = frame.ambient_prior
     cost = ((frame.log_ambient - mean) / sigma) ** 2
     cost += float(np.sum(np.square(frame.shade / _SHADE)))
-    cost += _blur_cost(frame) + (frame.kurtosis / _KURTOSIS) ** 2
+    blur = (
+        (frame.blur_px2 / _SATURATED_PX2) ** 2
+        if frame.saturated
+        else math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)
+    )
+    cost += blur + (frame.kurtosis / _KURTOSIS) ** 2
     cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)
         cost += float(off @ off) / frame.direction.sigma**2
     return cost
-
-
-def _blur_scale(frame: FrameState) -> float:
-    return _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
-
-
-def _blur_cost(frame: FrameState) -> float:
-    if frame.saturated:
-        return (frame.blur_px2 / _SATURATED_PX2) ** 2
-    return math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)
 
 
 _SHADED = 3.0  # largest logarithm of ambient light over that in the middle
@@ -574,7 +565,6 @@ class FrameModel:
         """How the log light of cells changes if the spot moves; also by not at all.
 
         Args:
-            own: changes of the beam's own parameters.
             moves: of the spot to the right and downwards on the wall, and of the distance, mm.
         """
         lattice, seen = self.lattice(frame.cells.motion), []

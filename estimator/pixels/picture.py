@@ -15,7 +15,9 @@ are dark well within the spot.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import cv2
 import numpy as np
@@ -67,19 +69,6 @@ class Mix:
         )
 
 
-def plain_mix(light: Float[np.ndarray, "3"], saturated: Bool[np.ndarray, "3"]) -> Mix:
-    """The luminance, which JPEG keeps best, for light of some colour.
-
-    Args:
-        saturated: channels that do not count, unless all are.
-    """
-    light = np.maximum(light, _LEAST)
-    parts = np.array(GREY_WEIGHTS) * light
-    if not saturated.all():
-        parts[saturated] = 0.0
-    return Mix.of_shares(parts / parts.sum(), light)
-
-
 def evener_mix(
     channels: Float[np.ndarray, "h w 3"],
     usable: Bool[np.ndarray, "h w"],
@@ -90,9 +79,7 @@ def evener_mix(
     """The mixture of channels with the least texture in a fitted frame.
 
     Args:
-        channels: light of the frame's channels.
         usable: whether a pixel is neither saturated nor hidden.
-        solution: a fit of the frame alone.
         mix: of that fit, which stays if a channel is dark.
     """
     line, frame = solution.linear[-1], solution.frames[-1]
@@ -135,54 +122,42 @@ _SMOOTH = np.stack([np.ones(COUNT**2), *SHADES])
 
 
 class Reference:
-    """An image of the wall in the ambient light alone.
-
-    Args:
-        image: H x W x 3.
-    """
+    """An image of the wall, H x W x 3, in the ambient light alone."""
 
     def __init__(self, image: np.ndarray, noise: CameraNoise) -> None:
         self._noise = noise
         self._channels = noise.channels(image)
         self._usable = np.all(image < noise.full_scale, axis=-1)
 
-    def seen_in(self, mix: Mix) -> ReferenceView:
-        """The image in a mixture of channels.
-
-        Ambient light has another colour than the spot, so that each channel counts as it does in
-        the spot.
-        """
+    def known_in(self, mix: Mix) -> Callable[[CellWindow], tuple[np.ndarray, np.ndarray]]:
+        """What the image says of a window's cells, in a mixture of channels, see `PoseSolver`."""
+        # Ambient light has another colour than the spot, so that each channel counts as it does in
+        # the spot.
         mean = self._channels[self._usable].mean(axis=0)
         parts = mix.weights * mix.shares / np.maximum(mean, 1e-6)
         ambient = Mix(weights=parts, shares=mean)
-        return ReferenceView(
-            CellLight(
-                ambient.light(self._channels),
-                self._usable,
-                lambda light: ambient.variance(self._noise, light),
-            )
+        cells = CellLight(
+            ambient.light(self._channels),
+            self._usable,
+            lambda light: ambient.variance(self._noise, light),
         )
+        return partial(_known, cells)
 
 
-class ReferenceView:
-    """A reference in one mixture of channels."""
-
-    def __init__(self, cells: CellLight) -> None:
-        self._cells = cells
-
-    def known(self, window: CellWindow) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
-        """Information on the cells' log reflectance, and its product with the best guess of it."""
-        light, usable = (part.ravel() for part in self._cells.means(window))
-        sigma = np.sqrt(self._cells.variance(np.maximum(light, 0.0))) / window.side
-        clear = usable & (light > _CLEAR * sigma)
-        if np.count_nonzero(clear) < _FEWEST_CLEAR:
-            return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
-        light = np.where(clear, light, 1.0)
-        weight = np.where(clear, np.square(light / sigma), 0.0)
-        weighted = _SMOOTH * weight
-        smooth = weighted.T @ np.linalg.pinv(weighted @ _SMOOTH.T, hermitian=True) @ weighted
-        information = np.diag(weight) - smooth
-        return information, information @ np.log(light)
+def _known(
+    cells: CellLight, window: CellWindow
+) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
+    light, usable = (part.ravel() for part in cells.means(window))
+    sigma = np.sqrt(cells.variance(np.maximum(light, 0.0))) / window.side
+    clear = usable & (light > _CLEAR * sigma)
+    if np.count_nonzero(clear) < _FEWEST_CLEAR:
+        return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
+    light = np.where(clear, light, 1.0)
+    weight = np.where(clear, np.square(light / sigma), 0.0)
+    weighted = _SMOOTH * weight
+    smooth = weighted.T @ np.linalg.pinv(weighted @ _SMOOTH.T, hermitian=True) @ weighted
+    information = np.diag(weight) - smooth
+    return information, information @ np.log(light)
 
 
 _DARK = 0.4
@@ -200,10 +175,6 @@ def hidden_pixels(
     channels: Float[np.ndarray, "h w 3"], spot: Outline
 ) -> Bool[np.ndarray, "h w"] | None:
     """Pixels within a spot that do not show its light, with the border beside them.
-
-    Args:
-        channels: light of the frame's channels.
-        spot: its outline, with a sharp edge.
 
     Returns:
         The pixels, or None if the spot is seen as a whole.
@@ -247,8 +218,6 @@ class FramePixels:
     Attributes:
         channels: light, full wells.
         ends: light at which a channel is clipped.
-        full: whether a channel is clipped.
-        usable: whether a pixel shows the wall.
         saturated: whether a channel is at full scale in the spot, which has a sharp edge. The edge
             is seen nevertheless.
     """
@@ -289,9 +258,13 @@ class FramePixels:
         return replace(shown, saturated=np.mean(full, axis=0) > 0.5) if full.size else shown
 
     def plain_mix(self, spot: Outline) -> Mix:
-        """The luminance, for light of the spot's colour."""
-        light = self._in_middle(self.channels, spot)
-        return plain_mix(light.mean(axis=0) if light.size else np.ones(3), self.saturated)
+        """The luminance, which JPEG keeps best, for light of the spot's colour."""
+        seen = self._in_middle(self.channels, spot)
+        light = np.maximum(seen.mean(axis=0) if seen.size else np.ones(3), _LEAST)
+        parts = np.array(GREY_WEIGHTS) * light
+        if not self.saturated.all():
+            parts[self.saturated] = 0.0
+        return Mix.of_shares(parts / parts.sum(), light)
 
     def cells(self, mix: Mix, motion: WallMotion = STILL) -> CellLight:
         """The light in a mixture of channels, after a motion of the wall."""

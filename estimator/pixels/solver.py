@@ -62,8 +62,7 @@ class PoseSolution:
         covariance: of all states: `OWN` of each frame, then the beam's own.
         cost: -2 log likelihood, up to a constant of the data.
         texture_map: log reflectance of the cells.
-        factor: Cholesky factor of the precision of this map.
-        converged: whether the last step was small.
+        factor: of the precision of this map.
     """
 
     solver: PoseSolver
@@ -182,7 +181,6 @@ class PoseSolver:
     Args:
         reference: what an image without the spot says of a window's cells: information, and its
             product with the best guess of their log reflectance; None without such an image.
-        grain: see `FrameModel`.
     """
 
     def __init__(
@@ -245,7 +243,6 @@ class PoseSolver:
 
         Args:
             kept: earlier frames with their models, which change little and stay linear.
-            own: changes of the beam's own parameters, see `BeamLight`.
             trust: factors on the weights of the newest frame's cells.
             line: its model, with all trust, where it is known already.
         """

@@ -145,9 +145,6 @@ class PixelRanger:
             outlines: where the spot is, see `detector.outlines_of`.
             frame: H x W x 3.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
-            axis_sigma_rad: standard deviation of the axis across itself.
-            sweep: motion during the exposure, from the robot; None if unknown.
-            robot: where the robot says the tool is; None if it does not.
         """
         direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
         # Several threads would wait for each other longer than they work on matrices of this size.

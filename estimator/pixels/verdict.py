@@ -303,7 +303,6 @@ def range_of(
     """What is stated of the newest frame's pose.
 
     Args:
-        wall: what was known of the wall.
         shake_px: least standard deviation of the image's shake along each side.
         shaken: what a shake does to the pose, per px².
         drift_px: of the view before the wall's map was begun.
