@@ -60,12 +60,15 @@ class Levels:
     @property
     def sees_background(self) -> bool:
         """Whether the background was taken beyond the spot's light."""
-        return _dark_at(self.background_radius, self.width)
+        return self.background_radius > HalfLevel.FAR_ENOUGH * dark_radius(self.width)
 
     @property
     def tail(self) -> float:
         """A bell's light that may remain where the background was taken, over its amplitude."""
-        return _tail(self.width, self.background_radius)
+        if self.width < HalfLevel.TAILED or self.sees_background:
+            return 0.0
+        way = (self.background_radius - 1) / (HalfLevel.TAIL_END - 1)
+        return 0.5 * (2 * HalfLevel.TAIL_LEFT) ** way
 
     def before(self, background: float, radius: float, scatter: float) -> Levels | None:
         """The levels with a background taken there, less half of a bell's light that may remain.
@@ -75,8 +78,8 @@ class Levels:
         """
         if not self.peak > background:
             return None
-        background = _without_tail(background, self.peak, self.width, radius)
-        return replace(self, background=background, background_radius=radius, scatter=scatter)
+        seen = replace(self, background_radius=radius, scatter=scatter)
+        return replace(seen, background=background - seen.tail / 2 * (self.peak - background))
 
     def in_units_of(self, radius: float) -> Levels:
         """The same levels in units of an ellipse that is so many times as large."""
@@ -131,8 +134,8 @@ def levels_of(
     if above.size and last + 1 < len(RADII):
         share = (mean[last] - half) / (mean[last] - mean[last + 1])
     half_radius = float(RADII[last] + RADIUS_STEP * share)
-    background = _without_tail(background, peak, width, radius)
-    return Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
+    found = Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
+    return found.before(background, radius, scatter)
 
 
 def background_of(
@@ -194,22 +197,6 @@ def dark_radius(width: float) -> float:
     near = 1 + HalfLevel.BACKGROUND * width
     # The tails of a lens's bell reach further than a Gaussian's of the same flank.
     return near if width < HalfLevel.TAILED else max(near, HalfLevel.TAIL_END)
-
-
-def _dark_at(radius: float, width: float) -> bool:
-    return radius > HalfLevel.FAR_ENOUGH * dark_radius(width)
-
-
-def _tail(width: float, radius: float) -> float:
-    """Light of a bell of that edge width that may remain at a radius, over its amplitude."""
-    if width < HalfLevel.TAILED or _dark_at(radius, width):
-        return 0.0
-    return 0.5 * (2 * HalfLevel.TAIL_LEFT) ** ((radius - 1) / (HalfLevel.TAIL_END - 1))
-
-
-def _without_tail(background: float, peak: float, width: float, radius: float) -> float:
-    """A background taken at a radius, less half of a bell's light that may remain there."""
-    return background - _tail(width, radius) / 2 * (peak - background)
 
 
 def _top(

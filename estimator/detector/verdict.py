@@ -63,29 +63,21 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     low = levels.amplitude < settings.min_contrast * levels.background
     significance = levels.amplitude / levels.scatter
     vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
-    reason, value = None, math.nan
-    if not coherent or belonging < Verdict.SHORTEST_ARC:
-        reason = Reason.NONE_FOUND
-    elif semi_major > settings.max_axis_ratio * semi_minor:
-        reason = Reason.NONE_FOUND
-    elif semi_minor < settings.min_semi_minor_px:
-        reason = Reason.TOO_SMALL
-    elif semi_major > settings.max_semi_major_px:
-        reason = Reason.TOO_LARGE
-    elif coverage < settings.min_coverage:
-        reason = Reason.CLIPPED if in_frame < settings.min_coverage else Reason.OCCLUDED
-    elif rough:
-        reason = Reason.OCCLUDED if partial else Reason.NONE_FOUND
-    elif measured.ellipse is None:
-        reason = Reason.NONE_FOUND
-    elif significance < Verdict.FAINTEST and low:
-        reason, value = Reason.TOO_FAINT, significance
-    elif vague and partial and levels.width < Refine.BROAD:
-        reason = Reason.OCCLUDED
-    elif measured.rim is not None:
-        reason = Reason.AMBIGUOUS
-    if reason is not None:
-        return NoSpot(reason, value)
+    covered, smallest = settings.min_coverage, settings.min_semi_minor_px
+    for rejected, reason in (
+        (not coherent or belonging < Verdict.SHORTEST_ARC, Reason.NONE_FOUND),
+        (semi_major > settings.max_axis_ratio * semi_minor, Reason.NONE_FOUND),
+        (semi_minor < smallest, Reason.TOO_SMALL),
+        (semi_major > settings.max_semi_major_px, Reason.TOO_LARGE),
+        (coverage < covered, Reason.CLIPPED if in_frame < covered else Reason.OCCLUDED),
+        (rough, Reason.OCCLUDED if partial else Reason.NONE_FOUND),
+        (measured.ellipse is None, Reason.NONE_FOUND),
+        (significance < Verdict.FAINTEST and low, Reason.TOO_FAINT),
+        (vague and partial and levels.width < Refine.BROAD, Reason.OCCLUDED),
+        (measured.rim is not None, Reason.AMBIGUOUS),
+    ):
+        if rejected:
+            return NoSpot(reason, significance if reason is Reason.TOO_FAINT else math.nan)
     semi_major, semi_minor, angle = ellipse.axes()
     x, y = ellipse.centre.tolist()
     spot = Spot(
