@@ -300,8 +300,8 @@ class CalibrationPanel:
                 self._phantom = ui.select(walls, value="plane").props("dense outlined")
                 media = ["air", "water", "vitreous"]
                 self._medium = ui.select(media, value="air").props("dense outlined")
-                self._start = ui.button("Start at contact", on_click=self._on_start)
-                self._fit = ui.button("Fit", on_click=self._on_fit)
+                self._start = ui.button("Start at contact", on_click=lambda: self._try(guide.start))
+                self._fit = ui.button("Fit", on_click=lambda: self._try(self._on_fit))
                 self._covered = ui.linear_progress(0.0, show_value=False).classes("covered")
                 self._state = ui.label().classes("note guide")
             self._said = ui.label().classes("said")
@@ -319,15 +319,12 @@ class CalibrationPanel:
         self._report.set_visibility(guide.stage in (Stage.SAVED, Stage.REFUSED))
         self._report.props(f'href="/report/{guide.file.stem}"')
 
-    def _on_start(self) -> None:
-        try:
-            self._guide.start()
-        except (InputError, OSError) as error:
-            self._guide.said = f"{error}"
-
     def _on_fit(self) -> None:
+        self._guide.fit(phantom=self._phantom.value, medium=self._medium.value)
+
+    def _try(self, action: Callable[[], None]) -> None:
         try:
-            self._guide.fit(phantom=self._phantom.value, medium=self._medium.value)
+            action()
         except (InputError, OSError) as error:
             self._guide.said = f"{error}"
 

@@ -290,7 +290,9 @@ class BeamLight:
                 )
             part2 = cells2 / parts**2
             wide = blurred_with_growth(fine, blur_px2 / part2, kurtosis)
-            seen, bend, tails = (_whole(values, parts) for values in wide)
+            seen, bend, tails = (
+                part.reshape(COUNT, parts, COUNT, parts).mean(axis=(1, 3)).ravel() for part in wide
+            )
             bend = bend / part2
         slopes = blurred(slopes, blur_px2 / cells2, kurtosis)
         return SeenLight(seen, slopes, bend, tails, value - at_rest, seen - value)
@@ -358,18 +360,10 @@ class BeamLight:
         return np.asarray(light)
 
 
-def _whole(values: Float[np.ndarray, "m"], parts: int) -> Float[np.ndarray, "n"]:
-    """Means over cells of the values of their parts."""
-    return values.reshape(COUNT, parts, COUNT, parts).mean(axis=(1, 3)).ravel()
-
-
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
     """Places for a moving beam: the least of the counts that is as large as needed, or the last."""
     nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
     return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)
 
 
-@functools.cache
-def _gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss's nodes between -1 and 1, and their weights."""
-    return np.polynomial.legendre.leggauss(count)
+_gauss = functools.cache(np.polynomial.legendre.leggauss)

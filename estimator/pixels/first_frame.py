@@ -86,7 +86,7 @@ class Hypothesis:
     Attributes:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
-        mean_square: of the newest frame's residuals; see `frame_fit.MeanSquare`.
+        mean_square: of the newest frame's residuals; see `frame_fit.robust_fit`.
         other_wall: whether the newest frame shows another wall than the earlier ones or the
             reference.
         step: motion of the wall in the image since the frame before.
@@ -345,10 +345,10 @@ def explained_alone(
             kept=[(one.frames[0], one.linear[0])],
             solution=one,
             learnt_px2=lit_px2(one),
-            mean_square=mean_square.value,
-            other_wall=mean_square.value > _OTHER_WALL,
+            mean_square=mean_square,
+            other_wall=mean_square > _OTHER_WALL,
         )
-        for one, mean_square in consistent or again
+        for one, mean_square, _ in consistent or again
     ]
     return distinct(hypotheses), mix
 

@@ -16,7 +16,6 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -109,27 +108,10 @@ _START_PX, _START_ALONG = 4.0, 0.08
 some degrees off, and of the distance, relative, by the grid of the starts."""
 
 
-class MeanSquare(NamedTuple):
-    """Mean square of the newest frame's residuals against all other data, in standard deviations.
-
-    Attributes:
-        value: 1 where the model is right.
-        sigmas: standard deviations from 1.
-    """
-
-    value: float
-    sigmas: float
-
-    @classmethod
-    def of(cls, deviations: Float[np.ndarray, "n"]) -> MeanSquare:
-        """Of residuals in standard deviations."""
-        value = float(np.mean(np.square(deviations))) if deviations.size else 1.0
-        return cls(value, (value - 1.0) * math.sqrt(0.5 * deviations.size))
-
-    @property
-    def significant(self) -> bool:
-        """Whether it is too large for chance."""
-        return self.sigmas > _SIGNIFICANT
+def _mean_square(deviations: Float[np.ndarray, "n"]) -> tuple[float, bool]:
+    """Of residuals in standard deviations; and whether it is too large for chance."""
+    value = float(np.mean(np.square(deviations))) if deviations.size else 1.0
+    return value, (value - 1.0) * math.sqrt(0.5 * deviations.size) > _SIGNIFICANT
 
 
 def robust_fit(
@@ -139,8 +121,12 @@ def robust_fit(
     own: Float[np.ndarray, "q"],
     *,
     steps: int = STEPS,
-) -> tuple[PoseSolution, MeanSquare]:
-    """A solution in which outliers have little weight, and the mean square of its residuals."""
+) -> tuple[PoseSolution, float, bool]:
+    """A solution in which outliers have little weight.
+
+    Also the mean square of the newest frame's residuals against all other data, in standard
+    deviations: 1 where the model is right; and whether it is too large for chance.
+    """
     line = solver.model.linear(frame, own)
     trust = _trust(_off_wall_at_start(solver, frame, own, line))
     solution = solver.solve(kept, frame, own, steps=steps, trust=trust, line=line)
@@ -149,11 +135,11 @@ def robust_fit(
     if kept:  # what comes into the light is new, no outlier
         before = np.sum([line.weight for _, line in kept], axis=0)
         tested &= before * solver.texture.variance > 1.0
-    mean_square = MeanSquare.of(np.minimum(left_out, _OUTLIER)[tested])
+    mean_square, grown = _mean_square(np.minimum(left_out, _OUTLIER)[tested])
     # Where the wall has moved, the residuals are errors of its place, not noise.
-    others = MeanSquare.of(left_out[tested & (deviations < _OUTLIER)])
-    still = frame.cells.motion == STILL
-    noise = others.value if others.significant and still else 1.0
+    noise, noisy = _mean_square(left_out[tested & (deviations < _OUTLIER)])
+    if not (noisy and frame.cells.motion == STILL):
+        noise = 1.0
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_ROUNDS):
         last, trust = trust, _trust(deviations) / noise
@@ -162,7 +148,7 @@ def robust_fit(
         start, own = solution.frames[-1], solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
         line, _, deviations = _distances(solution, trust)
-    return solution, mean_square
+    return solution, mean_square, grown
 
 
 def _distances(
@@ -310,15 +296,15 @@ def fit_wherever(
         The solution, the mean square of its residuals, and whether it is another wall: the frame is
         more likely by itself than with the earlier ones.
     """
-    solution, mean_square = robust_fit(solver, kept, frame, own)
+    solution, mean_square, grown = robust_fit(solver, kept, frame, own)
     other_wall = False
-    if mean_square.significant and mean_square.value > _GROWN * usual:
-        alone, _ = robust_fit(solver.with_map(None), [], frame, own)
+    if grown and mean_square > _GROWN * usual:
+        alone, *_ = robust_fit(solver.with_map(None), [], frame, own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
-            again, less = robust_fit(solver, kept, moved, own)
+            again, less, _ = robust_fit(solver, kept, moved, own)
             if _deviance(again) < _deviance(solution) - _SURE:
                 solution, mean_square = again, less
         other_wall = _deviance(solution) > _deviance(alone) + _SURE
@@ -330,7 +316,7 @@ def fit_wherever(
         line = solver.model.linear(newest, solution.own)
         line = line._replace(weight=solution.linear[-1].weight)
         solution.frames[-1], solution.linear[-1] = newest, line
-    return solution, mean_square.value, other_wall
+    return solution, mean_square, other_wall
 
 
 def _deviance(solution: PoseSolution) -> float:

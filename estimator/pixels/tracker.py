@@ -200,7 +200,15 @@ class PixelRanger:
         self, observation: Observation, outline: Outline
     ) -> tuple[Reason | None, WallMemory]:
         """Fit a frame with the earlier ones: why that failed, or None, and the wall's state."""
-        followed = self._follow(observation, outline)
+        assert self._mix is not None and self._last is not None
+        last_px = np.array([self._last.x_px, self._last.y_px])
+        continued = [
+            explained_with(
+                hypothesis, observation, self._mix, outline, last_px, shake_px=self._shake_px
+            )
+            for hypothesis in self._hypotheses
+        ]
+        followed = distinct([hypothesis for hypothesis in continued if hypothesis is not None])
         if not followed:
             return Reason.NOT_CONVERGED, WallMemory.DROPPED
         self._hypotheses = followed
@@ -235,18 +243,6 @@ class PixelRanger:
             drift_px=self._drift,
             unknown_px=self._unknown_px,
         )
-
-    def _follow(self, observation: Observation, spot: Outline) -> list[Hypothesis]:
-        """Explanations of a frame together with earlier ones."""
-        assert self._mix is not None and self._last is not None
-        last_px = np.array([self._last.x_px, self._last.y_px])
-        followed = [
-            explained_with(
-                hypothesis, observation, self._mix, spot, last_px, shake_px=self._shake_px
-            )
-            for hypothesis in self._hypotheses
-        ]
-        return distinct([hypothesis for hypothesis in followed if hypothesis is not None])
 
 
 def _missing(flag: Reason, wall: WallMemory) -> Range:

@@ -215,21 +215,17 @@ def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_SIGMA_PX * frame.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
     angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
-    aside = frame.blur_px2 * _growth(solver.texture, radius, solver.beam.scale_mm_px)
+    # Log reflectance grows so much across the spot, 1/px; a blurred wall looks more even than it is.
+    across, textures = 2.0 * radius, (solver.texture, TextureVariances.usual())
+    across_mm = across * solver.beam.scale_mm_px
+    growth = math.sqrt(max(one.variogram(across_mm) for one in textures)) / across
+    aside = frame.blur_px2 * growth
     outwards = steep / light
     oval = np.stack([np.cos(2 * angle), np.sin(2 * angle)])
     to_a_side = aside * np.stack([np.cos(angle), np.sin(angle)])
     shifts = np.concatenate([shift * np.ones((1, angle.size)), shift * oval, to_a_side])
     along_one = _ALONG_ONE * min(frame.blur_px2, _MOST_PX2)
     return np.concatenate([outwards * shifts, along_one * by_blur * oval])
-
-
-def _growth(texture: TextureVariances, radius_px: float, scale_mm_px: float) -> float:
-    """Standard deviation of the growth of log reflectance across a spot, 1/px."""
-    across = 2.0 * radius_px
-    # A blurred wall looks more even than it is.
-    least = TextureVariances.usual()
-    return math.sqrt(max(one.variogram(across * scale_mm_px) for one in (texture, least))) / across
 
 
 _MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
