@@ -50,11 +50,15 @@ class Region:
     settings: SubpixelSettings
     coarse: Coarse
     channel: int
-    full_scale: float
     clips: tuple[float, ...]
     saturated: tuple[float, ...]
     candidates: list[Candidate]
     faint: bool
+
+    @property
+    def full_scale(self) -> float:
+        """Value at which the frame's samples end."""
+        return self.settings.response.full_scale_of(self.frame)
 
     @property
     def area_px(self) -> float:
@@ -80,11 +84,10 @@ def regions_in(
     The window is where the spot's body may lie; its edge is followed beyond.
     """
     window = window.on_grid(settings.stride)
-    values = window.of(frame, settings.stride)
-    if min(values.shape[:2]) < 5:  # the 3x3 median filter needs neighbours
+    if min(window.of(frame, settings.stride).shape[:2]) < 5:  # the 3x3 median needs neighbours
         return
     full_scale = settings.response.full_scale_of(frame)
-    grey = coarse_window(values, window, GREY, settings, full_scale)
+    grey = coarse_of(frame, window, GREY, settings)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
     for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
         if candidates is None:
@@ -94,11 +97,9 @@ def regions_in(
             channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
             coarse, faint = grey, candidates[0].is_below(settings.min_contrast)
             if channel != GREY:
-                coarse = coarse_window(values, window, channel, settings, full_scale)
+                coarse = coarse_of(frame, window, channel, settings)
                 candidates = [candidate.relevelled(coarse) for candidate in candidates]
-            yield Region(
-                frame, settings, coarse, channel, full_scale, clips, full, candidates, faint
-            )
+            yield Region(frame, settings, coarse, channel, clips, full, candidates, faint)
 
 
 def region_at(
@@ -115,15 +116,14 @@ def region_at(
     reach = dark_radius(levels.width) + Search.AROUND
     x, y = ellipse.centre.tolist()
     window = Window.around(x, y, *ellipse.scaled(reach).half_extent(), frame).on_grid(stride)
-    values = window.of(frame, stride)
-    full_scale = settings.response.full_scale_of(frame)
-    coarse = coarse_window(values, window, channel, settings, full_scale)
+    coarse = coarse_of(frame, window, channel, settings)
     mask = (coarse.levels > levels.half / coarse.unit).view(np.uint8)
     moments = cv2.moments(mask, binaryImage=True)
     semi_major, semi_minor, _ = ellipse.axes()
     filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
     if abs(filled - 1) > Search.LIKE_LAST:
         return None
+    full_scale = settings.response.full_scale_of(frame)
     best_channel, clips, full = channel_for(frame, window, stride, mask, full_scale)
     if best_channel != channel:
         return None
@@ -132,19 +132,16 @@ def region_at(
         ellipse = AffineEllipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
     candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool)).relevelled(coarse)
     faint = candidate.is_below(settings.min_contrast)
-    return Region(frame, settings, coarse, channel, full_scale, clips, full, [candidate], faint)
+    return Region(frame, settings, coarse, channel, clips, full, [candidate], faint)
 
 
-def coarse_window(
-    values: np.ndarray,
-    window: Window,
-    channel: int,
-    settings: SubpixelSettings,
-    full_scale: float,
+def coarse_of(
+    frame: np.ndarray, window: Window, channel: int, settings: SubpixelSettings
 ) -> Coarse:
     """The light of a window in one channel, of every `settings.stride`-th pixel, in 8 bits."""
-    stride = settings.stride
-    light = settings.response.channel(values, channel, full_scale)
+    stride, response = settings.stride, settings.response
+    values = window.of(frame, stride)
+    light = response.channel(values, channel, response.full_scale_of(frame))
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
 
 
@@ -284,10 +281,9 @@ def _fitted(region: Region, candidate: Candidate) -> EdgeFit | NoSpot:
         if again := fit_edge(even, region.coarse, candidate):
             patch, fit = even, again
     if fit and not fit.levels.sees_background:
-        settings, whole = region.settings, Window.whole(region.frame)
-        values = whole.of(region.frame, settings.stride)
-        coarse = coarse_window(values, whole, region.channel, settings, region.full_scale)
-        fit = fit_edge(patch, coarse, candidate)
+        frame = region.frame
+        whole = coarse_of(frame, Window.whole(frame), region.channel, region.settings)
+        fit = fit_edge(patch, whole, candidate)
     if fit and fit.levels.width <= Refine.BROAD:
         lit, levels = fit.seen & ~fit.shaded, fit.levels
         if hollow_share(patch, fit.ellipse, lit, levels.half, levels.width) > Hollow.SHARE:
