@@ -23,32 +23,29 @@ TIFF = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2", *TIFF)
 
 
-def open_folder(folder: Path) -> Source:
-    """A folder of images, in the natural order of their names.
+def open_images(path: Path) -> Source:
+    """An image, or a folder of images in the natural order of their names.
 
     Images whose names differ only in one number that counts up by a constant step, such as
     frame_000.png, frame_002.png, are a recording. All others are unrelated to each other.
 
     Raises:
-        InputError: it contains no images.
+        InputError: the folder contains no images.
     """
+    if not path.is_dir():
+        return _images(path.parent, [path])
     pictures = [
-        path
-        for path in folder.iterdir()
-        if path.suffix.lower() in IMAGES and not path.name.startswith(".")
+        one
+        for one in path.iterdir()
+        if one.suffix.lower() in IMAGES and not one.name.startswith(".")
     ]
     if not pictures:
         raise InputError(
-            f"{folder} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
+            f"{path} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
             " nor a ROS 2 bag (metadata.yaml). Check the path."
         )
-    pictures.sort(key=lambda path: (_natural(path.name), path.name))
-    return replace(_images(folder, pictures), unrelated=not _is_counted(pictures))
-
-
-def open_image(path: Path) -> Source:
-    """A source of one frame."""
-    return _images(path.parent, [path])
+    pictures.sort(key=lambda one: (_natural(one.name), one.name))
+    return replace(_images(path, pictures), unrelated=not _is_counted(pictures))
 
 
 def _is_counted(pictures: list[Path]) -> bool:

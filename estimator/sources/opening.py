@@ -12,8 +12,7 @@ from estimator.sources.files import (
     IMAGES,
     TIFF,
     open_camera,
-    open_folder,
-    open_image,
+    open_images,
     open_tiff,
     open_video,
 )
@@ -62,7 +61,7 @@ def open_source(
     elif is_bag(path):
         opened = open_bag(path, topic=image_topic)
     elif path.is_dir():
-        opened = open_folder(path)
+        opened = open_images(path)
     elif not path.is_file():
         raise InputError(
             f"{path} is a pipe, device or socket, which may never end. Give a file, a folder, or "
@@ -71,7 +70,7 @@ def open_source(
     elif path.suffix.lower() in TIFF:
         opened = open_tiff(path)
     elif path.suffix.lower() in IMAGES:
-        opened = open_image(path)
+        opened = open_images(path)
     else:
         opened = open_video(path)
     if exposure is not None:
