@@ -61,23 +61,6 @@ def log_eyeball(stream: Any, microscope: MicroscopeFile) -> None:
     stream.log("eye/retina", rerun.LineStrips3D(rings, colors=[_RING]), static=True)
 
 
-def log_beam(
-    stream: Any,
-    path: str,
-    *,
-    tip_mm: np.ndarray,
-    axis: np.ndarray,
-    distance_mm: float,
-    colour: tuple[int, int, int],
-) -> None:
-    """Add a beam: the tip S, (3,), and an arrow from there to the wall along the axis, (3,)."""
-    import rerun
-
-    stream.log(f"{path}/tip", rerun.Points3D([tip_mm], radii=[0.1], colors=[colour]))
-    arrow = distance_mm * np.asarray(axis)
-    stream.log(f"{path}/beam", rerun.Arrows3D(origins=[tip_mm], vectors=[arrow], colors=[colour]))
-
-
 def _heights_mm(microscope: MicroscopeFile, points_mm: np.ndarray) -> np.ndarray:
     """z of the wall at points (..., 2) of the plane square to the microscope's axis."""
     if microscope.plane_normal is not None:
@@ -214,14 +197,8 @@ class ViewerRecording:
         log("eye/measured", rerun.Clear(recursive=True))
         if distance is not None and distance.poses:
             pose = distance.poses[0]
-            log_beam(
-                self._stream,
-                "eye/measured",
-                tip_mm=pose.tip_mm,
-                axis=pose.axis,
-                distance_mm=pose.distance_mm,
-                colour=_MEASURED,
-            )
+            arrow_mm = pose.distance_mm * pose.axis
+            self._log_beam("eye/measured", pose.tip_mm, arrow_mm, _MEASURED)
         if doubt:
             log("status", rerun.TextLog(doubt, level=rerun.TextLogLevel.WARN))
 
@@ -237,14 +214,19 @@ class ViewerRecording:
         ellipse = [getattr(labels, f"half_max_{name}") for name in names]
         self._log_contour("microscope/truth", ellipse, _TRUE)
         self.add_value("distance/truth", labels.d_mm)
-        log_beam(
-            self._stream,
-            "eye/truth",
-            tip_mm=np.array(labels.tip_mm),
-            axis=np.array(labels.axis),
-            distance_mm=labels.d_mm,
-            colour=_TRUE,
-        )
+        arrow_mm = labels.d_mm * np.array(labels.axis)
+        self._log_beam("eye/truth", np.array(labels.tip_mm), arrow_mm, _TRUE)
+
+    def _log_beam(
+        self, path: str, tip_mm: np.ndarray, arrow_mm: np.ndarray, colour: tuple[int, int, int]
+    ) -> None:
+        """Add the tip, and an arrow from there to the wall."""
+        import rerun
+
+        tip = rerun.Points3D([tip_mm], radii=[0.1], colors=[colour])
+        arrow = rerun.Arrows3D(origins=[tip_mm], vectors=[arrow_mm], colors=[colour])
+        self._stream.log(f"{path}/tip", tip)
+        self._stream.log(f"{path}/beam", arrow)
 
     def _log_contour(
         self, path: str, ellipse: Sequence[float], colour: tuple[int, int, int]

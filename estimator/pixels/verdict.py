@@ -215,7 +215,7 @@ def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_SIGMA_PX * frame.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
     angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
-    # Log reflectance grows so much across the spot, 1/px; a blurred wall looks more even than it is.
+    # How log reflectance grows across the spot, 1/px; a blurred wall looks more even than it is.
     across, textures = 2.0 * radius, (solver.texture, TextureVariances.usual())
     across_mm = across * solver.beam.scale_mm_px
     growth = math.sqrt(max(one.variogram(across_mm) for one in textures)) / across
