@@ -20,6 +20,7 @@ import numpy as np
 
 from estimator.image import outline_px, rgb_8bit
 from estimator.run.offline import record_of
+from estimator.run.overlay import RIG_RATE_HZ
 from estimator.run.reader import Reader, Reading
 from estimator.sources.ros import write_bag
 from estimator.sources.source import Frame, Source
@@ -110,7 +111,6 @@ def _bag_stream(path: Path) -> Iterator[Write]:
 COURSE_S = 30.0
 """How much of the past the session remembers, s."""
 
-_RIG_RATE_HZ = 10.0  # of recordings that do not know theirs
 _AGAIN_S = 1.0  # after a live source was lost
 _JPEG_QUALITY = 85
 
@@ -289,11 +289,16 @@ class Session:
 
     def _read_source(self) -> None:
         frames, number, due = iter(self.source), 0, time.monotonic()
-        period_s = 0.0 if self.source.live else 1 / (self.source.rate_hz or _RIG_RATE_HZ)
+        period_s = 0.0 if self.source.live else 1 / (self.source.rate_hz or RIG_RATE_HZ)
         while True:
             with self._wake:
                 self._wake.wait_for(
-                    lambda: self._ended or not self.paused or self._steps > 0 or self._is_asked
+                    lambda: (
+                        self._ended
+                        or not self.paused
+                        or self._steps > 0
+                        or (self._seek, self._place) != (None, None)
+                    )
                 )
                 if self._ended:
                     return
@@ -330,10 +335,6 @@ class Session:
                 self._wake.wait_for(
                     lambda: self._ended or self._seek is not None, due - time.monotonic()
                 )
-
-    @property
-    def _is_asked(self) -> bool:
-        return self._seek is not None or self._place is not None
 
     def _measure(self, frame: Frame, number: int) -> None:
         arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()

@@ -21,6 +21,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -55,7 +56,7 @@ class Region:
     candidates: list[Candidate]
     faint: bool
 
-    @property
+    @cached_property
     def full_scale(self) -> float:
         """Value at which the frame's samples end."""
         return self.settings.response.full_scale_of(self.frame)

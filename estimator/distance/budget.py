@@ -285,10 +285,12 @@ class Budgets:
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
         exact = self._ranger.model in ("exact", "area")
         unknown = self._through_path and not exact
+        turned = slopes.tilt if known and self._ranger.model != "exact" else 0.0
+        parts = self._parts(spot, found, slopes, spread, known=known)
         return Budget(
             reading_mm=found.distance_mm,
             correction_mm=0.0 if exact or unknown else mean - found.distance_mm,
-            parts=tuple(self._parts(spot, found, slopes, spread, (motion, speed), known=known)),
+            parts=(*parts, self._of_clock(motion, speed, turned)),
             left_out=("the model's error through this viewing path",) if unknown else (),
         )
 
@@ -312,14 +314,7 @@ class Budgets:
         return axes, np.full(len(axes), 1 / len(axes))
 
     def _parts(
-        self,
-        spot: Spot,
-        found: Range,
-        slopes: Slopes,
-        spread: float,
-        moving: tuple[ToolMotion, float],
-        *,
-        known: bool,
+        self, spot: Spot, found: Range, slopes: Slopes, spread: float, *, known: bool
     ) -> list[Part]:
         stated, model = self._stated, self._ranger.model
         parts = [self._of_image(spot, found, slopes), self._of_calibration(slopes)]
@@ -340,8 +335,6 @@ class Budgets:
         parts.append(self._of_viewing(found, slopes, spot))
         moved = abs(slopes.of["b"]) * stated.touch_sigma_mm
         parts.append(Part(Cause.TOUCH, moved, source_sigma=stated.touch_sigma_mm, unit="mm"))
-        turned = slopes.tilt if model != "exact" and known else 0.0
-        parts.append(self._of_clock(*moving, turned))
         return parts
 
     def _of_image(self, spot: Spot, found: Range, slopes: Slopes) -> Part:

@@ -21,7 +21,7 @@ from formats.spots import NoSpot, SpotRecord
 from formats.whole_files import errors_named, written_whole
 
 RIG_RATE_HZ = 10.0
-"""Frame rate of the rig's camera, and of an overlay video if the source's rate is unknown."""
+"""Frame rate of the rig's camera, and of a source whose rate is unknown."""
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _VIDEO_RESERVE_BYTES = 2**23  # more than what OpenCV and FFmpeg buffer of a compressed video
