@@ -150,7 +150,11 @@ class Page:
         elif session.recording_fault:
             self._recorded.set_text(session.recording_fault)
         if session.fault or view is None:
-            self._show_fault(session.fault or "waiting for the first frame")
+            self._set_state("lost", "no image")
+            self._distance.set_text("– mm")
+            for label in (self._sigma, self._worth):
+                label.set_text("")
+            self._reason.set_text(session.fault or "waiting for the first frame")
             if session.fault:
                 self._shown = -1
                 return
@@ -162,13 +166,6 @@ class Page:
         self._show_reading(view)
         if session.source.length:
             self._slider.set_value(view.number)
-
-    def _show_fault(self, fault: str) -> None:
-        self._set_state("lost", "no image")
-        self._distance.set_text("– mm")
-        for label in (self._sigma, self._worth):
-            label.set_text("")
-        self._reason.set_text(fault)
 
     def _show_reading(self, view: View) -> None:
         reading = view.reading

@@ -347,7 +347,15 @@ class Session:
             name=f"{self.source.name}, frame {frame.index}",
         )
         self._remember(frame, reading, arrived_s, poses)
-        self._add_to_recording(frame, reading, arrived_s, poses)
+        with self._record:
+            if self._write is not None:
+                try:
+                    self._write(frame, reading, arrived_s, poses)
+                    self.recorded += 1
+                except (InputError, OSError) as error:
+                    # A disk that fails ends the recording, not the measurement.
+                    self.stop_recording()
+                    self.recording_fault = f"{error}"
         self.view = View(
             version=self.view.version + 1 if self.view else 0,
             number=number,
@@ -357,20 +365,6 @@ class Session:
             arrived_s=arrived_s,
             response=self._response,
         )
-
-    def _add_to_recording(
-        self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack
-    ) -> None:
-        """Record a frame; a disk that fails ends the recording, not the measurement."""
-        with self._record:
-            if self._write is None:
-                return
-            try:
-                self._write(frame, reading, arrived_s, poses)
-                self.recorded += 1
-            except (InputError, OSError) as error:
-                self.stop_recording()
-                self.recording_fault = f"{error}"
 
     def _remember(self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack) -> None:
         time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s

@@ -37,7 +37,8 @@ class Silence:
     def __init__(self, topic: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._topic, self._clock = topic, clock
         self._last_s = clock()
-        self._said = ""
+        self.said = ""
+        """What is wrong at this moment; empty if images arrive."""
 
     def end(self) -> None:
         """An image has arrived."""
@@ -55,15 +56,10 @@ class Silence:
         seconds = self._clock() - self._last_s
         if seconds > _LIMIT_S:
             said = f"no image on {self._topic}: {self._cause(types())}"
-            changed, self._said = said != self._said, said
+            changed, self.said = said != self.said, said
             return (said, True) if changed else None
-        changed, self._said = self._said != "", ""
+        changed, self.said = self.said != "", ""
         return (f"images arrive on {self._topic}.", False) if changed else None
-
-    @property
-    def said(self) -> str:
-        """What is wrong at this moment; empty if images arrive."""
-        return self._said
 
     def _cause(self, types: Collection[str]) -> str:
         found = {name.replace("/msg/", "/") for name in types}  # as ROS 1 writes them

@@ -131,7 +131,10 @@ class Rig:
         Args:
             number: that the publisher gave to the image; it counts up by one.
         """
-        self._count(number)
+        if self._number is not None and number > self._number:
+            self._skipped += number - self._number - 1
+        self._number = number
+        self._measured += 1
         name = f"image {number}"
         failed = NoSpot(Reason.INTERNAL_ERROR)
         reading, fault = Reading(self._reader.mode, failed), ""
@@ -150,13 +153,6 @@ class Rig:
             exit_codes.note(error, name)
         counts = {"images": str(self._measured), "skipped_images": str(self._skipped)}
         return _output(reading, fault, counts)
-
-    def _count(self, number: int) -> None:
-        """Count an image, and those between it and the last one, by the publisher's numbers."""
-        if self._number is not None and number > self._number:
-            self._skipped += number - self._number - 1
-        self._number = number
-        self._measured += 1
 
 
 @contextmanager

@@ -70,11 +70,6 @@ class Tracking:
         """Number of frames with a spot."""
         return self.frames - self.no_spot.total()
 
-    @property
-    def median_pose_age_s(self) -> float | None:
-        """Median age of the robot's poses; None without poses."""
-        return median(self.pose_ages_s) if self.pose_ages_s else None
-
     def break_off(self, error: InputError | OSError) -> None:
         """Note what broke the run."""
         full = isinstance(error, OSError) and error.errno in _FULL
@@ -237,7 +232,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "distances": tracking.distances,
         "doubtful_distances": tracking.doubtful,
         "wall_memory": tracking.wall_memory,
-        "median_pose_age_s": tracking.median_pose_age_s,
+        "median_pose_age_s": median(tracking.pose_ages_s) if tracking.pose_ages_s else None,
         "seconds": round(seconds, 3),
         "ended": tracking.ended.value,
         "fault": tracking.fault,
