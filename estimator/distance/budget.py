@@ -217,6 +217,8 @@ class Budgets:
                 normal=view.plane_normal,
             )
 
+    # A line of sight or a generator that misses the wall gives NaN.
+    @np.errstate(invalid="ignore", divide="ignore")
     def of(
         self,
         spot: Spot,
@@ -240,13 +242,6 @@ class Budgets:
                 parts=(image, self._of_clock(motion, speed, 0.0)),
                 left_out=("the calibration's own part (it is in that of the image)", "the eye"),
             )
-        # A line of sight or a generator that misses the wall gives NaN.
-        with np.errstate(invalid="ignore", divide="ignore"):
-            return self._of_cone(spot, found, axis, motion)
-
-    def _of_cone(
-        self, spot: Spot, found: Range, axis: np.ndarray | None, motion: ToolMotion
-    ) -> Budget | None:
         told = axis is not None
         if found.poses:
             axis = found.poses[0].axis
