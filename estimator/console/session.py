@@ -242,7 +242,7 @@ class Session:
         self._reader.forget()
 
     def start_recording(self, path: Path) -> None:
-        """Record all frames that are measured from now on, see `recorders.recorder`.
+        """Record all frames that are measured from now on, see `recorder`.
 
         Raises:
             InputError: the file exists, or has another suffix.

@@ -72,7 +72,7 @@ def measure(
         The spot, or why there is none; and the state for the next frame.
 
     Raises:
-        InputError: the frame is not an image, see `image.checked_frame`.
+        InputError: the frame is not an image, see `checked_frame`.
     """
     frame = checked_frame(frame)
     if isinstance(settings, LiteralSettings):

@@ -27,7 +27,7 @@ _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation betw
 _SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, the wall's texture and the camera's blur
 _BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
 _DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
-_STRANGE = 25.0  # of the best distance: five
+_STRANGE = 25.0  # the same of the best distance, from which only the size counts: five
 
 _STEP = 0.001  # of the distances compared, mm
 _DISTANCES = np.linspace(0.05, 8.0, 160)

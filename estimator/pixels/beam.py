@@ -128,7 +128,7 @@ _SOFT = 0.13
 least: edges at random places and angles, sampled by a Bayer filter."""
 _LEAST_BLUR_PX2 = 0.25
 """Below it the light of a sharp edge changes as a parabola, and that of a lens in proportion."""
-_MORE = 1.2  # of a blur, for its derivative
+_MORE = 1.2  # factor on the variance, for the second point of the finite difference
 _NO_BLUR_PX2 = 0.05  # below it a lens's light may as well spread from cell to cell, in less time
 _PARTS = 2
 """Parts of a cell's side, between which the light of a sharp edge spreads."""

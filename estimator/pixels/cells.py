@@ -89,8 +89,8 @@ SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 SHADES = np.stack([*SIDES, SIDES[0] ** 2, SIDES[0] * SIDES[1], SIDES[1] ** 2])
 """Polynomials of that place up to the second degree, without the constant."""
 
-_CENTRED = 0.2  # shift of a point from the middle over half of the side, that a window serves for
-_SIZED = 1.16  # ratio of its side to the one that suits, up to which it does
+_CENTRED = 0.2  # a window is kept while the spot is so near to its middle, over half of its side
+_SIZED = 1.16  # a window is kept while its cells are at most 16 % larger than needed
 _AHEAD, _AHEAD_FRAMES = 0.15, 4.0
 """How far ahead of a moving point a new window lies: over the reach, and in frames, the less of
 both. So it serves for several frames; what is kept of earlier ones takes as long to model anew."""
@@ -124,7 +124,7 @@ class CellWindow(NamedTuple):
 
         Args:
             reach_px: to what must lie within the window.
-            way_px: of the point since the frame before.
+            moved_px: way of the point since the frame before.
         """
         off = np.abs(centre_px - self.middle_px).max() / (0.5 * COUNT * self.side)
         needed = 2.0 * reach_px / COUNT

@@ -142,7 +142,7 @@ class PixelRanger:
         """The pose in the next frame, or why there is none.
 
         Args:
-            outlines: where the spot is, see `detector.outlines_of`.
+            outlines: where the spot is, see `outlines_of`.
             frame: H x W x 3.
             axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
         """
