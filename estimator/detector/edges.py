@@ -211,14 +211,18 @@ def _located(
 def _refined(
     patch: Patch, coarse: Coarse, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> EdgeFit | NoSpot:
-    refined = _refined_once(patch, ellipse, inliers, levels)
-    for left in reversed(range(3)):
-        if isinstance(refined, NoSpot) or _settled(refined, inliers, levels):
-            break
+    left = 3
+    while True:
+        left -= 1
+        refine = refine_broad if levels.width > Refine.BROAD else refine_sharp
+        refined = refine(patch, ellipse, inliers, levels)
+        if isinstance(refined, NoSpot):
+            return refined
+        if _settled(refined, inliers, levels):
+            return _finished(refined, patch, coarse)
         if left == 0:  # fringes make it swing
             unsettled = refined.size_variance + refined.move**2 / 2
-            refined = replace(refined, size_variance=unsettled)
-            break
+            return _finished(replace(refined, size_variance=unsettled), patch, coarse)
         seen = refined.levels
         now: Levels | None = seen
         if not seen.sees_background:  # the edge is wider than was assumed for it
@@ -226,16 +230,7 @@ def _refined(
             now = seen.before(*(found or (seen.background, seen.background_radius, seen.scatter)))
         if now is None:  # the dip at the edge is the wall's texture
             return NoSpot(Reason.NONE_FOUND)
-        inliers, levels = refined.bright, now
-        refined = _refined_once(patch, refined.ellipse, inliers, levels)
-    return refined if isinstance(refined, NoSpot) else _finished(refined, patch, coarse)
-
-
-def _refined_once(
-    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
-) -> Refined | NoSpot:
-    refine = refine_broad if levels.width > Refine.BROAD else refine_sharp
-    return refine(patch, ellipse, inliers, levels)
+        ellipse, inliers, levels = refined.ellipse, refined.bright, now
 
 
 def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:

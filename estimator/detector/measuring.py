@@ -257,13 +257,16 @@ def _covariance(gram: np.ndarray, pull: np.ndarray, weighted: np.ndarray) -> np.
     return root @ (raised.T @ raised) @ root.T
 
 
-def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
-    """The ellipse with a sharp rim that a bell shows; None if it shows none.
+def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
+    """The spot with a sharp rim that a region's light shows; None if it shows none.
 
-    Sharp blobs with a semi-minor axis below `smallest_px` are noise.
+    The light is then a wet wall's reflection of a lamp.
     """
-    half_width, half_height = bell.ellipse.half_extent()
-    x, y = (bell.ellipse.centre - (patch.x0, patch.y0)).tolist()
+    if fit.levels.width < Refine.BROAD:
+        return None
+    patch, smallest_px = patch_round(region, fit.ellipse), region.settings.min_semi_minor_px
+    half_width, half_height = fit.ellipse.half_extent()
+    x, y = (fit.ellipse.centre - (patch.x0, patch.y0)).tolist()
     left, top = max(int(x - half_width), 0), max(int(y - half_height), 0)
     light = patch.signal[top : int(y + half_height) + 1, left : int(x + half_width) + 1]
     stride = max(light.shape) // 64 + 1
@@ -288,15 +291,15 @@ def spot_on(patch: Patch, bell: EdgeFit, smallest_px: float) -> EdgeFit | None:
         coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
     ):
         for candidate in candidates or ():
-            fit = fit_edge(standing_out, coarse, candidate)
+            rim = fit_edge(standing_out, coarse, candidate)
             if (
-                isinstance(fit, EdgeFit)
-                and fit.levels.width < Reflection.SHARPEST
-                and fit.scatter < Reflection.SMOOTHEST
-                and fit.inliers.mean() > Reflection.SEEN
-                and fit.ellipse.axes()[1] > smallest_px
+                isinstance(rim, EdgeFit)
+                and rim.levels.width < Reflection.SHARPEST
+                and rim.scatter < Reflection.SMOOTHEST
+                and rim.inliers.mean() > Reflection.SEEN
+                and rim.ellipse.axes()[1] > smallest_px  # smaller blobs are noise
             ):
-                rims.append(fit)
+                rims.append(rim)
     return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
 
 
@@ -335,13 +338,6 @@ def is_coarse(fit: EdgeFit) -> bool:
     """
     width = math.hypot(fit.levels.width, 1 / fit.ellipse.axes()[1])  # drawn edges: a whole pixel
     return fit.scatter > Verdict.COARSEST * width
-
-
-def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
-    """The spot that a region's light shows, where that is a wet wall's reflection of a lamp."""
-    if fit.levels.width < Refine.BROAD:
-        return None
-    return spot_on(patch_round(region, fit.ellipse), fit, region.settings.min_semi_minor_px)
 
 
 def _undistorted(fit: EdgeFit, camera: LensDistortion | None) -> AffineEllipse | None:
