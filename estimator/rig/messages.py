@@ -104,10 +104,9 @@ def messages_of(output: RigOutput, image: Any) -> dict[str, Any]:
     from geometry_msgs import msg as geometry
     from sensor_msgs import msg as sensor
 
-    types = message_types()
     x, y, valid = output.centre
     major, minor, angle = output.axes
-    distance = types["range"](
+    distance = sensor.Range(
         header=_header(image),
         radiation_type=sensor.Range.INFRARED,
         field_of_view=0.0,  # along the beam's axis
@@ -118,19 +117,21 @@ def messages_of(output: RigOutput, image: Any) -> dict[str, Any]:
     if hasattr(distance, "variance") and not math.isnan(output.sigma_m):
         distance.variance = output.sigma_m**2
     messages = {
-        "spot": types["spot"](header=_header(image), point=geometry.Point(x=x, y=y, z=valid)),
-        "axes": types["axes"](
+        "spot": geometry.PointStamped(
+            header=_header(image), point=geometry.Point(x=x, y=y, z=valid)
+        ),
+        "axes": geometry.Vector3Stamped(
             header=_header(image), vector=geometry.Vector3(x=major, y=minor, z=angle)
         ),
         "range": distance,
         "status": status_message(output.level, output.doubt or "ok", image, output.details),
     }
     if output.beam is not None:
-        messages["beam"] = _beam(output.beam, types["beam"], _header(image))
+        messages["beam"] = _beam(output.beam, _header(image))
     return messages
 
 
-def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
+def _beam(beam: TipPose, header: Any) -> Any:
     """Tip and axis in the eye's frame, m; the axis is the pose's +z."""
     from geometry_msgs import msg as geometry
 
@@ -145,15 +146,14 @@ def _beam(beam: TipPose, kind: Any, header: Any) -> Any:
     covariance = slopes @ beam.covariance @ slopes.T
     # Nothing is known of the rotation about the beam.
     covariance[3:, 3:] += math.pi**2 * np.outer(beam.axis, beam.axis)
-    message = kind(header=header)
-    message.header.frame_id = "eye"
-    place, turn = message.pose.pose.position, message.pose.pose.orientation
-    place.x, place.y, place.z = (1e-3 * np.asarray(beam.tip_mm)).tolist()
-    turn.x, turn.y, turn.z, turn.w = rotation
-    message.pose = geometry.PoseWithCovariance(
-        pose=message.pose.pose, covariance=covariance.ravel().tolist()
+    header.frame_id = "eye"
+    x, y, z = (1e-3 * np.asarray(beam.tip_mm)).tolist()
+    pose = geometry.Pose(
+        position=geometry.Point(x=x, y=y, z=z),
+        orientation=geometry.Quaternion(**dict(zip("xyzw", rotation, strict=True))),
     )
-    return message
+    spread = geometry.PoseWithCovariance(pose=pose, covariance=covariance.ravel().tolist())
+    return geometry.PoseWithCovarianceStamped(header=header, pose=spread)
 
 
 def status_message(level: str, said: str, image: Any, details: dict[str, str] | None = None) -> Any:
