@@ -184,7 +184,9 @@ def bright_regions(
         # A contour runs through pixel centres; half its length is the area outside them.
         areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
         largest = max(range(len(areas)), key=areas.__getitem__)
+        painted = [contours[largest]]
         if areas[largest] * coarse.stride**2 < min_area:
+            painted = contours
             yield None
         else:
             region = np.zeros_like(mask)
@@ -209,7 +211,6 @@ def bright_regions(
                 for ellipse in ellipses
                 if ellipse is not None and not hollow
             ]
-        painted = contours if areas[largest] * coarse.stride**2 < min_area else [contours[largest]]
         smooth = smooth.copy()
         cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
         cv2.drawContours(smooth, painted, -1, background, 3)

@@ -98,16 +98,8 @@ def grey_8bit(frame: np.ndarray, settings: LiteralSettings) -> np.ndarray:
 
 def patch_check(x: float, y: float, half_width: int, shape: tuple[int, ...]) -> tuple[int, int]:
     """Algorithm 2: the patch's centre, moved so that the patch lies in an image of that shape."""
-    rows, columns = shape[:2]
-    return _clamped(x, half_width, columns), _clamped(y, half_width, rows)
-
-
-def _clamped(m: float, p: int, length: int) -> int:
-    if m < p:
-        return p
-    if m > length - p - 1:
-        return max(length - p - 1, p)
-    return round(m)
+    rows, columns = (max(length - half_width - 1, half_width) for length in shape[:2])
+    return round(min(max(x, half_width), columns)), round(min(max(y, half_width), rows))
 
 
 def measure_literal(
