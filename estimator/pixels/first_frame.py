@@ -100,11 +100,6 @@ class Hypothesis:
     step: WallMotion = STILL
     shake_before_px: float = 0.0
 
-    @property
-    def newest(self) -> FrameState:
-        """The newest frame."""
-        return self.solution.frames[-1]
-
     @cached_property
     def sigmas(self) -> Float[np.ndarray, "5"]:
         """Standard deviations of the newest frame's pose."""
@@ -122,7 +117,7 @@ class Hypothesis:
         Less the errors of both frames' shifts, by which a wall of which little is seen would seem
         to move on, ever farther.
         """
-        middle = self.newest.cells.motion.image_px(self.solution.solver.window.middle_px)
+        middle = self.solution.newest.cells.motion.image_px(self.solution.solver.window.middle_px)
         along_wall = self.step.image_px(middle) - middle
         return math.sqrt(max(float(along_wall @ along_wall) - 2.0 * self.shift_variance_px2, 0.0))
 
@@ -135,8 +130,8 @@ class Hypothesis:
     def outline(self) -> Outline:
         """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
         centres = self.solution.solver.window.centres().reshape(-1, 2)
-        places = centres[lit(self.solution.light(self.newest))]
-        middle = self.newest.cells.motion.image_px(places.mean(axis=0))
+        places = centres[lit(self.solution.light(self.solution.newest))]
+        middle = self.solution.newest.cells.motion.image_px(places.mean(axis=0))
         # Half of an axis is twice the standard deviation along it.
         variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
         semi_minor, semi_major = np.sqrt(variances).tolist()
@@ -156,13 +151,13 @@ class Hypothesis:
             shake_px: standard deviation of the shake along each side, in the first frame and now.
         """
         variance = self.shift_variance_px2 + 4.0 * shake_px**2
-        return math.hypot(*self.drift(self.newest)) > max(
+        return math.hypot(*self.drift(self.solution.newest)) > max(
             _DRIFTED_PX, _SURELY * math.sqrt(variance)
         )
 
     def differs(self, other: Hypothesis) -> bool:
         """Whether the newest pose is another one."""
-        mine, its = self.newest.pose, other.newest.pose
+        mine, its = self.solution.newest.pose, other.solution.newest.pose
         turned = mine.axis - its.axis
         change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
         return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
@@ -398,11 +393,11 @@ def explained_with(
         return observation.picture.cells(mix, motion)
 
     solver, kept, own = hypothesis.solution.solver, hypothesis.kept, hypothesis.solution.own
-    motion = hypothesis.newest.cells.motion
+    motion = hypothesis.solution.newest.cells.motion
     if hypothesis.moved_px > _MOVES_ON_PX:  # the wall moves on as it did; else it only shakes
         motion = hypothesis.step.after(motion)
     centre = np.array([spot.x_px, spot.y_px])
-    on_map, before = motion.map_px(centre), hypothesis.newest.cells.motion.map_px(last_px)
+    on_map, before = motion.map_px(centre), hypothesis.solution.newest.cells.motion.map_px(last_px)
     reach = reach_px(spot, sharp=solver.beam.sharp)
     window = solver.window.following(on_map, reach, on_map - before)
     if window == solver.window:
@@ -410,7 +405,7 @@ def explained_with(
     else:
         solver, kept = moved(solver, window, kept, own)
     point = solver.beam.wall_points(centre[None])[0][0]
-    start = _start(hypothesis.newest, solver, cells(motion), point, own, observation.sweep)
+    start = _start(hypothesis.solution.newest, solver, cells(motion), point, own, observation.sweep)
     if start is None:
         return None
     start = replace(
@@ -425,7 +420,7 @@ def explained_with(
     learnt_px2, seen_px2 = hypothesis.learnt_px2, lit_px2(found)
     if seen_px2 > _MORE_WALL * learnt_px2 and not other_wall:
         solver, learnt_px2 = solver.of_texture(learnt_texture(found)), seen_px2
-        start, own = found.frames[-1], found.own
+        start, own = found.newest, found.own
         found, mean_square, other_wall, kept = _fitted(
             solver, kept, start, own, cells, hypothesis.mean_square
         )
@@ -435,7 +430,7 @@ def explained_with(
         learnt_px2=learnt_px2,
         mean_square=mean_square,
         other_wall=other_wall,
-        step=found.frames[-1].cells.motion.since(hypothesis.newest.cells.motion),
+        step=found.newest.cells.motion.since(hypothesis.solution.newest.cells.motion),
         shake_before_px=hypothesis.shake_px,
     )
 
@@ -454,7 +449,7 @@ def _fitted(
         fresh = remodelled(kept, found)
         if fresh is None or other_wall:
             break
-        kept, start, own = fresh, found.frames[-1], found.own
+        kept, start, own = fresh, found.newest, found.own
     return found, mean_square, other_wall, kept
 
 

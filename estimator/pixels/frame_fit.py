@@ -145,7 +145,7 @@ def robust_fit(
         last, trust = trust, _trust(deviations) / noise
         if np.abs(trust - last).max() < _SETTLED:
             break
-        start, own = solution.frames[-1], solution.own
+        start, own = solution.newest, solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
         line, _, deviations = _distances(solution, trust)
     return solution, mean_square, grown
@@ -160,7 +160,7 @@ def _distances(
     """
     line = solution.linear[-1]
     line = line._replace(weight=line.weight / trust)
-    left_out = np.abs(solution.left_out(len(solution.linear) - 1, trust))
+    left_out = np.abs(solution.left_out(trust))
     return line, left_out, np.maximum(left_out, _grown(_off_wall(solution.solver, line)))
 
 
@@ -225,7 +225,7 @@ def remodelled(kept: Kept, solution: PoseSolution) -> Kept | None:
 
 def outliers(solution: PoseSolution) -> Bool[np.ndarray, "n"]:
     """Outliers of a first frame from the wall's texture: hidden, or in other light."""
-    line = solution.solver.model.linear(solution.frames[-1], solution.own)
+    line = solution.solver.model.linear(solution.newest, solution.own)
     return _grown(_off_wall(solution.solver, line)) > _OUTLIER
 
 
@@ -308,7 +308,7 @@ def fit_wherever(
             if _deviance(again) < _deviance(solution) - _SURE:
                 solution, mean_square = again, less
         other_wall = _deviance(solution) > _deviance(alone) + _SURE
-    newest = solution.frames[-1]
+    newest = solution.newest
     if math.hypot(*newest.shift) > _SHIFTED_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))

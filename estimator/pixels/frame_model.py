@@ -567,10 +567,10 @@ class FrameModel:
         Args:
             moves: of the spot to the right and downwards on the wall, and of the distance, mm.
         """
-        lattice, seen = self.lattice(frame.cells.motion), []
+        seen = []
         for move in [np.zeros(3), *moves]:
             pose = self.beam.pose(*frame.pose.moved(np.concatenate([move, np.zeros(2)])))
-            light = self.beam.irradiance_alone(lattice, pose or frame.pose, own)
+            light = self.light(replace(frame, pose=pose or frame.pose), own)
             seen.append(self.log_light(frame, light))
         return np.array(seen) - seen[0]
 

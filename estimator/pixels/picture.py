@@ -82,7 +82,7 @@ def evener_mix(
         usable: whether a pixel is neither saturated nor hidden.
         mix: of that fit, which stays if a channel is dark.
     """
-    line, frame = solution.linear[-1], solution.frames[-1]
+    line, frame = solution.linear[-1], solution.newest
     light = frame.cells.means(window)[0].ravel()
     parts, seen = zip(
         *(

@@ -112,8 +112,13 @@ class PoseSolution:
         newest = self.covariance[at : at + OWN, at : at + OWN]
         return newest[states, states]
 
-    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "15"]:
-        """How the newest frame's states move if the log light of all frames' cells changes."""
+    @property
+    def newest(self) -> FrameState:
+        """The newest frame."""
+        return self.frames[-1]
+
+    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "5"]:
+        """How the newest pose moves if the log light of all frames' cells changes."""
         weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
         texture_map = solved(self.factor, np.sum(weighted, axis=0))
         pulls, shared = [], np.zeros(len(self.own))
@@ -122,15 +127,16 @@ class PoseSolution:
             pulls.append(line.slopes @ rest)
             shared += line.shared @ rest
         at = OWN * (len(self.linear) - 1)
-        return self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
+        states = self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
+        return states[:POSE]
 
-    def left_out(self, k: int, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Residuals of frame k's cells against the other data, in standard deviations.
+    def left_out(self, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
+        """Residuals of the newest frame's cells against the other data, in standard deviations.
 
         Args:
             trust: factors on the weights of its cells, which are not taken for noise.
         """
-        line = self.linear[k]
+        line = self.linear[-1]
         spread = 1.0 / inverse_diagonal(self.factor)
         rest = np.maximum(spread - line.weight, 1e-9 * spread)  # precision without this datum
         used = line.weight > 0

@@ -126,7 +126,7 @@ class PixelRanger:
         """Fit the next frame by itself, on a wall that is not known."""
         if self._hypotheses:
             first = self._hypotheses[0]
-            self._drift = self._drift + first.drift(first.newest)
+            self._drift = self._drift + first.drift(first.solution.newest)
         self._hypotheses = []
 
     def distance(
@@ -236,7 +236,7 @@ class PixelRanger:
             self._unknown_px = max(self._unknown_px, farthest_px(best.solution.solver.window))
         return range_of(
             best,
-            tuple(float(one.newest.pose.distance) for one in others),
+            tuple(float(one.solution.newest.pose.distance) for one in others),
             wall,
             shake_px=self._shake_px,
             shaken=self._shaken,

@@ -25,6 +25,7 @@ Four covariances are added to the fit's own:
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -55,7 +56,7 @@ _LEAST = 0.02  # of the shading's terms, below which the ambient light counts as
 
 def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`."""
-    size = float(np.linalg.norm(solution.frames[-1].shade))
+    size = float(np.linalg.norm(solution.newest.shade))
     if size < _LEAST:
         return np.zeros((POSE, POSE))
     shares = []  # of the ambient light in each cell's
@@ -63,7 +64,7 @@ def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
         ambient = np.exp(frame.log_ambient)
         shares.append(ambient / (np.maximum(solution.light(frame), 0.0) + ambient))
     pulls = [
-        solution.answer([_CUBIC_SHARE * size * share * shape for share in shares])[:POSE]
+        solution.answer([_CUBIC_SHARE * size * share * shape for share in shares])
         for shape in _CUBIC
     ]
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
@@ -83,14 +84,14 @@ def bend_covariance(
     Args:
         covariance: of the newest pose without the bend.
     """
-    frame, fitted = solution.frames[-1], solution.newest_covariance
+    frame, fitted = solution.newest, solution.newest_covariance
     sigmas = np.sqrt(np.diag(covariance))
     sizes = np.array([0.0, 0.0, sigmas[2] / frame.pose.distance, *sigmas[3:]])
     earlier = [np.zeros(COUNT**2)] * (len(solution.frames) - 1)
     found = np.zeros((POSE, POSE))
     for k in np.flatnonzero(sizes > _SMALL):
         evenly = _even_part(solution, covariance[:, k] / sigmas[k])
-        bend = solution.answer([*earlier, evenly])[:POSE]
+        bend = solution.answer([*earlier, evenly])
         bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
         # Where the light says too little, the second order says nothing.
         bend = np.clip(bend, -sigmas, sigmas)
@@ -100,15 +101,12 @@ def bend_covariance(
 
 def _even_part(solution: PoseSolution, change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n"]:
     """How the newest frame's log light changes by a change of its pose and by its opposite."""
-    model, frame = solution.solver.model, solution.frames[-1]
-    light = []
+    model, frame, light = solution.solver.model, solution.newest, []
     for shift in (change, np.zeros(POSE), -change):
         pose = model.beam.pose(*frame.pose.moved(shift))
         if pose is None:
             return np.zeros(COUNT**2)
-        lattice = model.lattice(frame.cells.motion)
-        alone = model.beam.irradiance_alone(lattice, pose, solution.own)
-        light.append(model.log_light(frame, alone))
+        light.append(model.log_light(frame, solution.light(replace(frame, pose=pose))))
     ahead, here, back = light
     return 0.5 * (ahead + back) - here
 
@@ -174,8 +172,8 @@ def _pulled(
             for where, at in ((drifted, other), (motion, frame.pose))
         )
         changes.append((seen - fitted) / part)
-    pull = solution.answer(changes)[:POSE]
-    newest = solution.frames[-1].pose
+    pull = solution.answer(changes)
+    newest = solution.newest.pose
     pull[:2] -= shift @ np.stack([newest.right, newest.down], axis=-1)
     return pull
 
@@ -192,15 +190,15 @@ along one direction, by seven pixels during the exposure; more is defocus, which
 
 def edge_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What such errors may have done to the newest pose, in the terms of `POSE`."""
-    newest = solution.frames[-1]
+    newest = solution.newest
     if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
         return np.zeros((POSE, POSE))
     shifts = np.array([_changes(solution, k) for k in range(len(solution.frames))])
     # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
-    pulls = [solution.answer(list(shifts[:, k]))[:POSE] for k in range(shifts.shape[1])]
+    pulls = [solution.answer(list(shifts[:, k])) for k in range(shifts.shape[1])]
     # Where the spot moves on, the wall grows otherwise.
     still = [np.zeros_like(shifts[0, 0])] * (len(shifts) - 1)
-    pulls += [solution.answer([*still, shifts[-1, k]])[:POSE] for k in (3, 4)]
+    pulls += [solution.answer([*still, shifts[-1, k]]) for k in (3, 4)]
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
@@ -261,7 +259,7 @@ def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     """
     if hypothesis is None or not hypothesis.solution.converged:
         return Reason.NOT_CONVERGED
-    best, newest = hypothesis.solution, hypothesis.newest
+    best, newest = hypothesis.solution, hypothesis.solution.newest
     beam, window = best.solver.beam, best.solver.window
     nearest, farthest = beam.within_mm
     if not nearest < newest.pose.distance < farthest:
@@ -307,7 +305,7 @@ def range_of(
     solution, beam = hypothesis.solution, hypothesis.solution.solver.beam
     # If the view shakes, its place in the first frame is not known.
     shake = max(hypothesis.shake_px, shake_px)
-    newest = hypothesis.newest
+    newest = solution.newest
     swept = 0.0 if newest.sweep is None else beam.swept_px(newest.pose, newest.sweep)
     place = beam.scale_mm_px * math.hypot(_PLACE_PX, _SWEPT * swept)
     place_and_distance = np.diag([place**2, place**2, _ALONG_MM**2, 0.0, 0.0])
@@ -320,7 +318,7 @@ def range_of(
         covariance += drift_covariance(solution, [shift for _ in drifts])
     if np.any(drifts):
         covariance += drift_covariance(solution, drifts)
-    pose = solution.frames[-1].pose
+    pose = newest.pose
     found = TipPose(
         tip_mm=np.asarray(pose.tip),
         axis=np.asarray(pose.axis),
