@@ -86,6 +86,7 @@ class Hypothesis:
     Attributes:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
+        learnt_px2: `lit_px2` when the texture was learnt.
         mean_square: of the newest frame's residuals; see `frame_fit.robust_fit`.
         other_wall: whether the newest frame shows another wall than the earlier ones or the
             reference.
