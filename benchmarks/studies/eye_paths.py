@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection
 from enum import StrEnum
 from pathlib import Path
@@ -16,7 +15,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 import optics
 from benchmarks.model_error import in_batches
-from calibration.solvers import gauss_newton_in_blocks
+from calibration.solvers import GAUSS_NEWTON, least_squares
 from calibration.spots.cone_trials import (
     NUISANCES,
     RETINA,
@@ -314,7 +313,8 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         scale = SCALE_MM_PX * jnp.exp(unknown[0])
         return Pinhole(scale, unknown[1], RETINA.mean + RETINA.sigma * unknown[2])
 
-    def residuals(eye: Float[Array, "3"], own: Float[Array, "4"], trial: TrialGroup) -> Array:
+    def residuals(unknown: Float[Array, "x"]) -> Array:
+        eye, own = unknown[:3], unknown[3:].reshape(count, len(_FREE))
         found = pinhole(eye)
         values = _NO_TILT | {
             "half_angle": CONE["half_angle"],
@@ -322,18 +322,14 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
             "eye_radius": found.radius,
         }
         # The robot's axis is known, so only these nuisances are free.
-        nuisances = jnp.zeros(len(NUISANCES)).at[_FREE].set(own)
-        alone = jax.tree.map(lambda leaf: leaf[None], trial)
-        missed = misfit(alone, found.microscope, values, nuisances[None])
-        # Without a visible frame the place would have no value. Every trial carries its part of the
-        # retina's prior.
-        held = own[1:3] / _ANYWHERE_PX, eye[2:] / math.sqrt(count)
-        return jnp.concatenate([missed, *held])
+        nuisances = jnp.zeros((count, len(NUISANCES))).at[:, _FREE].set(own)
+        missed = misfit(every, found.microscope, values, nuisances)
+        # Without a visible frame the place would have no value.
+        return jnp.concatenate([missed, jnp.ravel(own[:, 1:3]) / _ANYWHERE_PX, eye[2:]])
 
-    start = jnp.zeros(3), jnp.zeros((count, len(_FREE)))
-    # The problem is nearly linear. 1e-6 of kappa or of a touch moves no distance by 1e-5 mm.
-    eye, _, _ = gauss_newton_in_blocks(residuals, *start, every, tolerance=1e-6)
-    return pinhole(eye)
+    start = jnp.zeros(3 + count * len(_FREE))
+    solution = least_squares(residuals, start, count=every.data, solver=GAUSS_NEWTON)
+    return pinhole(solution.parameters[:3])
 
 
 _ANYWHERE_PX = 1e4
