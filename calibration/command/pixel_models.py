@@ -228,8 +228,7 @@ def _fitted(
         values["aperture_radius"] = max(values["aperture_radius"], values["core_radius"])
     slopes = jax.jacfwd(in_file)(fitted)
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
-    numbers, of_frames = _of_frames(fit)
-    maps, groups = _maps(fit)
+    pixels = pixel_residuals(fit)
     return Fitted(
         calibration_model="exact" if source == "cone" else "lens",
         values=values,
@@ -242,14 +241,14 @@ def _fitted(
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals={},
         recordings=[recording],
-        used=len(numbers),
+        used=len(pixels.frames),
         others=[
             (name, value, error, UNITS[name])
             for name, (value, error) in fit.parameters.items()
             if name not in (*_CONE_IN_FILE, *LENS, *_EITHER_IN_FILE)
         ],
         notes=_notes(fit),
-        pixels=PixelResiduals(maps, groups, numbers, of_frames, fit.misfit, fit.over_bound),
+        pixels=pixels,
     )
 
 
@@ -279,34 +278,28 @@ def _notes(fit: ImageFit) -> list[str]:
     return notes
 
 
-def _of_frames(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
-    """Frames with pixels, and the mean residual of each over its standard deviation."""
-    known, single = _single(fit)
+def pixel_residuals(fit: ImageFit) -> PixelResiduals:
+    """Residuals averaged over groups of frames and neighbouring pixels, and over each frame."""
+    known = np.isfinite(fit.residuals)
+    # All k x k pixels of a cell have the residual of its mean, so each counts as 1/k of it. Then
+    # sums over squares of pixels have unit noise.
+    single = np.where(known, fit.residuals, 0.0) / fit.side
     count = known.sum(axis=(1, 2))
     numbers = np.flatnonzero(count)
-    return numbers, single.sum(axis=(1, 2))[numbers] / np.sqrt(count[numbers])
-
-
-def _maps(fit: ImageFit) -> tuple[np.ndarray, list[tuple[int, int]]]:
-    """Residuals averaged over groups of frames and over neighbouring pixels, over their sigma."""
-    known, single = _single(fit)
-    numbers = np.flatnonzero(known.any(axis=(1, 2)))
     parts = np.array_split(numbers, min(_MAPS, numbers.size))
-    width = _SMOOTHING * math.sqrt(known[numbers].sum(axis=(1, 2)).mean())
+    width = _SMOOTHING * math.sqrt(count[numbers].mean())
     maps = []
     for part in parts:
         # A Gaussian of sigma s is the square of one of s/sqrt(2), up to a factor 4 pi (s/sqrt 2)^2.
-        count = ndimage.gaussian_filter(known[part].sum(axis=0).astype(float), width / math.sqrt(2))
+        near = ndimage.gaussian_filter(known[part].sum(axis=0).astype(float), width / math.sqrt(2))
         mean = ndimage.gaussian_filter(single[part].sum(axis=0), width)
-        over = mean * math.sqrt(4 * math.pi) * width / np.sqrt(np.maximum(count, 1e-3))
+        over = mean * math.sqrt(4 * math.pi) * width / np.sqrt(np.maximum(near, 1e-3))
         maps.append(np.where(known[part].any(axis=0), over, np.nan))
-    return np.array(maps), [(int(part[0]), int(part[-1])) for part in parts]
-
-
-def _single(fit: ImageFit) -> tuple[np.ndarray, np.ndarray]:
-    """Which pixels were fitted, and residuals whose sums over squares of pixels have unit noise.
-
-    All k x k pixels of a cell have the residual of its mean, so each counts as 1/k of it.
-    """
-    known = np.isfinite(fit.residuals)
-    return known, np.where(known, fit.residuals, 0.0) / fit.side
+    return PixelResiduals(
+        maps=np.array(maps),
+        groups=[(int(part[0]), int(part[-1])) for part in parts],
+        frames=numbers,
+        of_frames=single.sum(axis=(1, 2))[numbers] / np.sqrt(count[numbers]),
+        misfit=fit.misfit,
+        over_bound=fit.over_bound,
+    )

@@ -10,7 +10,7 @@ import pytest
 
 import optics
 import scenes
-from calibration.command.pixel_models import _maps, _of_frames
+from calibration.command.pixel_models import pixel_residuals
 from calibration.pixels.data import read_footage
 from calibration.pixels.fit import fit_image
 from calibration.solvers import propagated
@@ -47,17 +47,16 @@ def test_maps_of_noise_alone_have_variance_one(side):
     residuals[:, :, :24] = np.nan
     residuals[30:, :12] = np.nan
     residuals[7] = np.nan
-    fit: Any = SimpleNamespace(residuals=residuals, side=side)
-    frames, of_frames = _of_frames(fit)
-    assert frames.tolist() == [n for n in range(60) if n != 7]
+    fit: Any = SimpleNamespace(residuals=residuals, side=side, misfit=None, over_bound=1.0)
+    shown = pixel_residuals(fit)
+    assert shown.frames.tolist() == [n for n in range(60) if n != 7]
     # Variance of 59 normal numbers, to four of its standard errors.
-    assert np.mean(of_frames**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 59))
-    maps, groups = _maps(fit)
-    assert groups == [(0, 10), (11, 20), (21, 30), (31, 40), (41, 50), (51, 59)][:6]
-    assert np.isnan(maps[:, :, :24]).all()
+    assert np.mean(shown.of_frames**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / 59))
+    assert shown.groups == [(0, 10), (11, 20), (21, 30), (31, 40), (41, 50), (51, 59)]
+    assert np.isnan(shown.maps[:, :, :24]).all()
     # Smoothing leaves about (96 x 96)/(4 pi 3²) independent numbers a map, of six maps; the
     # smoothing's own error where a square is wider than its sigma is a few percent.
-    assert np.nanmean(maps**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * 81)) + 0.05)
+    assert np.nanmean(shown.maps**2) == pytest.approx(1.0, abs=4 * math.sqrt(2 / (6 * 81)) + 0.05)
 
 
 def test_what_follows_an_undetermined_parameter_is_undetermined():
