@@ -146,7 +146,7 @@ def result(recording: Recording, seed: int) -> dict[str, Any]:
             pixels=PixelResiduals(nothing, [], nothing.astype(int), nothing, fit.misfit),
         )
     )
-    good = all(doubt.harmless for doubt in found)
+    good = all(doubt.fault.harmless for doubt in found)
     truth = {
         "sag": recording.drop.sag,
         "numerical_aperture": recording.drop.aperture_na,

@@ -174,7 +174,7 @@ class Fit:
     @property
     def good(self) -> bool:
         """Whether the values are right within their standard errors, and so may be saved."""
-        return all(doubt.harmless for doubt in self.doubts)
+        return all(doubt.fault.harmless for doubt in self.doubts)
 
     @property
     def verdict(self) -> str:

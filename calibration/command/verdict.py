@@ -233,11 +233,6 @@ class Doubt(NamedTuple):
     fault: Fault
     reason: str
 
-    @property
-    def harmless(self) -> bool:
-        """Whether the values are right within their errors."""
-        return self.fault.harmless
-
 
 def doubts(fitted: Fitted) -> list[Doubt]:
     """Reasons why a fit is not good; empty for a good fit."""
@@ -319,7 +314,7 @@ def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -
     """The error message: what is wrong, what to try, and where the details are."""
     reasons = [doubt.reason for doubt in found]
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
-    remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.harmless)
+    remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.fault.harmless)
     tries = "; ".join(list(dict.fromkeys(filter(None, remedies)))[:_SHOWN])
     said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\nTry {tries}."
     details = f"\nNo calibration was written; {report} shows the residuals."

@@ -105,7 +105,7 @@ def good(**changes):
 def test_each_reason_against_a_fit_is_named(change, told):
     (doubt,) = good(**change)
     assert re.search(told, doubt.reason)
-    assert doubt.harmless == ("noise is lower than assumed" in told or "enlarged" in told)
+    assert doubt.fault.harmless == ("noise is lower than assumed" in told or "enlarged" in told)
 
 
 def test_a_refusal_has_three_lines_whatever_is_wrong():
@@ -208,7 +208,7 @@ def pixels(share, structured, chi_squared, degrees=302_732):
 
 def test_a_small_misfit_of_pixels_is_stated_with_its_place_and_its_effect():
     (doubt,) = found = pixels(0.009, True, 1.21)
-    assert doubt.harmless
+    assert doubt.fault.harmless
     for words in ("0.9 %", "the core is 1.1 % darker", "enlarged up to 17 times"):
         assert words in doubt.reason
     assert verdict(found).startswith("Accepted, with enlarged standard errors")
@@ -218,7 +218,7 @@ def test_a_small_misfit_of_pixels_is_stated_with_its_place_and_its_effect():
 
 def test_a_large_misfit_of_pixels_is_not_a_good_fit():
     (doubt,) = pixels(0.03, True, 3.0)
-    assert not doubt.harmless
+    assert not doubt.fault.harmless
     assert "3 %" in doubt.reason and "limit is 2 %" in doubt.reason
 
 
