@@ -1,7 +1,6 @@
 """An eye calibrated at the table: its distances, what is refused, what is undetermined."""
 
 import csv
-import json
 import math
 from dataclasses import replace
 
@@ -13,12 +12,13 @@ from scipy import stats
 from calibration.command.choices import Choices
 from calibration.command.models import fit_eye
 from estimator.distance.ranger import Ranger
-from formats.calibration import Calibration, read_calibration, write_calibration
+from formats.calibration import read_calibration, write_calibration
 from formats.inputs import InputError
-from formats.spots import Spot, SpotRecord, write_spots
+from formats.spots import SpotRecord, write_spots
 from optics import viewing
 from tests import eye_fits
 from tests.command_line import call
+from tests.made_up import a_microscope_file, a_spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -147,27 +147,16 @@ def test_what_does_not_fit_the_eye_is_refused():
 
 def written(folder, name, trial):
     """A withdrawal as a rig records it: a spots file and poses."""
-    rows = zip(trial.trial.readings, *map(np.asarray, trial.trial.ellipses), strict=True)
+    rows = zip(*map(np.asarray, trial.trial.ellipses), strict=True)
     records = [
         SpotRecord(
             frame=n,
             file_name="",
             time_s=float(n),
             mode="subpixel",
-            result=Spot(
-                x_px=float(centre[0]),
-                y_px=float(centre[1]),
-                semi_major_px=float(major),
-                semi_minor_px=float(minor),
-                angle_rad=float(angle),
-                covariance=trial.trial.covariances[n],
-                edge_width_px=1.0,
-                coverage=1.0,
-                inlier_fraction=1.0,
-                saturated=0.0,
-            ),
+            result=a_spot(*centre, *shape, covariance=trial.trial.covariances[n]),
         )
-        for n, (_, centre, major, minor, angle) in enumerate(rows)
+        for n, (centre, *shape) in enumerate(rows)
     ]
     write_spots(folder / f"{name}.csv", records)
     with (folder / f"{name}-poses.csv").open("w", newline="") as file:
@@ -180,29 +169,9 @@ def written(folder, name, trial):
 
 @pytest.mark.slow
 def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
-    microscope = {
-        "schema": 1,
-        "width_px": 640,
-        "height_px": 480,
-        "camera_matrix": None,
-        "distortion": [0.0] * 5,
-        "scale_mm_px": 0.0065,
-        "principal_point_px": [0.0, 0.0],
-        "pinhole_height_mm": None,
-        "eye_radius_mm": 11.5,
-        "response": "linear",
-    }
-    (tmp_path / "microscope.json").write_text(json.dumps(microscope))
-    cone = Calibration(
-        model="exact",
-        values={"half_angle": float(CONE[0]), "b": float(CONE[1])},
-        covariance=np.diag(eye_fits.CONE_SIGMA**2),
-        medium="vitreous",
-        medium_index=1.336,
-        fitted_on="a phantom",
-        data_sha256="0" * 64,
-        software="test",
-    )
+    microscope = a_microscope_file(tmp_path, scale_mm_px=0.0065, principal_point_px=[0.0, 0.0])
+    values = {"half_angle": float(CONE[0]), "b": float(CONE[1])}
+    cone = eye_fits.calibration(values, np.diag(eye_fits.CONE_SIGMA**2), "exact")
     write_calibration(tmp_path / "cone.json", cone)
     recordings = [
         word
@@ -211,15 +180,8 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
     ]
     given = [
         *("fit", *recordings, "--model", "eye", "--calibration", str(tmp_path / "cone.json")),
-        *("--microscope", str(tmp_path / "microscope.json"), "--medium", "vitreous"),
-        *(
-            "--phantom",
-            "eyeball",
-            "--prior",
-            "touch=0.12,0.05",
-            "--out",
-            str(tmp_path / "eye.json"),
-        ),
+        *("--microscope", str(microscope), "--medium", "vitreous", "--phantom", "eyeball"),
+        *("--prior", "touch=0.12,0.05", "--out", str(tmp_path / "eye.json")),
     ]
     done = call(given)
     assert done.exit_code == 0, done.output

@@ -2,7 +2,6 @@
 
 import base64
 import csv
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -23,46 +22,22 @@ from formats.calibration import read_calibration
 from formats.poses import read_poses
 from formats.spots import Spot, SpotRecord, write_spots
 from tests.command_line import call
+from tests.made_up import a_microscope_file, a_spot
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067
 RIM = 0.25 * np.tan(np.radians(30.0))
 
 
-def spot(semi_minor, *, x=320.0, y=240.0):
-    return Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=1.15 * semi_minor,
-        semi_minor_px=semi_minor,
-        angle_rad=0.3,
-        covariance=np.diag([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2,
-        edge_width_px=1.0,
-        coverage=1.0,
-        inlier_fraction=1.0,
-        saturated=0.0,
-    )
+def spot(semi_minor: float) -> Spot:
+    covariance = np.diag([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2
+    return a_spot(320.0, 240.0, 1.15 * semi_minor, semi_minor, 0.3, covariance=covariance)
 
 
 @pytest.fixture
 def rig(tmp_path):
     """Writes what a rig records of a withdrawal from a plane; gives the command's arguments."""
-    (tmp_path / "microscope.json").write_text(
-        json.dumps(
-            {
-                "schema": 1,
-                "width_px": 640,
-                "height_px": 480,
-                "camera_matrix": None,
-                "distortion": [0.0] * 5,
-                "scale_mm_px": SCALE,
-                "principal_point_px": [320.0, 240.0],
-                "pinhole_height_mm": None,
-                "eye_radius_mm": 11.5,
-                "response": "linear",
-            }
-        )
-    )
+    a_microscope_file(tmp_path, scale_mm_px=SCALE, principal_point_px=[320.0, 240.0])
 
     def record(name="trial", *, bend=0.0, aside=0.0, bow=0.0, outliers=(), seed=0, ending=".csv"):
         rng = np.random.default_rng(seed)

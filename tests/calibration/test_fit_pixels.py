@@ -17,9 +17,9 @@ from calibration.solvers import propagated
 from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
-from formats.spots import Spot
 from optics.wall_light.lens import lens_parameters
 from tests.command_line import call
+from tests.made_up import a_spot
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
@@ -161,15 +161,8 @@ def test_a_lens_found_in_pixels_ranges_the_spots_that_it_makes(tmp_path):
     ranger = Ranger(found, read_microscope(stack.folder / "microscope.json"))
     for label in stack.labels[2:]:
         # The label's contour: small frames hold no dark wall round the bell's tails to measure by.
-        result = ranger.distance(
-            Spot(
-                **{name: getattr(label, f"half_max_{name}") for name in ELLIPSE},
-                covariance=np.diag([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2,
-                edge_width_px=1.0,
-                coverage=1.0,
-                inlier_fraction=1.0,
-                saturated=0.0,
-            )
-        )
+        contour = (getattr(label, f"half_max_{name}") for name in ELLIPSE)
+        covariance = np.diag([0.01, 0.01, 0.01, 0.01, 0.001]) ** 2
+        result = ranger.distance(a_spot(*contour, covariance=covariance))
         assert abs(result.distance_mm - label.d_mm) < 4 * result.sigma_mm
         assert result.sigma_mm < 0.05
