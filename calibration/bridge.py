@@ -17,12 +17,6 @@ from jaxtyping import Array, Float
 
 from formats.inputs import InputError
 
-Value = Callable[[np.ndarray], np.ndarray]
-"""Function from p parameters to an image."""
-
-ValueAndJacobian = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""Function from p parameters to an image and its derivatives, of the image's shape and p."""
-
 FLOAT32_LEVENBERG_MARQUARDT: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
     rtol=1e-4, atol=1e-2
 )
@@ -34,7 +28,10 @@ because rounding is 0.001 if the light is a thousand sigma.
 
 
 def render_as_jax(
-    value: Value, value_and_jacobian: ValueAndJacobian, *, shape: Sequence[int]
+    value: Callable[[np.ndarray], np.ndarray],
+    value_and_jacobian: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    *,
+    shape: Sequence[int],
 ) -> Callable[[Float[Array, "p"]], Float[Array, "*shape"]]:
     r"""A renderer as a JAX function with forward- and reverse-mode derivatives.
 

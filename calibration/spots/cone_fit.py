@@ -216,31 +216,23 @@ def fit_cone(
         [*(values[name] for name in free), *found[len(free) :]],
     )
     errors = np.sqrt(np.diag(covariance))
-    touch, touch_error = np.empty((2, len(trials)))
-    lean, boresight = np.empty((2, len(trials), 2))
-    boresight_covariance = np.empty((len(trials), 2, 2))
-    at = len(free)
-    for number in numbers:
-        mean, sigma = trials[number].touch
-        touch[number], touch_error[number] = mean + sigma * found[at], sigma * errors[at]
-        lean[number] = lean_sigma * found[at + 3 : at + 5]
-        beam = slice(at + 5, at + 7)
-        boresight[number] = boresight_sigma * found[beam]
-        boresight_covariance[number] = boresight_sigma**2 * covariance[beam, beam]
-        at += len(NUISANCES)
-    shared = slice(len(free))
     in_order = np.argsort(numbers)
+    shape = len(trials), len(NUISANCES)
+    deviations, known_to = (x[len(free) :].reshape(shape)[in_order] for x in (found, errors))
+    means, sigmas = np.array([trial.touch for trial in trials]).T
+    beams = [slice(at + 5, at + 7) for at in len(free) + len(NUISANCES) * in_order]
+    shared = slice(len(free))
     slopes = np.asarray(spot_slopes)[in_order]
     return ConeFit(
         values=values,
         free=tuple(free),
         covariance=covariance[shared, shared] * np.outer(sizes, sizes),
         growth=growth,
-        touch=touch,
-        touch_error=touch_error,
-        lean=lean,
-        boresight=boresight,
-        boresight_covariance=boresight_covariance,
+        touch=means + sigmas * deviations[:, 0],
+        touch_error=sigmas * known_to[:, 0],
+        lean=lean_sigma * deviations[:, 3:5],
+        boresight=boresight_sigma * deviations[:, 5:7],
+        boresight_covariance=boresight_sigma**2 * np.array([covariance[at, at] for at in beams]),
         spot=np.asarray(spot)[in_order],
         spot_covariance=np.stack([propagated(by, covariance) for by in slopes]),
         residuals=residuals,
