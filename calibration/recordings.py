@@ -158,8 +158,6 @@ class Recording(NamedTuple):
         microscope: content of the microscope file.
         medium: medium between the tip and the wall.
         fibre_radius_mm: half the diameter of the tip's face.
-        relative_edge_width: edge width over semi-minor axis of each usable spot; NaN if it was not
-            measured.
         sha256: checksum of a stack's manifest, which contains the checksums of all its files;
             otherwise of the files read.
         records: of the usable spots, as they were measured.
@@ -174,7 +172,6 @@ class Recording(NamedTuple):
     microscope: MicroscopeFile
     medium: str
     fibre_radius_mm: float
-    relative_edge_width: Float[np.ndarray, "n"]
     sha256: str
     records: Sequence[SpotRecord] = ()
 
@@ -320,7 +317,6 @@ def _joined(
         microscope=microscope,
         medium=log_book.medium,
         fibre_radius_mm=log_book.fibre_diameter_mm / 2,
-        relative_edge_width=np.array([s.edge_width_px / s.semi_minor_px for s in spots]),
         sha256=sha256,
         records=[record for record, _, _ in usable],
     )

@@ -118,7 +118,6 @@ def recording(
         microscope=MICROSCOPE,
         medium="vitreous",
         fibre_radius_mm=0.25,
-        relative_edge_width=np.zeros(len(ellipses)),
         sha256="0" * 64,
     )
 

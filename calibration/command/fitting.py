@@ -146,8 +146,9 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
 
 def _edge_width(recordings: Sequence[Recording]) -> float:
     """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured."""
-    widths = np.concatenate([recording.relative_edge_width for recording in recordings])
-    return float(np.quantile(widths, 0.75))
+    records = (record.result for recording in recordings for record in recording.records)
+    spots = [spot for spot in records if isinstance(spot, Spot)]
+    return float(np.quantile([spot.edge_width_px / spot.semi_minor_px for spot in spots], 0.75))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
