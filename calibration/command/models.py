@@ -81,7 +81,7 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
             ("tilt_y", pooled.tilt[1], pooled.tilt_error[1], "1"),
             ("noise of a distance", pooled.noise, math.nan, "mm"),
         ],
-        notes=[f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.", *notes],
+        notes=notes,
         lines=lines,
     )
 
@@ -123,7 +123,6 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
         f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "
         f"{fit.mean_absolute_error:.4f}, largest error {fit.max_error:.4f} mm.",
         *_outlier_note(sphere, fit.outliers),
-        f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.",
         *notes,
     ]
     # c depends on the line with which it was fitted.
@@ -151,7 +150,7 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
 def _pooled_planes(
     recordings: Sequence[Recording], loss: Loss
 ) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
-    """The planes' recordings, the line through them, and a sentence about each."""
+    """The planes' recordings, the line through them, and a sentence about it and about each."""
     planes = [r for r in recordings if r.trial.kind == "plane"]
     if not planes:
         raise InputError("the model needs a recording of a plane; all of these show eyeballs.")
@@ -195,6 +194,7 @@ def _pooled_planes(
         inverse_working_distance=planes[0].microscope.inverse_working_distance,
         tilt_sigma=_TILT_SIGMA,
     )
+    notes.insert(0, f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.")
     return kept, pooled, notes
 
 

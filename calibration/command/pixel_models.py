@@ -17,7 +17,7 @@ from calibration.command.choices import Choices
 from calibration.command.lens_guess import guessed_lenses
 from calibration.command.models import cone_start, known_cone
 from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels.data import FREE, LENS, UNITS, Footage, read_footage
+from calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, read_footage
 from calibration.pixels.fit import ImageFit, fit_image
 from calibration.recordings import Recording
 from calibration.solvers import propagated
@@ -33,7 +33,6 @@ _GLUE_INDEX = 1.49
 _APERTURE = 0.05  # numerical: start value
 _BLUR_PX = 1.0  # start value: a camera in focus
 _SPREAD_MM = 0.03  # start value: about that of paper
-_CONE_IN_FILE = ("half_angle", "b")
 _EITHER_IN_FILE = ("scale", "eye_radius")
 _BEAM = ("boresight", "boresight_sideways")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
@@ -203,7 +202,7 @@ def _fitted(
         every = {**fit.values, **fitted}
         names = [name for name in _EITHER_IN_FILE if name in fitted]
         if source == "cone":
-            found = {name: every[name] for name in (*_CONE_IN_FILE, *names)}
+            found = {name: every[name] for name in (*CONE, *names)}
         else:
             found = {
                 **{name: every[name] for name in LENS_PARAMETERS if name in LENS},
@@ -245,7 +244,7 @@ def _fitted(
         others=[
             (name, value, error, UNITS[name])
             for name, (value, error) in fit.parameters.items()
-            if name not in (*_CONE_IN_FILE, *LENS, *_EITHER_IN_FILE)
+            if name not in (*CONE, *LENS, *_EITHER_IN_FILE)
         ],
         notes=_notes(fit),
         pixels=pixels,
