@@ -1,9 +1,8 @@
-"""Models from spot size to distance: planar, small_plane, corrected, stereographic; and back.
+"""Models from spot size to distance: planar, small_plane, corrected, stereographic.
 
-Each is a closed form for a beam perpendicular to the wall. The terms of the paper's derivation are
-separate functions, so that a study can measure the error of each approximation. The spot of such a
-beam and its image come first: the inverses of the models. The model `exact` needs the beam's
-direction and is in `distance`.
+Each is a closed form for a beam perpendicular to the wall. Terms of the paper's derivation are
+separate functions, so that a study can measure the error of an approximation. The model `exact`
+needs the beam's direction and is in `distance`.
 
 The functions accept floats, NumPy arrays and JAX arrays. They compute in JAX if an argument is a
 JAX array, otherwise in NumPy. This file does not import JAX, so that a program on the robot can use
@@ -46,72 +45,6 @@ def square_spot_radius(
     q = xp.asarray(eye_radius) - distance + b
     k2 = 1.0 + xp.asarray(k) ** 2
     return (xp.sqrt(xp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
-
-
-def stereographic_semi_axis(
-    *,
-    spot_radius: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-    scale: ArrayLike,
-) -> Batch:
-    r"""Image radius of a lit circle for a pinhole on the sphere (z_F = r).
-
-    $e_1' = f\sin\beta/(\cos\varphi + \cos\beta)$ with $\sin\beta = R/r$, $\sin\varphi = c/r$ and
-    $f = 2r/\delta$: the pinhole is the centre of a stereographic projection, so the image is a
-    circle (c is that of O, the beam's axis on the wall, not of the image circle's centre).
-
-    Args: as for `square_spot_axes`.
-
-    Returns:
-        e1', px.
-    """
-    xp = array_namespace(spot_radius, eccentricity, eye_radius, scale)
-    r = xp.asarray(eye_radius)
-    sin_beta = xp.asarray(spot_radius) / r
-    cos_beta = xp.sqrt(1.0 - sin_beta**2)
-    cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
-    return 2.0 * r / scale * sin_beta / (cos_phi + cos_beta)
-
-
-def square_spot_axes(
-    *,
-    spot_radius: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-    scale: ArrayLike,
-    inverse_working_distance: ArrayLike,
-) -> tuple[Batch, Batch]:
-    r"""Image semi-axes of the lit circle for any pinhole height, in closed form.
-
-    The circle $(p + q\cos t, R\sin t)$ seen at depth $A - B\cos t$ images as an ellipse with axes
-    along and across the meridian:
-    $a_m = (qA + pB)/(A^2 - B^2)/\delta$, $a_t = R/\sqrt{A^2 - B^2}/\delta$,
-    $p = \sqrt{r^2 - R^2}\sin\varphi$, $q = R\cos\varphi$,
-    $A = 1 - \kappa(r - \sqrt{r^2 - R^2}\cos\varphi)$, $B = \kappa R\sin\varphi$.
-
-    Args:
-        spot_radius: R, mm.
-        eccentricity: c of O, mm.
-        eye_radius: r, mm.
-        scale: delta, mm/px at the pole.
-        inverse_working_distance: kappa, 1/mm; 0 is telecentric.
-
-    Returns:
-        Meridional and tangential semi-axis, px; e1' is the smaller.
-    """
-    xp = array_namespace(spot_radius, eccentricity, eye_radius, scale, inverse_working_distance)
-    r, spot = xp.asarray(eye_radius), xp.asarray(spot_radius)
-    sin_phi = xp.asarray(eccentricity) / r
-    cos_phi = xp.sqrt(1.0 - sin_phi**2)
-    height = xp.sqrt(r**2 - spot**2)
-    kappa = inverse_working_distance
-    a = 1.0 - kappa * (r - height * cos_phi)
-    b = kappa * spot * sin_phi
-    denominator = a**2 - b**2
-    meridional = (spot * cos_phi * a + height * sin_phi * b) / denominator
-    tangential = spot / xp.sqrt(denominator)
-    return meridional / scale, tangential / scale
 
 
 def plane_point(
@@ -194,7 +127,14 @@ def closed_form_distance(
     eye_radius: ArrayLike,
     inverse_working_distance: ArrayLike,
 ) -> Batch:
-    """Distance by the model with this name; each model uses only the arguments that it needs.
+    r"""Distance by the model with this name; each model uses only the arguments that it needs.
+
+    `planar` is for a plane parallel to the sensor (Zhou et al. 2020, eq. 6). The others find the
+    spot's radius e1 in an eyeball and insert it in eq. 5 (`sphere_distance`): `small_plane` is the
+    paper's (eq. 9 and 10), `corrected` has the correct factor to first order for the pinhole's
+    height (`corrected_factor`). `stereographic` is exact for a pinhole on the sphere: with
+    $m = \delta e_1'/2r$, $\beta = \arctan m + \arcsin(m\cos\varphi/\sqrt{1+m^2})$,
+    $e_1 = r\sin\beta$.
 
     Args:
         model: one of `CLOSED_FORMS`.
@@ -224,22 +164,32 @@ def closed_form_distance(
         small_plane 2.651
         corrected 3.171
     """
-    line: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": scale, "k": k, "b": b}
-    eye: dict[str, Any] = {"eccentricity": eccentricity, "eye_radius": eye_radius}
+    xp = array_namespace(
+        semi_minor_px, scale, k, b, eccentricity, eye_radius, inverse_working_distance
+    )
+    size, r = scale * xp.asarray(semi_minor_px), xp.asarray(eye_radius)
     match model:
         case "planar":
-            return planar_distance(**line)
+            return planar_distance(semi_minor_px=semi_minor_px, scale=scale, k=k, b=b)
         case "small_plane":
-            return small_plane_distance(**line, **eye)
+            radius = size * paper_foreshortening(eccentricity=eccentricity, eye_radius=r)
         case "corrected":
-            return corrected_distance(
-                **line, **eye, inverse_working_distance=inverse_working_distance
+            radius = size * corrected_factor(
+                eccentricity=eccentricity,
+                eye_radius=r,
+                inverse_working_distance=inverse_working_distance,
             )
         case "stereographic":
-            return stereographic_distance(**line, **eye)
-    raise InputError(
-        f"closed_form_distance(model=...) must be one of {', '.join(CLOSED_FORMS)}; got {model!r}."
-    )
+            m = size / (2.0 * r)
+            cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
+            beta = xp.arctan(m) + xp.arcsin(m * cos_phi / xp.sqrt(1.0 + m**2))
+            radius = r * xp.sin(beta)
+        case _:
+            raise InputError(
+                f"closed_form_distance(model=...) must be one of {', '.join(CLOSED_FORMS)}; got "
+                f"{model!r}."
+            )
+    return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
 
 
 def planar_distance(*, semi_minor_px: ArrayLike, scale: ArrayLike, k: ArrayLike, b: ArrayLike):
@@ -285,30 +235,17 @@ def paper_foreshortening(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> B
     return xp.sqrt(1.0 - (xp.asarray(eccentricity) / eye_radius) ** 2)
 
 
-def paper_pinhole_distance(*, eccentricity: ArrayLike, eye_radius: ArrayLike) -> Batch:
-    """FP = r + sqrt(r^2 - c^2), mm, for a pinhole on the sphere (Zhou et al. 2020, eq. 8)."""
-    xp = array_namespace(eccentricity, eye_radius)
-    r = xp.asarray(eye_radius)
-    return r + xp.sqrt(r**2 - xp.asarray(eccentricity) ** 2)
-
-
 def paper_angle_s_d_e(
     *, eccentricity: ArrayLike, eye_radius: ArrayLike, spot_radius: ArrayLike
 ) -> Batch:
-    """Angle S'DE of Zhou et al. 2020, eq. 8, rad; the paper neglects the term with its cosine."""
+    """Angle S'DE of Zhou et al. 2020, eq. 8, rad; the paper neglects the term with its cosine.
+
+    Its pinhole lies on the sphere: FP = r + sqrt(r^2 - c^2).
+    """
     xp = array_namespace(eccentricity, eye_radius, spot_radius)
-    phi = xp.arcsin(xp.asarray(eccentricity) / eye_radius)
-    fp = paper_pinhole_distance(eccentricity=eccentricity, eye_radius=eye_radius)
-    return xp.arctan(fp * xp.cos(0.5 * phi) / spot_radius)
-
-
-def small_plane_spot_radius(
-    *, semi_minor_px: ArrayLike, scale: ArrayLike, eccentricity: ArrayLike, eye_radius: ArrayLike
-) -> Batch:
-    """e1 = delta e1' cos(phi), mm (Zhou et al. 2020, eq. 9)."""
-    xp = array_namespace(semi_minor_px, scale, eccentricity, eye_radius)
-    foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
-    return xp.asarray(scale) * semi_minor_px * foreshortening
+    r, c = xp.asarray(eye_radius), xp.asarray(eccentricity)
+    fp = r + xp.sqrt(r**2 - c**2)
+    return xp.arctan(fp * xp.cos(0.5 * xp.arcsin(c / r)) / spot_radius)
 
 
 def small_plane_distance(
@@ -324,9 +261,9 @@ def small_plane_distance(
 
     Zhou et al. 2020, eq. 10. Args: as for `closed_form_distance`.
     """
-    radius = small_plane_spot_radius(
-        semi_minor_px=semi_minor_px, scale=scale, eccentricity=eccentricity, eye_radius=eye_radius
-    )
+    xp = array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
+    foreshortening = paper_foreshortening(eccentricity=eccentricity, eye_radius=eye_radius)
+    radius = scale * xp.asarray(semi_minor_px) * foreshortening
     return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
 
 
@@ -351,51 +288,3 @@ def corrected_factor(
     depth = 1.0 - xp.asarray(inverse_working_distance) * r * (1.0 - cos_phi)
     meridional = cos_phi + inverse_working_distance * r * sin_phi**2 / depth
     return depth / xp.minimum(1.0, meridional)
-
-
-def corrected_distance(
-    *,
-    semi_minor_px: ArrayLike,
-    scale: ArrayLike,
-    k: ArrayLike,
-    b: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-    inverse_working_distance: ArrayLike,
-) -> Batch:
-    """Distance d (mm) in the eyeball with the correct first-order factor for the pinhole's height.
-
-    Args: as for `closed_form_distance`.
-    """
-    xp = array_namespace(
-        semi_minor_px, scale, k, b, eccentricity, eye_radius, inverse_working_distance
-    )
-    factor = corrected_factor(
-        eccentricity=eccentricity,
-        eye_radius=eye_radius,
-        inverse_working_distance=inverse_working_distance,
-    )
-    radius = scale * xp.asarray(semi_minor_px) * factor
-    return sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=eye_radius)
-
-
-def stereographic_distance(
-    *,
-    semi_minor_px: ArrayLike,
-    scale: ArrayLike,
-    k: ArrayLike,
-    b: ArrayLike,
-    eccentricity: ArrayLike,
-    eye_radius: ArrayLike,
-) -> Batch:
-    r"""Distance d (mm) in the eyeball for a pinhole on the sphere; exact for a perpendicular beam.
-
-    $m = e_1'/f$, $\beta = \arctan m + \arcsin(m\cos\varphi/\sqrt{1+m^2})$, $R = r\sin\beta$.
-    Args: as for `closed_form_distance`.
-    """
-    xp = array_namespace(semi_minor_px, scale, k, b, eccentricity, eye_radius)
-    r = xp.asarray(eye_radius)
-    m = xp.asarray(semi_minor_px) * scale / (2.0 * r)
-    cos_phi = xp.sqrt(1.0 - (xp.asarray(eccentricity) / r) ** 2)
-    beta = xp.arctan(m) + xp.arcsin(m * cos_phi / xp.sqrt(1.0 + m**2))
-    return sphere_distance(spot_radius=r * xp.sin(beta), k=k, b=b, eye_radius=eye_radius)

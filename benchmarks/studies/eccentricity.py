@@ -99,13 +99,15 @@ def _estimates(eye: CauseEye, d: jax.Array) -> dict[str, jax.Array]:
         eye, d = spot
         seen = error_causes.semi_minor(eye, d)
         # With every link real there is a closed form, which saves half of the time.
-        stereographic = optics.stereographic_distance(
+        stereographic = optics.closed_form_distance(
+            "stereographic",
             semi_minor_px=seen,
             scale=eye.scale,
             k=optics.slope(eye.half_angle),
             b=eye.apex_offset,
             eccentricity=eye.eccentricity,
             eye_radius=eye.radius,
+            inverse_working_distance=eye.inverse_working_distance,
         )
         exact = error_causes.inverse(eye, seen)
         closed = error_causes.closed_forms(eye, seen)

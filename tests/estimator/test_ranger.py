@@ -148,12 +148,11 @@ def test_closed_forms_equal_those_of_optics(height, c, semi_minor):
     expected = {
         "planar": optics.planar_distance(**given),
         "small_plane": optics.small_plane_distance(**given, **eye),
-        "corrected": optics.corrected_distance(
-            **given, **eye, inverse_working_distance=1 / (height + R_EYE)
-        ),
     }
-    if height == R_EYE:
-        expected["stereographic"] = optics.stereographic_distance(**given, **eye)
+    for model in ("corrected", *(("stereographic",) if height == R_EYE else ())):
+        expected[model] = optics.closed_form_distance(
+            model, **given, **eye, inverse_working_distance=1 / (height + R_EYE)
+        )
     for model, distance in expected.items():
         ranger = Ranger(calibration(), microscope(height), model=model, eccentricity_mm=c)
         result = ranger.distance(spot(0, 0, semi_minor, semi_minor))
@@ -169,7 +168,8 @@ def test_half_angle_and_slope_are_one_parameter():
 
 def test_a_fitted_scale_and_radius_go_before_the_microscopes():
     own = calibration(k=K, b=B, scale=0.008, eye_radius=12.0)
-    expected = optics.corrected_distance(
+    expected = optics.closed_form_distance(
+        "corrected",
         semi_minor_px=55.0,
         scale=0.008,
         k=K,

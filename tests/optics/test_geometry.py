@@ -157,19 +157,22 @@ def test_cone_on_a_tilted_plane_is_the_closed_form_ellipse():
     np.testing.assert_allclose(ellipse.semi_minor, h * t / np.sqrt(1 - t * t * s * s), rtol=1e-10)
 
 
+def square_spot_axes(radius, c, kappa):
+    """Semi-axes of the image of a lit circle, px, as docs/theory/models.md derives them."""
+    sin_phi, height = c / R_EYE, np.sqrt(R_EYE**2 - radius**2)
+    cos_phi = np.sqrt(1 - sin_phi**2)
+    a, b = 1 - kappa * (R_EYE - height * cos_phi), kappa * radius * sin_phi
+    meridional = (radius * cos_phi * a + height * sin_phi * b) / (a**2 - b**2)
+    return meridional / SCALE, radius / np.sqrt(a**2 - b**2) / SCALE
+
+
 @pytest.mark.parametrize("height", HEIGHTS)
 def test_square_spot_images_as_the_closed_form_conic(height):
     for c in (0.0, 2.0, 5.0, 7.0):
         for d in (0.5, 6.0):
             got = forward_axis(camera(height), d, SQUARE | {"eccentricity": c})
             radius = optics.square_spot_radius(distance=d, k=20.0, b=APEX, eye_radius=R_EYE)
-            axes = optics.square_spot_axes(
-                spot_radius=radius,
-                eccentricity=c,
-                eye_radius=R_EYE,
-                scale=SCALE,
-                inverse_working_distance=1.0 / (height + R_EYE),
-            )
+            axes = square_spot_axes(radius, c, 1.0 / (height + R_EYE))
             np.testing.assert_allclose(got, min(axes), rtol=1e-9, err_msg=f"c {c}, d {d}")
 
 
@@ -181,12 +184,10 @@ def test_square_spot_images_as_a_circle_from_the_sphere():
     radii = jnp.linalg.norm(contour - ellipse.centre, axis=-1)
     # f = 3433 px; the projection cancels nothing, so 1e-9 px is rounding with a wide margin.
     assert float(jnp.ptp(radii)) < 1e-9
-    stereographic = optics.stereographic_semi_axis(
-        spot_radius=optics.square_spot_radius(distance=5.0, k=20.0, b=APEX, eye_radius=R_EYE),
-        eccentricity=6.0,
-        eye_radius=R_EYE,
-        scale=SCALE,
-    )
+    # f sin(beta) / (cos(phi) + cos(beta)) with f = 2r/delta, of which c is that of O.
+    radius = optics.square_spot_radius(distance=5.0, k=20.0, b=APEX, eye_radius=R_EYE)
+    cos_phi, cos_beta = (np.sqrt(1 - (x / R_EYE) ** 2) for x in (6.0, radius))
+    stereographic = 2 * radius / SCALE / (cos_phi + cos_beta)
     np.testing.assert_allclose(radii, stereographic, rtol=1e-11)
 
 

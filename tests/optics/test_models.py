@@ -51,7 +51,8 @@ LIMITS = {0.0: 0.0061} | dict.fromkeys((5.0, 11.5, 30.0, 100.0, float("inf")), 0
 @pytest.mark.parametrize("c", [0.0, 2.5, 5.0])
 def test_corrected_is_within_some_micrometres_for_spots_to_0_4_mm(height, limit, c):
     d = 2.885  # R = 0.400 mm
-    estimate = optics.corrected_distance(
+    estimate = optics.closed_form_distance(
+        "corrected",
         semi_minor_px=exact(height, d=d, c=c),
         eccentricity=c,
         inverse_working_distance=1.0 / (height + R_EYE),
@@ -64,7 +65,13 @@ def test_corrected_is_within_some_micrometres_for_spots_to_0_4_mm(height, limit,
 def test_stereographic_is_exact_from_the_sphere(c):
     for d in (0.5, 6.0):
         axis = exact(R_EYE, d=d, c=c)
-        estimate = optics.stereographic_distance(semi_minor_px=axis, eccentricity=c, **KNOWN)
+        estimate = optics.closed_form_distance(
+            "stereographic",
+            semi_minor_px=axis,
+            eccentricity=c,
+            inverse_working_distance=1 / (2 * R_EYE),
+            **KNOWN,
+        )
         # Rounding of e1' (1e-13 relative) times k delta e1' of 11 mm.
         np.testing.assert_allclose(estimate, d, atol=1e-10)
 

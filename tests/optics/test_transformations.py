@@ -87,6 +87,8 @@ AT_BEAM, AT_LENS = list(BEAM.values()), list(LENS.values())
 CLEAN = seen(AT_BEAM)
 MEASURED = optics.Ellipse(jnp.array([3.0, 4.0]), jnp.array(60.0), jnp.array(50.0), jnp.array(0.3))
 
+FORMS = [of(partial(optics.closed_form_distance, model)) for model in optics.CLOSED_FORMS]
+
 QUICK: dict[str, tuple[Callable, list[float]]] = {
     "ellipse_mismatch": (
         lambda x: optics.ellipse_mismatch(
@@ -133,7 +135,7 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [3.0, 4.0, 60.0, 50.0, 0.3],
     ),
     "exact_semi_minor": of(partial(optics.exact_semi_minor, WALL, camera()), BEAM),
-    "closed_form_distance": of(partial(optics.closed_form_distance, "corrected")),
+    "closed_form_distance": (lambda x: [form(x) for form, _ in FORMS], FORMS[0][1]),
     "plane_point": of(partial(optics.plane_point, normal=(0.1, -0.2, 0.97))),
     **{
         name: of(getattr(optics, name))
