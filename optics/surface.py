@@ -159,12 +159,7 @@ class Plane(eqx.Module):
 
     def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
         """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        angle = jnp.asarray(azimuth, float)
-        radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
-        vertical = jnp.array([0.0, 0.0, 1.0])
-        foot = jnp.asarray(eccentricity) * radial
-        drop = jnp.dot(self.point - foot, self.inward) / jnp.dot(vertical, self.inward)
-        return _frame(foot + drop * vertical, self.inward, radial)
+        return _frame(self, eccentricity, azimuth)
 
     def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from a point to the plane, mm; negative behind it."""
@@ -229,11 +224,7 @@ class Ellipsoid(eqx.Module):
 
     def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
         """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        angle = jnp.asarray(azimuth, float)
-        radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
-        down = jnp.array([0.0, 0.0, -1.0])
-        hit = self.intersect(jnp.asarray(eccentricity) * radial, down)
-        return _frame(hit.point, hit.normal, radial)
+        return _frame(self, eccentricity, azimuth)
 
     def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from a point inside the eye to the nearest wall point, mm.
@@ -268,14 +259,15 @@ class Ellipsoid(eqx.Module):
 Surface = Sphere | Plane | Ellipsoid
 
 
-def _frame(
-    origin: Float[Array, "3"], inward: Float[Array, "3"], radial: Float[Array, "3"]
-) -> WallFrame:
-    """Frame of a wall whose eccentricity grows along `radial`."""
-    vertical = jnp.array([0.0, 0.0, 1.0])
-    tangent = radial - vertical * jnp.dot(radial, inward) / jnp.dot(vertical, inward)
+def _frame(surface: Plane | Ellipsoid, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
+    """Frame at the wall point straight below a point of the equator's plane."""
+    angle = jnp.asarray(azimuth, float)
+    radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+    down = jnp.array([0.0, 0.0, -1.0])
+    hit = surface.intersect(jnp.asarray(eccentricity) * radial, down)
+    tangent = radial - down * jnp.dot(radial, hit.normal) / jnp.dot(down, hit.normal)
     meridional = tangent / jnp.linalg.norm(tangent)
-    return WallFrame(origin, -inward, meridional, jnp.cross(inward, meridional))
+    return WallFrame(hit.point, -hit.normal, meridional, jnp.cross(hit.normal, meridional))
 
 
 def _leaning(tilt: Float[Array, ""], azimuth: Float[Array, ""]) -> Float[Array, "3 3"]:
