@@ -20,9 +20,11 @@ from optics import Camera, Surface, components, refract
 from optics.surface import bisected
 from optics.viewing.path import (
     ViewingPath,
-    chebyshev_nodes,
+    before_path,
     last_medium,
     lines_of_sight,
+    radial_nodes,
+    radial_place,
     series,
     series_and_slope,
     skew_lines,
@@ -38,7 +40,6 @@ from optics.viewing.trace import (
     trace,
 )
 
-TERMS = 28  # of the Chebyshev series of a camera
 _NEWTON_STEPS = 8
 _SCAN = 400
 _WIDEST_AIM_MM = 14.0
@@ -159,7 +160,7 @@ class PathCamera(Camera):
 
     def place(self, t2: Float[Array, "*batch"]) -> Float[Array, "*batch"]:
         """Argument of the series at aims whose distances from the axis have these squares."""
-        return jnp.minimum(2.0 * t2 / self.widest**2 - 1.0, 1.0)
+        return radial_place(t2, self.widest)
 
     def _aim_per_mm(
         self, squared: Float[Array, "*batch"], above: Float[Array, "*batch"]
@@ -206,8 +207,7 @@ def path_camera(path: ViewingPath, *, scale: ScalarLike, upright: bool = False) 
 @eqx.filter_jit
 def _camera(path: ViewingPath, scale: Float[Array, ""], upright: bool) -> PathCamera:
     widest, pupil = jax.lax.stop_gradient(_limits(path))
-    nodes, to_series = chebyshev_nodes(TERMS)
-    t = widest * jnp.sqrt((nodes + 1.0) / 2.0)
+    t, to_series = radial_nodes(widest)
     seen = lines_of_sight(path, t)
     a, b = to_series @ (seen.height / t), to_series @ (seen.slope / t)
     return PathCamera(
@@ -344,27 +344,30 @@ def side_camera(
     Raises:
         InputError: the path's pinhole is at infinity, so it cannot be beside the axis.
     """
-    closeness = path.pinhole_closeness
-    if not isinstance(closeness, jax.core.Tracer) and not closeness > 0.0:
-        raise InputError(
-            "side_camera needs a pinhole at a finite height; got a path with pinhole_distance inf. "
-            "Give viewing_path(pinhole_distance=...) in mm."
-        )
-    on_axis = SideCamera(
+    _check_finite(path, "side_camera")
+
+    def at_pole(aim: Float[Array, ""]) -> Float[Array, ""]:
+        return lines_of_sight(path, aim).height
+
+    magnification = jax.jvp(at_pole, (jnp.zeros(()),), (jnp.ones(()),))[1]
+    orientation = jnp.sign(magnification) if upright else 1.0
+    return SideCamera(
         path=path,
-        aside=jnp.zeros(2),
+        aside=jnp.asarray(aside, float),
         scale=jnp.asarray(scale, float),
         principal_point=jnp.zeros(2),
         pole_height=-path.retina_semi_axes[2],
-        px_per_aim=jnp.ones(()),
+        px_per_aim=orientation * jnp.abs(magnification) / scale,
     )
-    magnification = jax.jacfwd(lambda aim: on_axis._lines(aim)[0])(jnp.zeros(2))[0, 0]
-    orientation = jnp.sign(magnification) if upright else 1.0
-    return eqx.tree_at(
-        lambda c: (c.aside, c.px_per_aim),
-        on_axis,
-        (jnp.asarray(aside, float), orientation * jnp.abs(magnification) / scale),
-    )
+
+
+def _check_finite(path: ViewingPath, needs: str) -> None:
+    closeness = path.pinhole_closeness
+    if not isinstance(closeness, jax.core.Tracer) and not closeness > 0.0:
+        raise InputError(
+            f"{needs} needs a pinhole at a finite height; got a path with pinhole_distance inf. "
+            "Give viewing_path(pinhole_distance=...) in mm."
+        )
 
 
 def bare_path(*, eye_radius: ScalarLike, pinhole_height: ScalarLike) -> ViewingPath:
@@ -548,8 +551,7 @@ def pencils(path: ViewingPath, camera: PathCamera, *, depth: ScalarLike) -> Penc
         camera: the microscope behind it (`path_camera`).
         depth: of the plane in focus in front of the path, mm (`focal_depth`).
     """
-    nodes, to_series = chebyshev_nodes(TERMS)
-    t = camera.widest * jnp.sqrt((nodes + 1.0) / 2.0)
+    t, to_series = radial_nodes(camera.widest)
 
     def deviation(t: Float[Array, ""], slope: Float[Array, "2"]) -> Float[Array, "2 2"]:
         aim = jnp.stack([t, jnp.zeros(())])
@@ -568,8 +570,6 @@ def pencils(path: ViewingPath, camera: PathCamera, *, depth: ScalarLike) -> Penc
     return Pencils(camera=camera, across=(to_series @ p).T, along=(to_series @ q).T)
 
 
-_START_MM = 20.0
-"""Height above the cornea's vertex at which rays start: above every viewing lens."""
 _STEEPEST = 1.0
 """Largest slope of returning light: steeper lines go far past every lamp."""
 _SAFE_SLOPE = 0.98  # towards a total reflection the series converge slowly
@@ -595,17 +595,15 @@ class Reflex(eqx.Module):
     def place(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
         """X and Y to which lines of sight return in the pinhole's plane, mm."""
         aim = jnp.asarray(aim)
-        return series(self.returning, self._argument(aim))[..., None] * aim
+        place = radial_place(jnp.sum(aim * aim, axis=-1), self.widest)
+        return series(self.returning, place)[..., None] * aim
 
     @eqx.filter_jit
     def part(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch"]:
         """Part of the light that comes back: Fresnel's, there and back; 0 outside the series."""
-        aim = jnp.asarray(aim)
-        inside = jnp.sum(aim * aim, axis=-1) <= self.widest**2
-        return jnp.where(inside, series(self.strength, self._argument(aim)), 0.0)
-
-    def _argument(self, aim: Float[Array, "*batch 2"]) -> Float[Array, "*batch"]:
-        return jnp.minimum(2.0 * jnp.sum(aim * aim, axis=-1) / self.widest**2 - 1.0, 1.0)
+        t2 = jnp.sum(jnp.square(jnp.asarray(aim)), axis=-1)
+        strength = series(self.strength, radial_place(t2, self.widest))
+        return jnp.where(t2 <= self.widest**2, strength, 0.0)
 
 
 def reflexes(path: ViewingPath) -> tuple[Reflex, ...]:
@@ -614,11 +612,7 @@ def reflexes(path: ViewingPath) -> tuple[Reflex, ...]:
     Raises:
         InputError: the path's pinhole is at infinity, and so would be the lamp.
     """
-    if not path.pinhole_closeness > 0.0:
-        raise InputError(
-            "reflexes needs a pinhole at a finite height; got a path with pinhole_distance inf. "
-            "Give viewing_path(pinhole_distance=...) in mm."
-        )
+    _check_finite(path, "reflexes")
     surfaces = [k for k, element in enumerate(path.elements) if isinstance(element, Refracting)]
     return tuple(_reflex(path, at) for at in surfaces)
 
@@ -630,8 +624,7 @@ def _reflex(path: ViewingPath, at: int) -> Reflex:
     # 0 if the first line is lost: then no line is shown.
     last = step * jnp.where(jnp.all(returns), _SCAN, jnp.argmin(returns))
     widest = jnp.maximum(_SAFE_SLOPE * last, 1e-3 * step)
-    nodes, to_series = chebyshev_nodes(TERMS)
-    t = widest * jnp.sqrt((nodes + 1.0) / 2.0)
+    t, to_series = radial_nodes(widest)
     place, strength, _ = _returned(path, at, t)
     return Reflex(to_series @ (place / t), to_series @ strength, widest)
 
@@ -642,11 +635,8 @@ def _returned(
     """Distance from the axis in the pinhole's plane, part of the light, and whether it returns."""
     before, mirror = path.elements[:at], path.elements[at]
     assert isinstance(mirror, Refracting)
-    across, closeness = jnp.zeros_like(aim), path.pinhole_closeness
-    origin = jnp.stack([aim * (1.0 - closeness * _START_MM), across, across - _START_MM], axis=-1)
-    direction = jnp.stack([aim * closeness, across, across + 1.0], axis=-1)
-    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-    there = trace(before, origin, direction)
+    meridional = jnp.stack([aim, jnp.zeros_like(aim)], axis=-1)
+    there = trace(before, *before_path(path, meridional, path.pinhole_closeness * meridional))
     medium, front = last_medium(before)
     point, direction, meets = medium.to_surface(
         there.point, there.direction, mirror.surface, front=front
@@ -670,7 +660,7 @@ def _returned(
         front=-depth,
     )
     slope = back.direction[:, 0] / back.direction[:, 2]
-    place = back.point[:, 0] + slope * (1.0 / closeness - back.point[:, 2])
+    place = back.point[:, 0] + slope * (1.0 / path.pinhole_closeness - back.point[:, 2])
     part = there.transmittance * (1.0 - passed) * back.transmittance
     returns = meets & (there.status == SEEN) & (back.status == SEEN)
     return place, part, returns & (jnp.abs(slope) < _STEEPEST)

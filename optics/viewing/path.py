@@ -26,13 +26,20 @@ from optics.viewing.trace import (
     trace,
 )
 
+TERMS = 28  # of a series in the squared distance t² from the axis, up to the widest t
 
-def chebyshev_nodes(terms: int) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
-    """Chebyshev's nodes, and the matrix from values there to coefficients (Trefethen 2013)."""
-    angles = np.pi * (np.arange(terms) + 0.5) / terms
-    matrix = 2.0 / terms * np.cos(np.outer(np.arange(terms), angles))
+
+def radial_nodes(widest: Float[Array, ""]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
+    """Chebyshev's nodes t, and the matrix from values there to coefficients (Trefethen 2013)."""
+    angles = np.pi * (np.arange(TERMS) + 0.5) / TERMS
+    matrix = 2.0 / TERMS * np.cos(np.outer(np.arange(TERMS), angles))
     matrix[0] /= 2.0
-    return jnp.asarray(np.cos(angles)), jnp.asarray(matrix)
+    return widest * jnp.sqrt((jnp.asarray(np.cos(angles)) + 1.0) / 2.0), jnp.asarray(matrix)
+
+
+def radial_place(t2: Float[Array, "*batch"], widest: Float[Array, ""]) -> Float[Array, "*batch"]:
+    """Place of t² in the series, at most 1."""
+    return jnp.minimum(2.0 * t2 / widest**2 - 1.0, 1.0)
 
 
 def series(terms: Float[Array, "terms"], place: ScalarLike) -> Float[Array, "*batch"]:
@@ -62,8 +69,6 @@ _IMPLANT_INDEX, _IMPLANT_THICKNESS_MM = 1.55, 0.8
 """An artificial lens of hydrophobic acrylic, with faces of equal curvature (assumed), in the middle
 of the crystalline lens's place (assumed). Its power is what makes the eye emmetropic."""
 _START_MM = 1.0  # above the first element; rays are straight there
-_SKEW_START_MM = 20.0
-"""Height above the cornea's vertex at which skew lines start: above every viewing lens."""
 
 
 class ViewingPath(eqx.Module):
@@ -152,17 +157,9 @@ def lines_of_sight(path: ViewingPath, aim: Float[Array, "*batch"]) -> LinesOfSig
         aim: distance from the axis at which the line, before any refraction, would cross the plane
             of the cornea's vertex, mm.
     """
-    depth = path.elements[0].depth - _START_MM
-    across = jnp.zeros_like(aim)
-    origin = jnp.stack(
-        [aim * (1.0 + path.pinhole_closeness * depth), across, across + depth], axis=-1
-    )
-    direction = jnp.stack([aim * path.pinhole_closeness, across, across + 1.0], axis=-1)
-    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-    rays = trace(path.elements, origin, direction)
-    slope = rays.direction[..., 0] / rays.direction[..., 2]
-    height = rays.point[..., 0] + slope * (path.pole_depth - rays.point[..., 2])
-    return LinesOfSight(height, slope, rays.transmittance, rays.status)
+    meridional = jnp.stack([aim, jnp.zeros_like(aim)], axis=-1)
+    at_pole, slope, rays = skew_lines(path, meridional, path.pinhole_closeness * meridional)
+    return LinesOfSight(at_pole[..., 0], slope[..., 0], rays.transmittance, rays.status)
 
 
 def skew_lines(
@@ -179,14 +176,23 @@ def skew_lines(
         X and Y at the depth of the pole, mm, their growth per mm of depth inside the eye, and the
         rays behind the last surface.
     """
-    one = jnp.ones_like(aim[..., :1])
-    origin = jnp.concatenate([aim - _SKEW_START_MM * slope, -_SKEW_START_MM * one], axis=-1)
-    direction = jnp.concatenate([slope, one], axis=-1)
-    direction = direction / jnp.linalg.norm(direction, axis=-1, keepdims=True)
-    rays = trace(path.elements, origin, direction)
+    rays = trace(path.elements, *before_path(path, aim, slope))
     slope = rays.direction[..., :2] / rays.direction[..., 2:]
     below = path.pole_depth - rays.point[..., 2:]
     return rays.point[..., :2] + below * slope, slope, rays
+
+
+def before_path(
+    path: ViewingPath, aim: Float[Array, "*batch 2"], slope: Float[Array, "*batch 2"]
+) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
+    """Points of lines above the first element, and unit directions; as `skew_lines` has them."""
+    depth = (path.elements[0].depth if path.elements else 0.0) - _START_MM
+    one = jnp.ones_like(aim[..., :1])
+    direction = jnp.concatenate([slope, one], axis=-1)
+    return (
+        jnp.concatenate([aim + depth * slope, depth * one], axis=-1),
+        direction / jnp.linalg.norm(direction, axis=-1, keepdims=True),
+    )
 
 
 def equivalent_power(elements: tuple[Element, ...]) -> Float[Array, ""]:

@@ -15,20 +15,25 @@ RADIUS, SCALE = 12.0, 0.0134
 POINTS = np.array([[0.0, 0.0, -12.0], [1.0, 2.0, -11.0], [-2.0, -2.0, -8.0]])
 
 
+THICK = viewing.Refracting(viewing.Conic(depth=-25.0, curvature=0.02), viewing.Medium(1.49))
+
+
+def path_to(lens, **options):
+    return viewing.viewing_path(viewing.load_eye("navarro", wavelength_nm=550.0), lens, **options)
+
+
 def flat_path(**options):
-    return viewing.viewing_path(
-        viewing.load_eye("navarro", wavelength_nm=550.0),
-        viewing.load_viewing_lens("flat"),
-        **options,
-    )
+    return path_to(viewing.load_viewing_lens("flat"), **options)
 
 
-def test_a_side_camera_on_the_axis_is_the_paths_camera():
-    path = flat_path()
+@pytest.mark.parametrize("lens", [viewing.load_viewing_lens("flat"), THICK])
+def test_a_side_camera_on_the_axis_is_the_paths_camera(lens):
+    path = path_to(lens)
     on_axis = viewing.path_camera(path, scale=SCALE)
     beside = viewing.side_camera(path, aside=(0.0, 0.0), scale=SCALE)
     # The camera's series holds lines of sight to 1e-8 mm, 1e-6 px.
     np.testing.assert_allclose(beside.project(POINTS), on_axis.project(POINTS), atol=1e-6)
+    assert np.all(beside.sees(POINTS[:2]))
 
 
 def test_a_pixel_sees_the_point_that_is_projected_onto_it():
