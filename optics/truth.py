@@ -12,13 +12,9 @@ its share within r and its modulation transfer function. The mean distance is 2 
 what is known of most walls; printing research describes paper by the same function (Inoue, Tsumura
 & Miyake 1997).
 
-A volume that scatters differs. Photons traced through an index-matched slab (absorption 1/mm,
-scattering 10/mm) leave it in a sharper core and a wider tail. The best L, 0.039 mm, errs by 6.5 %
-of the plateau on a spot of radius 0.4 mm; the sum of two exponentials over r by Christensen &
-Burley (2015) by 3.7 %. Its core keeps the half-maximum contour where it was: the photons move that
-contour by 1.3 um, theirs moves by 1.5 um, this one by 3.8 um. So for such a wall L overstates what
-a distance loses. The exponential stays because one Laguerre rule is exact enough for it
-(theirs is infinite at r = 0), and because paper's length was measured with it.
+For a wall that scatters in its depth L overstates what a distance loses (docs/theory/light.md). The
+exponential stays because one Laguerre rule is exact enough for it, and because paper's length was
+measured with it.
 """
 
 from __future__ import annotations
