@@ -172,7 +172,7 @@ def _fitted(
         choices: what was asked for.
         source: kind of the light source.
         starts: start values, the likeliest first.
-        more: priors of parameters that are free beside those free by default.
+        more: priors of parameters, which are free beside those free by default.
         joint_prior: of the beam, from a calibration.
     """
     known = _pose_start(recording)

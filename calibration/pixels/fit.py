@@ -118,9 +118,9 @@ _MOST_OF_TABLE = 10.0
 """Largest difference of two tables' results, in standard errors. The covariance contains it, but a
 larger one is not only noise."""
 _MOST_TABLES = 6
-_SURE = 0.005
+_KNOWN_CORE = 0.005
 """Relative standard error of a core up to which one fit is enough."""
-_UNSURE = 4.0
+_SAME_COST = 4.0
 """Difference of two fits' chi squared that says nothing: two standard errors of one parameter."""
 _NAMED = 10  # frames that an error message names
 
@@ -402,14 +402,14 @@ class _FitRun(NamedTuple):
         here, cost, core = solver.point, solver.equations.cost, solver.point.values["core_radius"]
         at = self.names.index("core_radius")
         sigma = math.sqrt(np.linalg.pinv(solver.effective()[0])[at, at]) * solver.sizes[at]
-        if sigma < _SURE * core:
+        if sigma < _KNOWN_CORE * core:
             return of_table
         wider = core + 2.0 * sigma
         rim = max(here.values["aperture_radius"], wider)
         values = here.values | {"core_radius": wider, "aperture_radius": rim}
         solver.point = Point(values, here.states)
         failed, of_last = self._settled(solver)
-        if failed is None and solver.equations.cost < cost + _UNSURE:
+        if failed is None and solver.equations.cost < cost + _SAME_COST:
             return of_last
         solver.point = here
         self._tabulate(solver, coarse=False)
