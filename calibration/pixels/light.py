@@ -64,7 +64,7 @@ _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
 _FLAT_MM = 1e-5  # least sag of a table
-_ENCLOSED = 1e-4  # least excess of a table's rim over its core, relative
+ENCLOSED = 1.0 + 1e-4  # least rim of a cap over its core
 
 
 class LinearLensLight:
@@ -91,7 +91,7 @@ class LinearLensLight:
         """Compute the table at these values of all parameters, unless it is the last one."""
         at = {name: values[name] for name in (*LENS, "touch")}
         at["sag"] = max(at["sag"], _FLAT_MM)
-        at["aperture_radius"] = max(at["aperture_radius"], (1.0 + _ENCLOSED) * at["core_radius"])
+        at["aperture_radius"] = max(at["aperture_radius"], ENCLOSED * at["core_radius"])
         if (at, coarse) == (self._at, self._coarse):
             return
         anew = coarse or self._coarse or self._is_beyond(_NEAR_BY, values)

@@ -31,6 +31,7 @@ from scipy.optimize import brentq
 from calibration.pixels.data import Footage, possible
 from calibration.pixels.light import (
     CAP,
+    ENCLOSED,
     NEAREST_MM,
     SHIFT,
     STATES,
@@ -46,6 +47,7 @@ from calibration.pixels.light import (
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from formats.inputs import InputError
+from optics.wall_light.lens import TABLE_ERROR
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""
@@ -58,6 +60,9 @@ _RING = {True: 4, False: 2}  # cells around these; more while the beam is a gues
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
 _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest cell."""
+_OF_TABLE = 0.25 * TABLE_ERROR
+"""Error of a cell's light from a lens's table, relative to the frame's brightest cell. A mean over a
+disc errs less than a sample."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
 _FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
 _LEARNINGS = 30  # of the variances, with the model as it is
@@ -180,6 +185,9 @@ class BeamSolver:
                 self.clear[k, at] if guess else self.inside[at] & footage.noise.is_clear(level)
             )
             self.variance[k, at] = footage.noise.variance(level) / side**2
+            if self.lens is not None:
+                # Of a frame whose peak is saturated, the rest may be too dim for the table.
+                self.variance[k, at] += (_OF_TABLE * own.direct.max()) ** 2
             if guess:
                 self.variance[k, at] += (_GUESSED * level.max(where=usable, initial=0.0)) ** 2
             self.weight[k, at] = usable
@@ -271,7 +279,7 @@ class BeamSolver:
             self.progress(found.cost)
             if found.cost < best:  # the fit goes on from there
                 best, self.point, self.now, self.equations = found.cost, point, at, found
-            return found
+            return self._within_bound(found, values)
 
         start_at = np.zeros(size + len(STATES) * len(self.numbers))
         found = minimise(evaluate, start_at, tolerance=tolerance, most_steps=most_steps)
@@ -350,8 +358,36 @@ class BeamSolver:
         """All parameters at these coordinates."""
         own = dict(zip(self.names, (at * self._steps).tolist(), strict=True))
         if self._shapes_cap:
-            own |= zip(CAP, cap_of(np.array([own[name] for name in CAP])), strict=True)
+            curvature, chord = (own[name] for name in CAP)
+            sag, rim = cap_of(np.array([curvature, chord]))
+            least = ENCLOSED * (self.point.values | own)["core_radius"]
+            if rim < least and abs(curvature) * least < 1.0:
+                rim = least
+                sag = curvature * rim**2 / (1.0 + math.sqrt(1.0 - (curvature * rim) ** 2))
+            own |= zip(CAP, (sag, rim), strict=True)
         return self.point.values | own
+
+    def _within_bound(self, found: NormalEquations, values: dict[str, float]) -> NormalEquations:
+        """The equations of a step that keeps the rim at the core's edge, where it would go inside.
+
+        A step then changes the chord only as curvature and core demand it.
+        """
+        if not self._shapes_cap:
+            return found
+        at = self.names.index("aperture_radius")
+        encloses = values["aperture_radius"] > (1.0 + 1e-9) * ENCLOSED * values["core_radius"]
+        if encloses or found.gradient[at] <= 0.0:
+            return found
+        rim = self.by_coordinates(values)[at]
+        along = np.eye(len(found.gradient))
+        along[at, : len(rim)] = -rim / rim[at]
+        if "core_radius" in self.names:
+            core = self.names.index("core_radius")
+            along[at, core] += ENCLOSED * self._steps[core] / rim[at]
+        along[at, at] = 0.0
+        information = along.T @ found.information @ along
+        information[at, at] = 1.0
+        return NormalEquations(found.cost, along.T @ found.gradient, information)
 
     def by_coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
         """Derivatives of the free parameters by their coordinates."""

@@ -276,7 +276,7 @@ def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, ...], tuple[Arr
 _ROWS, _COLUMNS = 6, 12  # cells of the first grid
 _WHOLE = {True: 1, False: 2}
 """How often all cells are halved by quadrature, for coarse and for exact tables."""
-TABLE_ERROR = 2e-3
+TABLE_ERROR = 5e-4
 """Error of the spline that an exact table accepts, of a row's peak."""
 _OF_CHANGE = 1e-4
 """The same for a table that is computed from one of a near lens. What it lacks has one sign over
