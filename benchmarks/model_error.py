@@ -1,7 +1,5 @@
 """How far each model of the spot is from the truth, on exact contours and on measured spots."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """What Zhou et al. 2020 report, as printed, and whether fits reproduce their Table I."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace

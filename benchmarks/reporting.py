@@ -1,7 +1,5 @@
 """A report: claims, sections with tables and pictures, CSV files; one HTML page."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

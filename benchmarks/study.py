@@ -1,7 +1,5 @@
 """One run of a study: its request, its scene, its stacks, its folder."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import json
 import math

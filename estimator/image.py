@@ -1,7 +1,5 @@
 """Values at the camera's limit, and images as people see them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

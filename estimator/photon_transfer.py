@@ -4,8 +4,6 @@ The difference of two frames of one scene contains no scene, only noise. Its var
 mean by the system's gain K, in DN per electron: sigma² = sigma_dark² + K (mu - mu_dark).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import cv2

@@ -3,8 +3,6 @@
 Everything is in the eye frame, mm: the origin is the eyeball's centre, +z points to the microscope.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import os
@@ -95,7 +93,7 @@ def check_recording_path(target: str) -> None:
 @contextmanager
 def recording_of(
     target: str, *, name: str, microscope: MicroscopeFile | None
-) -> Iterator[ViewerRecording]:
+) -> Iterator["ViewerRecording"]:
     """Make a recording; a file gets its name when the block ends, whole or not at all.
 
     Args:
@@ -174,7 +172,7 @@ class ViewerRecording:
         picture = rerun.Image(rgb_8bit(image, self._response)).compress(jpeg_quality=_JPEG_QUALITY)
         self._stream.log("microscope", picture)
 
-    def add_measured(self, result: Spot | NoSpot, distance: Range | None, doubt: str) -> None:
+    def add_measured(self, result: Spot | NoSpot, distance: "Range | None", doubt: str) -> None:
         """Add what was measured in the frame: contour, distance with its σ, and pose of the tip.
 
         The distance's lower and upper lines are one standard deviation away from it.

@@ -13,8 +13,6 @@ The standard errors are given twice, beside the values for people and in the cov
 software. A file in which the two disagree was edited by hand and is refused.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

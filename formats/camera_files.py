@@ -4,8 +4,6 @@ ROS: the files of camera_calibration and camera_info_manager, and what `ros2 top
 `rostopic echo` print of a CameraInfo.
 """
 
-from __future__ import annotations
-
 import re
 from typing import Any
 from xml.etree import ElementTree

@@ -4,8 +4,6 @@ Every fault is an InputError. The errors say what is wrong with the content; `in
 file's name.
 """
 
-from __future__ import annotations
-
 import csv
 import importlib.metadata
 import json

@@ -1,7 +1,5 @@
 """Manifest of a folder: size and SHA-256 of every file in it, and what differs from that."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

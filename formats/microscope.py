@@ -4,8 +4,6 @@ All are read into one `MicroscopeFile`. A calibration describes the camera but n
 pinhole's height and the eye's radius come with the call.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from contextlib import suppress
@@ -88,7 +86,7 @@ class PathSeries(Strict):
         scale_mm_px: float,
         principal_point_px: tuple[float, float],
         eye_radius_mm: float,
-    ) -> PathCamera:
+    ) -> "PathCamera":
         """The microscope behind the path. Loads JAX."""
         from optics.viewing.camera import PathCamera
 
@@ -219,7 +217,7 @@ class MicroscopeFile:
         """kappa = 1/(z_F + r), 1/mm; 0 if telecentric, negative for a pinhole below the pole."""
         return 1.0 / (self.pinhole_height_mm + self.eye_radius_mm)
 
-    def wall(self) -> optics.Surface:
+    def wall(self) -> "optics.Surface":
         """The wall that the spots lie on. Loads JAX."""
         import optics
 
@@ -245,7 +243,7 @@ class MicroscopeFile:
             matrix=self.camera_matrix, distortion=self.distortion, model=self.distortion_model
         )
 
-    def ideal_microscope(self) -> optics.Camera:
+    def ideal_microscope(self) -> "optics.Camera":
         """The camera without distortion, in whose image undistorted spots lie. Loads JAX."""
         path = self.viewing_path
         if path is None:
@@ -256,7 +254,7 @@ class MicroscopeFile:
             eye_radius_mm=self.eye_radius_mm,
         )
 
-    def pinhole(self) -> optics.Microscope:
+    def pinhole(self) -> "optics.Microscope":
         """The pinhole without distortion, of a viewing path the paraxial one. Loads JAX."""
         import optics
 

@@ -1,7 +1,5 @@
 """Poses of the robot: where the tip was and in which direction it pointed; from CSV or a bag."""
 
-from __future__ import annotations
-
 import bisect
 import math
 from collections.abc import Collection, Iterable, Iterator

@@ -3,8 +3,6 @@
 `pose_files` reads the robot's poses from them, `estimator.sources` the images.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -28,7 +26,7 @@ def is_bag(path: Path) -> bool:
 
 
 @contextmanager
-def opened_bag(path: Path) -> Iterator[AnyReader]:
+def opened_bag(path: Path) -> Iterator["AnyReader"]:
     """A bag, opened for the `with` block.
 
     Raises:
@@ -66,7 +64,7 @@ def _damage_reported(where: str) -> Iterator[None]:
 
 
 def topic_in(
-    reader: AnyReader, path: Path, name: str | None, *, kinds: tuple[str, ...], usual: str
+    reader: "AnyReader", path: Path, name: str | None, *, kinds: tuple[str, ...], usual: str
 ) -> str:
     """Choose a topic of a bag.
 
@@ -88,7 +86,7 @@ def topic_in(
     raise InputError(f"{path} holds {asked} {' or '.join(kinds)} for the {content}s. {choice}")
 
 
-def messages_of(reader: AnyReader, path: Path, topic: str) -> Iterator[tuple[float, Any]]:
+def messages_of(reader: "AnyReader", path: Path, topic: str) -> Iterator[tuple[float, Any]]:
     """Time of arrival (s) and content of each message of a topic, in the order of arrival.
 
     The content of a message that cannot be decoded is the InputError that says why.

@@ -4,8 +4,6 @@ Missing values are empty cells (CSV) or nulls (Parquet). `schema_version` is a c
 so that any reader of tables can read the file.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import itertools
@@ -386,7 +384,7 @@ def _finish(partial: Path, path: Path, *, replace: bool) -> None:
     partial.unlink(missing_ok=True)
 
 
-def spots_table(records: Iterable[SpotRecord]) -> pd.DataFrame:
+def spots_table(records: Iterable[SpotRecord]) -> "pd.DataFrame":
     """The records as a table with the columns of a spots file, what is looked at first in front."""
     import pandas as pd
 

@@ -13,8 +13,6 @@
 The next run that describes the same stack uses what a stopped run has left in the other folder.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import math

@@ -7,8 +7,6 @@
 Every key has a default; what is 0 is taken as known exactly.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Self
 

@@ -5,8 +5,6 @@ writer has locked. A lock ends with its process, so what a killed writer has lef
 can be locked, and the next writer of NAME starts with an empty folder.
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import os

@@ -4,8 +4,6 @@ A benchmark is a public function of one of the `FILES` that takes `full` and ret
 first sentence of its docstring is the table's title.
 """
 
-from __future__ import annotations
-
 import inspect
 import os
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 Labels of the stacks are used for comparison only. Errors are fitted values less the true ones.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import tempfile

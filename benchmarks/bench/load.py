@@ -3,8 +3,6 @@
 Memory and lost frames do not depend on other processes; times do.
 """
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

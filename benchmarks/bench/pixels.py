@@ -6,8 +6,6 @@ mode measures the same frames. Stacks are drawn anew from a seed: wall, beam, mo
 texture and noise.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 import time

@@ -1,7 +1,5 @@
 """Time of a frame in sub-pixel and literal mode, and of frames and exact spots through a lens."""
 
-from __future__ import annotations
-
 import itertools
 import time
 from collections.abc import Callable

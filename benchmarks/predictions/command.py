@@ -1,7 +1,5 @@
 """The commands `eyespot preregister` and `eyespot adjudicate`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated, Any

@@ -1,7 +1,5 @@
 """Plans of experiments: how one is made from a scene, its file, and how a recording compares."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """The commands `eyespot rivals run`, `eyespot rivals tune` and `eyespot rivals train`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

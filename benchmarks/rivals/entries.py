@@ -1,7 +1,5 @@
 """All entries by name, each with what it is and how it is made; eyespot's own and the network."""
 
-from __future__ import annotations
-
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence

@@ -5,8 +5,6 @@ it reads crops from its standard input, each after a line with height and width,
 per crop: centre, axes and angle of the ellipse, and the processor time that it has used so far.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import json

@@ -4,8 +4,6 @@ OUT/ENTRY/SPLIT/STACK.csv has the spots of a stack; of several exposures, STACK.
 OUT/ENTRY/entry.json has name, command, versions, constants, and the processor time per frame.
 """
 
-from __future__ import annotations
-
 import functools
 import importlib.metadata
 import json
@@ -148,13 +146,13 @@ def _entry(name: str, constants: dict[str, Any], weights: Path = Path()) -> Entr
     return _made[name][1]
 
 
-def _answers(task: tuple[SetStack, list[str], Constants, Path]) -> list[Answers]:
+def _answers(task: tuple[SetStack, list[str], "Constants", Path]) -> list[Answers]:
     stack, names, known, weights = task
     made = {name: _entry(name, known.get(name, {}), weights) for name in names}
     return [answer for name in names for answer in measure_stack(stack, name, made[name])]
 
 
-def _about(name: str, known: Constants, seconds: list[float]) -> dict[str, Any]:
+def _about(name: str, known: "Constants", seconds: list[float]) -> dict[str, Any]:
     """Content of entry.json; the median processor time of a frame is without its distance."""
     kind = KINDS[name]
     own = {package: importlib.metadata.version(package) for package in kind.packages}

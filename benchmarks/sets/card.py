@@ -1,7 +1,5 @@
 """Writes the data card and the label tables of a complete set."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The commands `eyespot dataset make`, `verify` and `push`."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Annotated

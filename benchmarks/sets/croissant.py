@@ -5,8 +5,6 @@ table as a file with its checksum, the images and masks as sets of files, and a 
 every column of the table.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import re

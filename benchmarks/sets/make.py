@@ -5,8 +5,6 @@ be continued with the same spec and folder; also an unfinished stack is continue
 (`scenes.render_stack`).
 """
 
-from __future__ import annotations
-
 import errno
 import fcntl
 import importlib

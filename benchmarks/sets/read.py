@@ -1,7 +1,5 @@
 """A set and its stacks, from set.json."""
 
-from __future__ import annotations
-
 import functools
 import math
 import shutil

@@ -1,7 +1,5 @@
 """The spec file (TOML) of a labelled set (docs/datasets.md), and the stacks that it plans."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -198,7 +196,7 @@ class SetSpec(_SpecTable):
     )
 
     @model_validator(mode="after")
-    def _is_possible(self) -> SetSpec:
+    def _is_possible(self) -> "SetSpec":
         named: dict[str, Mapping[str, Any]] = {"scene": self.scene, "vary": self.vary}
         named |= self.adverse.conditions if self.adverse else {}
         named |= {"unseen.changes": self.unseen.changes} if self.unseen else {}

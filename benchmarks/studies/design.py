@@ -8,8 +8,6 @@ DIR/best.toml      the drop with the smallest error, a lens file
     measured.csv   errors of the best drop and its neighbours in frames of stacks/ (full run)
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Mapping

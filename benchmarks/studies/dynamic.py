@@ -7,8 +7,6 @@ DIR/dynamic_error.csv  one row a frame and latency: estimate, the robot's readin
     stacks/            every motion, and the same with exposures too short for blur
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from functools import partial

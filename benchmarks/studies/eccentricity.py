@@ -7,8 +7,6 @@ DIR/model_error.csv  every error of every model, analytic and rendered
     stacks/, spots/  rendered frames, and the spots measured in them
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from functools import partial

@@ -11,8 +11,6 @@ world, and added in every other as they are: what noise and edges do to a contou
 size and light, which the geometric links change by a few per cent.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import jax

@@ -6,8 +6,6 @@ DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
     causes.csv      Shapley's share of each part of the eye
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial

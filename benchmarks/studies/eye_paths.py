@@ -1,7 +1,5 @@
 """Images of spots on the retinas of many eyes, through viewing paths and through pinholes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from enum import StrEnum
 from pathlib import Path
@@ -169,7 +167,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 """The parts in which eyes differ, by the prefix of their parameters."""
 
 
-def drawn(count: int, seed: int) -> Drawn:
+def drawn(count: int, seed: int) -> "Drawn":
     """Random eyes (Rozema et al. 2016; `eye_population.toml` says how they were reduced)."""
     content = read_toml(_FILE)
     mean = np.array([*content["mean"].values()])

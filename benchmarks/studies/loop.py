@@ -6,8 +6,6 @@ DIR/loop.csv     distance and reading of every run, at the robot's ticks
     start/       one frame of the scene, with the files that a reader needs
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math
@@ -87,7 +85,7 @@ class Course(NamedTuple):
     trocar: np.ndarray
 
     @classmethod
-    def of(cls, scene: Scene, run: LoopRun, seconds: float) -> Course:
+    def of(cls, scene: Scene, run: LoopRun, seconds: float) -> "Course":
         """A straight vessel through the place of [spot], along which the wall rises most."""
         path = {
             "motion.kind": "scan",

@@ -5,8 +5,6 @@ DIR/medium_error.csv  every estimate, analytic and rendered, with its error
     stacks/, spots/   rendered frames, and the spots measured in them
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum

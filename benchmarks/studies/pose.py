@@ -5,8 +5,6 @@ DIR/pose_error.csv  every pose, analytic and rendered, with its errors and bound
     stacks/, spots/ the frames, and the spots measured in them
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from enum import StrEnum

@@ -6,8 +6,6 @@ DIR/expected.csv     standard deviations of the three by stated noise of their m
     stacks/, spots/  rendered spots, and what the estimator measured of them
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product

@@ -7,8 +7,6 @@ DIR/static_tables.csv  every run's Table I and II, in both modes
     stacks/            rendered frames, with the noise-free ones that all runs photograph
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping
 from concurrent.futures import Executor, ThreadPoolExecutor
 from functools import partial

@@ -6,8 +6,6 @@ DIR/table_one_scan.csv      each lens at the threshold and range that come neare
     lenses/, stacks/        rendered lenses and frames
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -89,7 +87,7 @@ class Isophotes:
     peak: float
 
     @classmethod
-    def of(cls, family: Family, scene: Scene) -> Isophotes:
+    def of(cls, family: Family, scene: Scene) -> "Isophotes":
         """The isophotes of a lens in place of the scene's."""
         light = _light(optics.glue_lens(**family.lens), optics.MEDIA[scene.source.medium])
         radius = np.linspace(0.0, float(light.envelope(scene.exposures.paper_distance_mm)), 512)

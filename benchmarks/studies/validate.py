@@ -8,8 +8,6 @@ DIR/run.json         the request; a folder with another run.json is refused
     report.html      the same, for people
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

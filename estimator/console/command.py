@@ -1,7 +1,5 @@
 """The command `eyespot console`."""
 
-from __future__ import annotations
-
 import secrets
 import sys
 from collections.abc import Callable
@@ -53,7 +51,7 @@ def console(
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
-    track: Callable[[], PoseTrack] | None
+    track: "Callable[[], PoseTrack] | None"
     if source.startswith(_TOPIC):
         opened, track = _topic(source.removeprefix(_TOPIC), recorded)
     else:
@@ -72,7 +70,7 @@ def console(
 
 def _topic(
     topic: str, recorded: RecordingOptions
-) -> tuple[Callable[[], Source], Callable[[], PoseTrack]]:
+) -> tuple[Callable[[], "Source"], Callable[[], "PoseTrack"]]:
     """The source of a topic, and the poses that arrive."""
     from estimator.rig.rig import RecentPoses
     from estimator.rig.topic import open_topic

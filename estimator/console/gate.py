@@ -1,7 +1,5 @@
 """Who may see the page: this machine, or whoever has the token."""
 
-from __future__ import annotations
-
 import ipaddress
 import secrets
 from typing import Any

@@ -5,8 +5,6 @@ are recorded in a bag. `eyespot fit` fits it in a program of its own, because a 
 minute and JAX.
 """
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

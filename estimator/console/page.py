@@ -1,7 +1,5 @@
 """The page: image, distance, course of the last 30 s, controls."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable

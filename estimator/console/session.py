@@ -3,8 +3,6 @@
 The thread measures and publishes; nobody that looks at the results can delay it.
 """
 
-from __future__ import annotations
-
 import math
 import threading
 import time

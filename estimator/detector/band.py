@@ -5,8 +5,6 @@ from each ray as a gain and a gradient, so that the ray's edge is where its own 
 half maximum of a saturated spot follows from the part of its flank that is below full scale.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -216,7 +214,7 @@ class Refined:
     found: np.ndarray
     inliers: np.ndarray
     shaded: np.ndarray
-    band: Band
+    band: "Band"
 
     @property
     def bright(self) -> np.ndarray:
@@ -249,7 +247,7 @@ class Band:
     @classmethod
     def along(
         cls, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, reach: float
-    ) -> Band | None:
+    ) -> "Band | None":
         """The band that reaches so far (radii, below 1) on either side; None for too few rays."""
         # Samples 0.7 px apart, less than the pixel grid resolves; enough of them for a cubic.
         side = int(reach * ellipse.axes()[1] / 0.7)

@@ -3,8 +3,6 @@
 A region is measured in one colour channel, `channel_for`, which also says where its values end.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -109,7 +107,7 @@ class Coarse:
     y0: int
 
     @classmethod
-    def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> Coarse:
+    def of_signal(cls, signal: np.ndarray, *, stride: int, x0: int, y0: int) -> "Coarse":
         """Scale a float signal to 8 bits by its own maximum."""
         unit = float(signal.max()) / 255
         # Squares of a darker signal, and of 1e-6 of it, would be no float32 numbers.
@@ -138,7 +136,7 @@ class Candidate:
         """Whether it exceeds the background by less than that times the background."""
         return self.peak - self.background < contrast * self.background
 
-    def relevelled(self, coarse: Coarse) -> Candidate:
+    def relevelled(self, coarse: Coarse) -> "Candidate":
         """The same region with its mean levels in another channel."""
         mask = self.mask.view(np.uint8)
         peak, background = cv2.mean(coarse.levels, mask)[0], cv2.mean(coarse.levels, 1 - mask)[0]

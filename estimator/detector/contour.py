@@ -16,8 +16,6 @@ outside. A shaft or a shadow in front of a spot begins outside the spot: from ev
 straight way through the dark leads out. A letter or a ring is dark behind a bright stroke.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace

@@ -6,8 +6,6 @@ slope of the light across the spot, which moves the half level by more than text
 rays share one level, and texture averages out round the contour.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

@@ -3,8 +3,6 @@
 A `Patch` of light is sampled along the rays of an ellipse; statistics go round the ring of rays.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cache
@@ -32,7 +30,7 @@ class AffineEllipse:
     @classmethod
     def from_axes(
         cls, x: float, y: float, semi_major: float, semi_minor: float, angle: float
-    ) -> AffineEllipse:
+    ) -> "AffineEllipse":
         """The ellipse of a centre (px), semi-axes (px) and an angle from +x towards +y (rad)."""
         c, s = math.cos(angle), math.sin(angle)
         shape = np.array([[c * semi_major, -s * semi_minor], [s * semi_major, c * semi_minor]])
@@ -52,7 +50,7 @@ class AffineEllipse:
         angle = 0.5 * math.atan2(cross, half_difference)
         return major, minor, math.pi / 2 if angle <= -math.pi / 2 else angle
 
-    def upright(self) -> AffineEllipse:
+    def upright(self) -> "AffineEllipse":
         """The same ellipse with a symmetric shape matrix.
 
         Of all shape matrices of an ellipse it is unique, so the rays meet the same pixels however
@@ -65,11 +63,11 @@ class AffineEllipse:
         )
         return AffineEllipse(self.centre, square / math.sqrt(square[0, 0] + square[1, 1]))
 
-    def scaled(self, factor: float) -> AffineEllipse:
+    def scaled(self, factor: float) -> "AffineEllipse":
         """The concentric ellipse with all lengths times `factor`."""
         return AffineEllipse(self.centre, self.shape * factor)
 
-    def stepped(self, step: np.ndarray) -> AffineEllipse:
+    def stepped(self, step: np.ndarray) -> "AffineEllipse":
         """The ellipse whose edge lies `DESIGN @ step` further out, in units of the radius."""
         u, v, p, q, r = step.tolist()
         grown = np.array([[1 + p, r], [r, 1 + q]])

@@ -1,7 +1,5 @@
 """Peak, background and edge width of a spot, from its profiles."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -70,7 +68,7 @@ class Levels:
         way = (self.background_radius - 1) / (HalfLevel.TAIL_END - 1)
         return 0.5 * (2 * HalfLevel.TAIL_LEFT) ** way
 
-    def before(self, background: float, radius: float, scatter: float) -> Levels | None:
+    def before(self, background: float, radius: float, scatter: float) -> "Levels | None":
         """The levels with a background taken there, less half of a bell's light that may remain.
 
         None if the background is as bright as the peak, as in `levels_of`: there is no half level,
@@ -81,7 +79,7 @@ class Levels:
         seen = replace(self, background_radius=radius, scatter=scatter)
         return replace(seen, background=background - seen.tail / 2 * (self.peak - background))
 
-    def in_units_of(self, radius: float) -> Levels:
+    def in_units_of(self, radius: float) -> "Levels":
         """The same levels in units of an ellipse that is so many times as large."""
         c0, c1, c2 = self.dome
         return replace(

@@ -23,8 +23,6 @@ Two things are added: without a click the patch is centred on the largest compon
 frame, and a frame without an ellipse says why.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 from typing import Literal

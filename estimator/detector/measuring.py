@@ -13,8 +13,6 @@ Two kinds of spots are fitted again:
   reflection shows the sharp rim of the spot.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from statistics import NormalDist
@@ -58,7 +56,7 @@ class _Moving:
     amplitude: float
     background: float
 
-    def stepped(self, step: np.ndarray) -> _Moving:
+    def stepped(self, step: np.ndarray) -> "_Moving":
         """Changed by five parameters of the ellipse, path, bend, and three logarithms."""
         growth = np.exp(np.clip(step[9:], -0.5, 0.5)).tolist()
         longest = 0.25 * self.ellipse.axes()[1]

@@ -11,8 +11,6 @@ used (on a retina red, which hardly shows vessels). If a channel is saturated, t
 one is used. Texture that differs between colours is removed from broad edges first (`contour.py`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 from formats.camera import LensDistortion, Response

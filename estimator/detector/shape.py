@@ -1,7 +1,5 @@
 """Shape of a spot's profile: plateau, bell, or something in between."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -7,8 +7,6 @@ one (`verdict.one_of`). Nothing is measured after the verdict.
 `outlines_of` says where the spot may be in a frame in which none was measured.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace

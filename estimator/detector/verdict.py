@@ -4,8 +4,6 @@
 last frame's, and `one_of` the spots of a whole frame beside each other.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

@@ -5,8 +5,6 @@ it differs from the reading, the model in use is wrong at this place, distance a
 difference is the correction. Its derivatives say what the errors of each quantity do.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

@@ -1,7 +1,5 @@
 """Distance and pose by a cone: the camera's view, the ellipse's area, tip and axis."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -179,7 +177,7 @@ class ConePoses:
         covariance: np.ndarray,
         axis: np.ndarray | None,
         axis_sigma_rad: float,
-    ) -> optics.PoseEstimate:
+    ) -> "optics.PoseEstimate":
         import optics
 
         # Without an axis, pass one without weight: both cases share one compilation.

@@ -6,8 +6,6 @@ radius, the radii at a quarter and at three quarters of the peak relative to it,
 exposure, the peak's brightness.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Mapping
@@ -169,7 +167,7 @@ def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
 
 
 def _wall_light(
-    table: optics.IrradianceTable, curvature: float, distance: float
+    table: "optics.IrradianceTable", curvature: float, distance: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Irradiance of the wall as `optics.wall_irradiance` has it, but at all incidences at once.
 

@@ -1,7 +1,5 @@
 """The distance of a spot, its standard deviation, and the reason if it is doubtful."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from enum import Enum

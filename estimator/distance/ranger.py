@@ -1,7 +1,5 @@
 """From a spot to the distance between tip and wall, with its standard deviation."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

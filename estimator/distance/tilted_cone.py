@@ -4,8 +4,6 @@ In NumPy. The same contour and the same definition of its ellipse as `optics.spo
 needs JAX. A test compares the two.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

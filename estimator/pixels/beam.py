@@ -5,8 +5,6 @@ is -1; many small causes blur by a Gaussian, 0; a wall that scatters light sidew
 exponential, 2. Between these it is a mixture of the two, whose kurtosis is that of the mixture.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any, NamedTuple

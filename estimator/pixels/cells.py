@@ -5,8 +5,6 @@ the microscope drifts, a point of the map is elsewhere in the image. So a window
 shifted and turned into the image, and the pixels of each of its cells are averaged there.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import NamedTuple
@@ -31,7 +29,7 @@ class WallMotion(NamedTuple):
     @classmethod
     def about(
         cls, centre: Float[np.ndarray, "2"], shift: Float[np.ndarray, "2"], turn: float
-    ) -> WallMotion:
+    ) -> "WallMotion":
         """A turn about a point of the map, and then a shift."""
         right, down = centre + shift - cls(turn=turn).rotation @ centre
         return cls(float(right), float(down), turn)
@@ -50,12 +48,12 @@ class WallMotion(NamedTuple):
         """Where points of the image are on the map, px."""
         return (in_image - (self.right, self.down)) @ self.rotation
 
-    def after(self, first: WallMotion) -> WallMotion:
+    def after(self, first: "WallMotion") -> "WallMotion":
         """This motion after another one."""
         right, down = self.image_px(np.array([first.right, first.down])).tolist()
         return WallMotion(right, down, self.turn + first.turn)
 
-    def since(self, first: WallMotion) -> WallMotion:
+    def since(self, first: "WallMotion") -> "WallMotion":
         """What came after another motion to make this one."""
         turn = WallMotion(turn=self.turn - first.turn)
         right, down = turn.image_px(np.array([first.right, first.down])).tolist()
@@ -109,7 +107,7 @@ class CellWindow(NamedTuple):
     side: int
 
     @classmethod
-    def around(cls, centre_px: np.ndarray, reach_px: float) -> CellWindow:
+    def around(cls, centre_px: np.ndarray, reach_px: float) -> "CellWindow":
         """The window with a point in its middle, that reaches at least so far."""
         side = max(2, int(np.ceil(2.0 * reach_px / COUNT)))
         left, top = np.round(np.asarray(centre_px) - 0.5 * COUNT * side).astype(int).tolist()
@@ -117,7 +115,7 @@ class CellWindow(NamedTuple):
 
     def following(
         self, centre_px: Float[np.ndarray, "2"], reach_px: float, moved_px: Float[np.ndarray, "2"]
-    ) -> CellWindow:
+    ) -> "CellWindow":
         """This window as long as it serves for a point that moves, or else one ahead of the point.
 
         If only the place does not serve, it is moved by whole cells.

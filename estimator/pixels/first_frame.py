@@ -6,8 +6,6 @@ So the first frame's distances and directions are scanned, and every one that mi
 is fitted. A later frame continues each explanation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -156,7 +154,7 @@ class Hypothesis:
             _DRIFTED_PX, _SURELY * math.sqrt(variance)
         )
 
-    def differs(self, other: Hypothesis) -> bool:
+    def differs(self, other: "Hypothesis") -> bool:
         """Whether the newest pose is another one."""
         mine, its = self.solution.newest.pose, other.solution.newest.pose
         turned = mine.axis - its.axis

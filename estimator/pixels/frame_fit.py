@@ -10,8 +10,6 @@ the wall that is tried. Cells that the map does not know have the variance of th
 does not pay to leave the map.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

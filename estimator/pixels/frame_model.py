@@ -19,8 +19,6 @@
 - The states of a frame are its pose, gain, ambient light and blur, each with its prior.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable
@@ -73,7 +71,7 @@ class RobotMotion(NamedTuple):
     first_slopes: Float[np.ndarray, "5 5"]
     precision: Float[np.ndarray, "5"]
 
-    def after(self, by: Float[np.ndarray, "5"], by_first: Float[np.ndarray, "5"]) -> RobotMotion:
+    def after(self, by: Float[np.ndarray, "5"], by_first: Float[np.ndarray, "5"]) -> "RobotMotion":
         """After small changes of the two poses."""
         rest = self.rest - self.slopes @ by - self.first_slopes @ by_first
         return self._replace(rest=rest)
@@ -237,7 +235,7 @@ class TextureVariances:
     variances: Float[np.ndarray, "parts"]
 
     @classmethod
-    def usual(cls) -> TextureVariances:
+    def usual(cls) -> "TextureVariances":
         """Before a frame was seen."""
         return cls(np.square(_USUAL))
 
@@ -376,7 +374,7 @@ class Linear(NamedTuple):
     shared: Float[np.ndarray, "q n"]
     weight: Float[np.ndarray, "n"]
 
-    def after(self, right: int, down: int) -> Linear:
+    def after(self, right: int, down: int) -> "Linear":
         """The model after the window has moved by some cells; new cells have no weight."""
         return Linear(*(rolled(part, right, down) for part in self))
 

@@ -12,8 +12,6 @@ edge, and before a pose is known it cannot be distinguished from one at that edg
 are dark well within the spot.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -50,7 +48,7 @@ class Mix:
     shares: Float[np.ndarray, "3"]
 
     @classmethod
-    def of_shares(cls, parts: Float[np.ndarray, "3"], light: Float[np.ndarray, "3"]) -> Mix:
+    def of_shares(cls, parts: Float[np.ndarray, "3"], light: Float[np.ndarray, "3"]) -> "Mix":
         """Of parts that add up to 1, for channels with some mean light, full wells."""
         level = float(np.mean(light))
         return cls(weights=np.asarray(parts) * level / light, shares=light / level)
@@ -230,7 +228,7 @@ class FramePixels:
     saturated: Bool[np.ndarray, "3"]
 
     @classmethod
-    def of(cls, image: np.ndarray, noise: CameraNoise) -> FramePixels:
+    def of(cls, image: np.ndarray, noise: CameraNoise) -> "FramePixels":
         """All of an image, H x W x 3.
 
         Raises:
@@ -249,7 +247,7 @@ class FramePixels:
         ends = noise.channels(np.array(clips, image.dtype))
         return cls(noise, noise.channels(image), ends, image >= clips, usable, saturated)
 
-    def with_sharp(self, spot: Outline) -> FramePixels:
+    def with_sharp(self, spot: Outline) -> "FramePixels":
         """The frame without what hides a spot with a sharp edge, which may be saturated."""
         hidden = hidden_pixels(self.channels, spot)
         usable = self.usable if hidden is None else self.usable & ~hidden

@@ -12,8 +12,6 @@ variance would forget that the errors of map and poses hang together, and drift.
 A `PoseSolution` has the frames' states, how well they are known, and the wall's map.
 """
 
-from __future__ import annotations
-
 import copy
 import functools
 from collections.abc import Callable, Iterator
@@ -65,7 +63,7 @@ class PoseSolution:
         factor: of the precision of this map.
     """
 
-    solver: PoseSolver
+    solver: "PoseSolver"
     frames: list[FrameState]
     linear: list[Linear]
     own: Float[np.ndarray, "q"]
@@ -206,15 +204,15 @@ class PoseSolver:
             information, self._pull = reference(window)
             self._precision = self._precision + information
 
-    def at(self, window: CellWindow) -> PoseSolver:
+    def at(self, window: CellWindow) -> "PoseSolver":
         """The solver of another window on the same wall."""
         return PoseSolver(self.beam, window, self.texture, self._reference)
 
-    def of_texture(self, texture: TextureVariances) -> PoseSolver:
+    def of_texture(self, texture: TextureVariances) -> "PoseSolver":
         """The solver of the same window for another texture."""
         return PoseSolver(self.beam, self.window, texture, self._reference, self.model.grain)
 
-    def with_map(self, texture_map: Float[np.ndarray, "n"] | None) -> PoseSolver:
+    def with_map(self, texture_map: Float[np.ndarray, "n"] | None) -> "PoseSolver":
         """This solver, whose models take the wall's grain from a map; from none, if it is None."""
         grain = None
         if texture_map is not None:
@@ -225,7 +223,7 @@ class PoseSolver:
         fresh.model = FrameModel(self.beam, self.window, self.texture, grain)
         return fresh
 
-    def with_map_of(self, kept: Kept) -> PoseSolver:
+    def with_map_of(self, kept: Kept) -> "PoseSolver":
         """The same with the map that frames show."""
         lines = [line for _, line in kept]
         return self.with_map(self._map(lines, self._factor(lines)))

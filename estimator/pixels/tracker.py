@@ -5,8 +5,6 @@ fitted together with them (`solver`). The first is among them as long as its spo
 beside the newest, because a chain of frames that forgets its beginning drifts.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Sequence

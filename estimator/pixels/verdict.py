@@ -22,8 +22,6 @@ Four covariances are added to the fit's own:
   way by the variance times the growth of the logarithm.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

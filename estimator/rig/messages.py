@@ -5,8 +5,6 @@ ROS 1 and ROS 2 name these types alike. The types are those of the ROS that runs
 would receive nothing.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable, Collection

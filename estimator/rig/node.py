@@ -6,8 +6,6 @@
 `rig` measures; `ros1` and `ros2` connect it to topics. docs/rig.md lists topics and parameters.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import sys

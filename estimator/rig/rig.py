@@ -3,8 +3,6 @@
 Nothing here needs ROS: a message is any object with its fields, which ROS 1 and ROS 2 name alike.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

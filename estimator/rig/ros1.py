@@ -1,7 +1,5 @@
 """What the node and a topic of images need of ROS 1."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """What the node and a topic of images need of ROS 2."""
 
-from __future__ import annotations
-
 import threading
 from array import array
 from collections import deque

@@ -1,7 +1,5 @@
 """A topic of images as a live source, under the ROS that is there."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from queue import Empty, Full, Queue

@@ -1,7 +1,5 @@
 """The command `eyespot camera`: measures a camera's noise, and writes it into a microscope file."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Annotated

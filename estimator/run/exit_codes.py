@@ -18,8 +18,6 @@ that raises what is not an `InputError` has the reason `Reason.INTERNAL_ERROR`. 
 calls `taken` at its end, and fails if there are such frames.
 """
 
-from __future__ import annotations
-
 import errno
 import logging
 import os

@@ -1,7 +1,5 @@
 """A whole source, read, measured and recorded; and the summary of the run by reason."""
 
-from __future__ import annotations
-
 import errno
 import math
 from array import array
@@ -61,7 +59,7 @@ class Tracking:
     most_significant: float | None = None
     doubtful: Counter[str] = field(default_factory=Counter)
     wall_memory: Counter[str] = field(default_factory=Counter)
-    pose_ages_s: array[float] = field(default_factory=lambda: array("d"))
+    pose_ages_s: "array[float]" = field(default_factory=lambda: array("d"))
     ended: Ended = Ended.COMPLETE
     fault: str = ""
 
@@ -97,7 +95,7 @@ def track_source(
     reader: Reader,
     *,
     poses: PoseTrack | None = None,
-    draw: Draw | None = None,
+    draw: "Draw | None" = None,
     show: Callable[[Frame, Reading], None] | None = None,
     write: Callable[[SpotRecord], None] | None = None,
     progress: Callable[[SpotRecord], None] = lambda record: None,

@@ -1,7 +1,5 @@
 """Draws the measured spots over the frames: a video, or a folder of PNGs."""
 
-from __future__ import annotations
-
 import errno
 import math
 import os

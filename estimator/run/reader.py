@@ -4,8 +4,6 @@ Recordings (`offline`), the rig's node (`estimator.rig`) and the console give th
 `Reader`; each mode is one.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
@@ -321,8 +319,8 @@ _FASTEST_HZ = 12.0  # pixels takes 72 ms a frame on two cores
 
 
 def best_mode(
-    beam: Calibration | None,
-    microscope: MicroscopeFile | None,
+    beam: "Calibration | None",
+    microscope: "MicroscopeFile | None",
     *,
     asked: str = "",
     rate_hz: float | None = None,

@@ -1,7 +1,5 @@
 """Images and videos as sources of frames."""
 
-from __future__ import annotations
-
 import math
 import re
 import time

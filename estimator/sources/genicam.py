@@ -1,7 +1,5 @@
 """GenICam cameras as live sources, through harvesters and their vendors' GenTL producers."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

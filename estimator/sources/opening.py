@@ -1,7 +1,5 @@
 """Opens a source: a stack, images, a video, a camera or a bag."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -5,8 +5,6 @@ OpenCV's types in the order of channels of cv_bridge (BGR), and samples of 10, 1
 words or packed: `p` is GenICam's packing, `packed` that of GigE Vision.
 """
 
-from __future__ import annotations
-
 import heapq
 import logging
 import math
@@ -344,7 +342,7 @@ def write_bag(
             writer.write(connection, time_ns, to_bytes(message, connection.msgtype))
 
 
-def _image_message(frame: Frame, time_ns: int, types: Typestore) -> Any:
+def _image_message(frame: Frame, time_ns: int, types: "Typestore") -> Any:
     made = types.types
     image = np.ascontiguousarray(checked_frame(frame.image))
     seconds, nanoseconds = divmod(time_ns, 10**9)
@@ -362,7 +360,7 @@ def _image_message(frame: Frame, time_ns: int, types: Typestore) -> Any:
     )
 
 
-def _transform(pose: Pose, types: Typestore) -> Any:
+def _transform(pose: Pose, types: "Typestore") -> Any:
     made = types.types
     x, y, z = pose.position_mm
     qx, qy, qz, qw = pose.rotation

@@ -4,8 +4,6 @@ A source is read frame by frame. Damage ends it with one ValueError that names t
 and the remedy, after the frames before it have been returned.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -51,7 +49,7 @@ class Frame:
     fault: str = ""
 
     @classmethod
-    def unreadable(cls, index: int, time_s: float, fault: str) -> Frame:
+    def unreadable(cls, index: int, time_s: float, fault: str) -> "Frame":
         """A frame of a recording or camera that could not be decoded; the others can."""
         nothing = np.empty((0, 0), np.uint8)
         return cls(index=index, file_name="", time_s=time_s, image=nothing, fault=fault)

@@ -1,7 +1,5 @@
 """The network: from a window and its place to an ellipse and a distance, each with its sigma."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping
@@ -50,7 +48,7 @@ class PixelSquare(NamedTuple):
     side: int
 
     @classmethod
-    def around(cls, guess: Guess) -> PixelSquare:
+    def around(cls, guess: Guess) -> "PixelSquare":
         """The window for a spot of this place and mean radius."""
         half = max(REACH * guess.radius, _LEAST_HALF_PX)
         left, top = (round(at + 0.5 - half) for at in (guess.x, guess.y))
@@ -283,7 +281,7 @@ class LearnedEstimator:
         self._factors, self._least_presence = said["factors"], said["least_presence"]
 
     @classmethod
-    def load(cls, weights: Path = WEIGHTS) -> LearnedEstimator:
+    def load(cls, weights: Path = WEIGHTS) -> "LearnedEstimator":
         """The estimator of a file of weights and the JSON file of the same name beside it.
 
         InputError if a file is missing or is not what `eyespot rivals train` wrote.

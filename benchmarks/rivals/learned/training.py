@@ -6,8 +6,6 @@ epoch's number, so that a stopped training ends as one that was not. Single prec
 convolutions are twice as fast.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import math
@@ -66,8 +64,8 @@ of its windows that is rightly called empty or not."""
 
 
 def train(
-    samples: Samples,
-    validation: Samples,
+    samples: "Samples",
+    validation: "Samples",
     out: Path,
     *,
     epochs: int,
@@ -119,7 +117,7 @@ def _state(out: Path, rule: Any, seed: int) -> tuple[SpotNetwork, Any, jax.Array
     return eqx.tree_deserialise_leaves(kept, state) if kept.is_file() else state
 
 
-def _batches(samples: Samples, epoch: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
+def _batches(samples: "Samples", epoch: int, seed: int) -> Iterator[tuple[np.ndarray, ...]]:
     rng = np.random.default_rng([seed, epoch])
     frames = len(samples.present)
     empty = rng.choice(frames, frames // _EMPTY, replace=False)
@@ -137,7 +135,7 @@ _outputs = eqx.filter_jit(lambda network, windows, places: jax.vmap(network)(win
 _losses = eqx.filter_jit(loss)
 
 
-def _judged(network: SpotNetwork, validation: Samples) -> tuple[float, float, float]:
+def _judged(network: SpotNetwork, validation: "Samples") -> tuple[float, float, float]:
     """Loss, size error and presence on a blob's window of each frame, and on the empty one."""
     shown = (1, WINDOWS)
     windows, *others = (np.concatenate([each[:, k] for k in shown]) for each in validation)

@@ -4,8 +4,6 @@ A bag contains what a rig records: the images of the microscope and the poses th
 reported. The labels are in files beside it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -5,8 +5,6 @@ describe the holes and pieces of a partly hidden spot. An image without a visibl
 annotation. Extra keys contain our labels: all of them in images, the ellipses in annotations.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil

@@ -1,7 +1,5 @@
 """`eyespot export`: writes a set or a single stack in another format."""
 
-from __future__ import annotations
-
 import importlib
 import shutil
 from collections.abc import Callable, Sequence
@@ -54,7 +52,7 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
     print(f"Wrote {out}.")
 
 
-def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:
+def _writer(to: Format) -> Callable[[Sequence["SetStack"], Path, Callable[[], None]], None]:
     """The function that writes a format. Only this format's library is loaded."""
     name, version = ("bags", int(to[-1])) if to.startswith("rosbag") else (to.replace("-", "_"), 0)
     try:

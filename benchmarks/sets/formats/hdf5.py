@@ -10,8 +10,6 @@ kinematics/  poses that the robot reported, in the same form
 and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), as text.
 """
 
-from __future__ import annotations
-
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -67,7 +65,7 @@ class _Disk(io.FileIO):
 
     error: OSError | None = None
 
-    def write(self, data: ReadableBuffer, /) -> int:
+    def write(self, data: "ReadableBuffer", /) -> int:
         """Write all bytes."""
         left = memoryview(data).cast("B")
         size = len(left)

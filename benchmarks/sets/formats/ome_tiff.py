@@ -5,8 +5,6 @@ time and exposure time of each frame. The second series contains the masks. The 
 separate files, because channels of one file would look like colours.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any

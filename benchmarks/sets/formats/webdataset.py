@@ -4,8 +4,6 @@ The files of a sample are SPLIT/STACK/000000.png, .mask.png and .json, one after
 from the stack. The same set gives the same bytes.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import json

@@ -1,7 +1,5 @@
 """Outcome and errors of each image, and their summary for all images and by condition."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -395,7 +393,7 @@ def _ranked(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
     return table.astype({"rank": int})
 
 
-def _standing(own: pd.DataFrame, resampled: _Resampled, quantity: str) -> dict[str, np.ndarray]:
+def _standing(own: pd.DataFrame, resampled: "_Resampled", quantity: str) -> dict[str, np.ndarray]:
     """Each figure on all images and on the resamples."""
     missed = own.outcome.isin((Outcome.MISSED, Outcome.MISPLACED))
     found = own.outcome == Outcome.FOUND

@@ -1,7 +1,5 @@
 """A run of `eyespot score`: its tables on the terminal, its page, and the files that it writes."""
 
-from __future__ import annotations
-
 import math
 import shlex
 import time

@@ -1,7 +1,5 @@
 """Spots of a set: read from files, or measured by our estimator."""
 
-from __future__ import annotations
-
 import difflib
 import math
 from collections import Counter
