@@ -123,6 +123,8 @@ class PoseTrack:
 
     def interpolated(self, time_s: float) -> Pose | None:
         """The pose at a time between two poses; None outside of all of them."""
+        if self._times[-1:] == [time_s]:  # nothing follows the last pose
+            return self._poses[-1]
         following = bisect.bisect_right(self._times, time_s)
         if not 0 < following < len(self._times):
             return None

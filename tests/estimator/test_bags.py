@@ -389,6 +389,16 @@ def test_the_pose_at_a_time_is_the_latest_that_was_known():
     assert track_.at(math.nan) is None
 
 
+def test_a_pose_is_interpolated_from_the_first_to_the_last():
+    first, last = (Pose(time_s=t, position_mm=(t, 0.0, 0.0)) for t in (1.0, 2.0))
+    track_ = PoseTrack([first, last])
+    assert track_.interpolated(1.25) == Pose(time_s=1.25, position_mm=(1.25, 0.0, 0.0))
+    assert [track_.interpolated(pose.time_s) for pose in (first, last)] == [first, last]
+    for outside_s in (0.999, 2.001, math.nan):
+        assert track_.interpolated(outside_s) is None
+    assert PoseTrack(()).interpolated(1.0) is None
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_a_vector_is_turned_as_scipy_turns_it(seed):
     rng = np.random.default_rng(seed)
