@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import cv2
 import numpy as np
 from pydantic import Field
 
-from formats.inputs import InputError, Strict, validated
+from formats.inputs import InputError, Strict
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float  # 0.1 s, a tenth of a short `track`
@@ -301,24 +301,6 @@ class CameraNoise:
 
     sheet: CameraSheet
     response: Response
-
-    @classmethod
-    def of(cls, camera: dict[str, Any], response: Response) -> CameraNoise:
-        """Read the table [camera] of the scene.
-
-        Raises:
-            InputError: the camera correlates the noise of pixels or has fixed-pattern noise.
-        """
-        correlating = ("bayer", "jpeg_quality", "prnu", "dsnu_e")
-        names = ", ".join(f"{k} = {camera[k]}" for k in correlating if camera[k] not in ("none", 0))
-        if names:
-            raise InputError(
-                f"the image fit needs independent noise in every pixel; this camera has {names}. "
-                "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
-            )
-        own = CameraSheet.model_fields.keys() & camera.keys() - {"bayer"}
-        sheet = {name: camera[name] for name in own}
-        return cls(validated(CameraSheet, sheet, remedy="Render the stack again."), response)
 
     @property
     def full_scale(self) -> int:

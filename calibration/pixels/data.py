@@ -19,8 +19,8 @@ import optics
 from calibration.recordings import withdrawal
 from calibration.spots.cone_trials import Prior
 from estimator.sources.opening import open_source
-from formats.camera import CameraNoise
-from formats.inputs import InputError, shortened
+from formats.camera import CameraNoise, CameraSheet, Response
+from formats.inputs import InputError, shortened, validated
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.stack import Stack
 from optics.wall_light.lens import PARAMETERS as LENS
@@ -119,7 +119,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
             poses that are no withdrawal or do not cover all frames.
     """
     microscope = read_microscope(stack.folder / "microscope.json")
-    noise = CameraNoise.of(_camera_of(stack), microscope.response)
+    noise = noise_of(stack.described("scene.camera", dict), microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
@@ -151,12 +151,25 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     )
 
 
-def _camera_of(stack: Stack) -> dict[str, Any]:
-    """The table [camera] of a stack's scene, with every key that `CameraNoise.of` reads."""
-    numbers = ("prnu", "dsnu_e", "full_well_e", "read_noise_e", "dark_signal_e", "black_level_dn")
-    kinds: dict[str, type] = {"bayer": str, "jpeg_quality": int, "bit_depth": int}
-    kinds |= dict.fromkeys(numbers, float)
-    return {key: stack.described(f"scene.camera.{key}", kind) for key, kind in kinds.items()}
+def noise_of(camera: dict[str, Any], response: Response) -> CameraNoise:
+    """The noise of the table [camera] of a scene.
+
+    Raises:
+        InputError: the camera correlates the noise of pixels or has fixed-pattern noise, or the
+            table is damaged.
+    """
+    correlating = ("bayer", "jpeg_quality", "prnu", "dsnu_e")
+    names = ", ".join(
+        f"{k} = {camera[k]}" for k in correlating if camera.get(k, 0) not in ("none", 0)
+    )
+    if names:
+        raise InputError(
+            f"the image fit needs independent noise in every pixel; this camera has {names}. "
+            "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
+        )
+    own = CameraSheet.model_fields.keys() & camera.keys() - {"bayer"}
+    sheet = {name: camera[name] for name in own}
+    return CameraNoise(validated(CameraSheet, sheet, remedy="Render the stack again."), response)
 
 
 def _clear(image: np.ndarray, full_scale: int) -> Bool[np.ndarray, "h w"]:

@@ -17,12 +17,12 @@ from scipy import integrate, ndimage, stats
 
 import calibration
 import optics
-from calibration.pixels.data import BareFibre, Footage, check_names, read_footage
+from calibration.pixels.data import BareFibre, Footage, check_names, noise_of, read_footage
 from calibration.pixels.fit import fit_image
 from calibration.pixels.light import STATES, Cells, Light, LinearLensLight
 from calibration.recordings import withdrawal
 from calibration.spots.cone_trials import JointPrior
-from formats.camera import CameraNoise, Response
+from formats.camera import Response
 from formats.stack import Stack, read_stack
 from optics.wall_light.cells import CellBeam, lattice_irradiance
 from optics.wall_light.cone import UniformCone
@@ -459,9 +459,7 @@ def one_frame() -> Footage:
 def test_noise_is_that_of_the_camera(response, level):
     camera = CameraSettings(response=response)
     curves = {"linear": Response(), "srgb": Response(curve="srgb")}
-    noise = CameraNoise.of(
-        camera.model_dump(), curves.get(response, Response(curve="gamma", gamma=2.2))
-    )
+    noise = noise_of(camera.model_dump(), curves.get(response, Response(curve="gamma", gamma=2.2)))
     image = expose(
         np.full((300, 300, 3), level),
         exposure=1.0,
@@ -517,7 +515,7 @@ def test_names_that_the_fit_does_not_know_are_refused(choice, words):
 def test_cameras_of_dependent_pixels_are_refused():
     camera = CameraSettings(bayer="RGGB", prnu=0.01)
     with pytest.raises(ValueError, match=r"bayer = RGGB, prnu = 0.01"):
-        CameraNoise.of(camera.model_dump(), Response())
+        noise_of(camera.model_dump(), Response())
 
 
 @pytest.fixture(scope="module")
