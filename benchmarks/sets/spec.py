@@ -38,7 +38,7 @@ from scenes.description.scene_file import problem_sentence
 _LARGEST = 1e12  # of either end of an interval, so that widths and quotients are finite
 
 
-class _Distribution(BaseModel):
+class _SpecTable(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
 
@@ -73,19 +73,19 @@ def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
 _Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
 
 
-class Uniform(_Distribution):
+class Uniform(_SpecTable):
     """Uniform distribution on an interval."""
 
     uniform: _Interval
 
 
-class LogUniform(_Distribution):
+class LogUniform(_SpecTable):
     """Log-uniform distribution: the logarithm is uniform."""
 
     log_uniform: Annotated[_Interval, AfterValidator(_positive)]
 
 
-class Choice(_Distribution):
+class Choice(_SpecTable):
     """One of several values, all equally likely."""
 
     choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
@@ -144,10 +144,6 @@ def _dotted(table: Any) -> Any:
 _Count = Annotated[int, Field(ge=0, le=4096)]
 _Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
-
-
-class _SpecTable(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Splits(_SpecTable):
