@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from calibration.command.report import STYLE as STYLE_OF_FITS
 from calibration.command.report import templates
 
 # Style, small multiples and files of figures.
@@ -27,24 +28,15 @@ BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
 
 PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BLACK)
 
-STYLE: dict[Any, Any] = {
+STYLE = STYLE_OF_FITS | {
     "font.family": "DejaVu Sans",
     "font.size": 9,
     "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
     "lines.linewidth": 1.3,
-    "legend.frameon": False,
     "legend.fontsize": 8,
     "figure.dpi": 150,
     "savefig.dpi": 150,
     "savefig.facecolor": "white",
-    "svg.hashsalt": "eyespot",  # the same data give the same file
 }
 """For `matplotlib.rc_context`."""
 

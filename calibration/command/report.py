@@ -38,7 +38,7 @@ def templates(*packages: str) -> jinja2.Environment:
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
-_STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 8,
     "axes.titlelocation": "left",
@@ -63,7 +63,7 @@ def render(
     software: str,
 ) -> str:
     """The HTML page of a fit of a model to recordings."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figures = {"residuals": _svg(residuals_figure(fitted))}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
@@ -97,7 +97,7 @@ def rounded(value: float, digits: int = 6) -> str:
 
 def residuals_figure(fitted: Fitted) -> Figure:
     """The residuals of spots, or those of pixels, over their standard deviations."""
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         return _residuals(fitted) if fitted.pixels is None else _pixels(fitted.pixels)
 
 
