@@ -37,7 +37,7 @@ from formats.whole_files import (
     refuse_foreign,
     require_space,
     sweep,
-    written_whole,
+    write_text,
 )
 from scenes import Scene, SceneError
 from scenes.commands import Changes as Changes
@@ -265,8 +265,7 @@ def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
                 raise InputError(
                     f"{out} has files that are not from `{command}`. Choose another --out."
                 )
-            with written_whole(file) as partial:
-                partial.write_text(json.dumps(settings) + "\n")
+            write_text(file, json.dumps(settings) + "\n")
     except BaseException:
         os.close(handle)
         raise

@@ -36,7 +36,7 @@ from formats.inputs import (
     validated,
 )
 from formats.poses import Vector
-from formats.whole_files import written_whole
+from formats.whole_files import write_text
 
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "area")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""
@@ -221,7 +221,7 @@ class Calibration:
 
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
-    """Write a calibration file, whole or not at all; replaces an older file of that name."""
+    """Write a calibration file, whole or not at all; InputError if one of this name exists."""
     content = {
         "schema": SCHEMA,
         "model": calibration.model,
@@ -238,9 +238,7 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         "sigma_inflation": calibration.sigma_inflation,
         "software": calibration.software,
     }
-    text = json.dumps(content, indent=1) + "\n"
-    with written_whole(Path(path)) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(Path(path), json.dumps(content, indent=1) + "\n")
 
 
 def read_calibration(path: str | Path) -> Calibration:

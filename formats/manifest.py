@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from formats.inputs import Strict, check_schema, in_file, object_in, read_text, validated
-from formats.whole_files import written_whole
+from formats.whole_files import write_text
 
 MANIFEST = "manifest.json"
 HISTORY = {1: "the format of eyespot 0.1"}
@@ -47,8 +47,7 @@ def write_manifest(
         if kind == "file" and name != MANIFEST and name not in found:
             found[name] = fingerprint(folder / name)
     content = {"schema": schema, "files": dict(sorted(found.items()))}
-    with written_whole(folder / MANIFEST, replace=True) as partial:
-        partial.write_text(json.dumps(content, indent=1) + "\n")
+    write_text(folder / MANIFEST, json.dumps(content, indent=1) + "\n", replace=True)
 
 
 def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:

@@ -57,6 +57,7 @@ from formats.whole_files import (
     lock,
     refuse_existing,
     sweep,
+    write_text,
     written_whole,
 )
 
@@ -427,7 +428,7 @@ class StackWriter:
             if not all(path.is_file() and path.read_bytes() == text for path, text in there):
                 empty(self._partial)
                 for name, text in texts.items():
-                    _write_text(self._partial / name, text)
+                    write_text(self._partial / name, text, replace=True)
             for folder in (self._partial, *(self._partial / name for name in _IMAGES)):
                 sweep(folder)
             path = self._partial / _LABELS
@@ -436,7 +437,7 @@ class StackWriter:
             whole = [line for line in lines if line.endswith("\n")]
             self._lines = {json.loads(line)["file_name"]: line for line in whole}
             self._described = True
-            _write_text(path, "".join(self._lines.values()))
+            write_text(path, "".join(self._lines.values()), replace=True)
 
     def has(self, file_name: str) -> bool:
         """Whether a stopped run has written an image, its mask and its labels."""
@@ -477,7 +478,7 @@ class StackWriter:
             if kind is None:
                 with errors_named(self._partial, self.folder):
                     lines = [self._lines[name] for name in sorted(self._lines)]
-                    _write_text(self._partial / _LABELS, "".join(lines))
+                    write_text(self._partial / _LABELS, "".join(lines), replace=True)
                     write_manifest(self._partial, schema=SCHEMA)
                     give_name(self._partial, self.folder)
             elif self._described and not self._lines:
@@ -496,8 +497,3 @@ def _write_image(path: Path, image: np.ndarray, options: list[int]) -> None:
     path.parent.mkdir(exist_ok=True)
     with written_whole(path, replace=True) as partial:
         partial.write_bytes(encoded.tobytes())
-
-
-def _write_text(path: Path, text: str) -> None:
-    with written_whole(path, replace=True) as partial:
-        partial.write_text(text, encoding="utf-8")

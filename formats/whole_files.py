@@ -69,6 +69,12 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         os.close(handle)
 
 
+def write_text(path: Path, text: str, *, replace: bool = False) -> None:
+    """Write a text file in UTF-8, as `written_whole` does."""
+    with written_whole(path, replace=replace) as partial:
+        partial.write_text(text, encoding="utf-8")
+
+
 def hidden_beside(path: Path, ending: str) -> Path:
     """Where a file or folder is written.
 

@@ -37,7 +37,7 @@ def preregister(
     """
     from benchmarks.predictions.plan import predicted
     from estimator.run.progress_bar import progress
-    from formats.whole_files import refuse_existing, written_whole
+    from formats.whole_files import refuse_existing, write_text
     from scenes import load_scene
     from scenes.world.motion import frame_count
 
@@ -55,8 +55,7 @@ def preregister(
             ) from None
     with progress("Rehearsing", total=frame_count(settings)) as advance:
         plan = predicted(settings, sigmas, calibration=calibration, model=model, progress=advance)
-    with written_whole(out) as partial:
-        partial.write_text(plan.model_dump_json(by_alias=True) + "\n", encoding="utf-8")
+    write_text(out, plan.model_dump_json(by_alias=True) + "\n")
     print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {plan.sha256}")
 
 

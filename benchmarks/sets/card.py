@@ -16,7 +16,7 @@ from matplotlib.patches import Ellipse
 from benchmarks import reporting as page
 from benchmarks.sets import croissant
 from benchmarks.sets.read import LabelledSet, Row, rows
-from formats.whole_files import written_whole
+from formats.whole_files import write_text, written_whole
 
 # Figures of the data card: histograms of the labels and sample images.
 
@@ -151,11 +151,14 @@ def write_card(labelled: LabelledSet) -> None:
         tables[split].append({name: line.get(name, math.nan) for name in columns})
     for split, lines in tables.items():
         text = "".join(json.dumps(line) + "\n" for line in lines)
-        _write(labelled.folder / split / "metadata.jsonl", text)
-    _write(labelled.folder / croissant.FILE, croissant.croissant(labelled, tables))
-    licence = _LICENCES.get(labelled.licence, f"{labelled.licence}\n")
-    _write(labelled.folder / "LICENSE", licence)
-    _write(labelled.folder / "spec.toml", tomli_w.dumps(labelled.description["spec"]))
+        write_text(labelled.folder / split / "metadata.jsonl", text, replace=True)
+    texts = {
+        croissant.FILE: croissant.croissant(labelled, tables),
+        "LICENSE": _LICENCES.get(labelled.licence, f"{labelled.licence}\n"),
+        "spec.toml": tomli_w.dumps(labelled.description["spec"]),
+    }
+    for name, text in texts.items():
+        write_text(labelled.folder / name, text, replace=True)
     labels = pd.DataFrame([{"split": split, **line} for split, line in every])
     labels = labels.assign(incidence_deg=np.degrees(labels.incidence_rad))
     counts = labels.groupby(["split", "condition"], sort=False)["stack"]
@@ -180,9 +183,4 @@ def write_card(labelled: LabelledSet) -> None:
             varied=sorted(labelled.stacks[0].parameters),
         )
     )
-    _write(labelled.folder / "README.md", text)
-
-
-def _write(path: Path, text: str) -> None:
-    with written_whole(path, replace=True) as partial:
-        partial.write_text(text, encoding="utf-8")
+    write_text(labelled.folder / "README.md", text, replace=True)

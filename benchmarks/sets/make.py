@@ -43,7 +43,7 @@ from estimator.run.progress_bar import say
 from formats.inputs import InputError, in_file, object_in, read_text, shortened
 from formats.manifest import MANIFEST
 from formats.stack import StackWriter
-from formats.whole_files import BeingWrittenError, require_space, sweep, written_whole
+from formats.whole_files import BeingWrittenError, require_space, sweep, write_text
 
 # What a worker does: it renders one stack.
 
@@ -413,8 +413,7 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
         sweep(out)
         if any(out.iterdir()):
             raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
-        with written_whole(file) as partial:
-            partial.write_text(text)
+        write_text(file, text)
 
 
 def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:

@@ -29,7 +29,7 @@ from benchmarks.reporting import listed, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_lines
 from estimator import LiteralSettings
-from formats.whole_files import written_whole
+from formats.whole_files import write_text
 from scenes import Scene
 from scenes.world.world import World
 
@@ -266,8 +266,7 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
     for choice in choices:
         family = family_of(choice)
         lens = folder / f"{family.name}.toml"
-        with written_whole(lens, replace=True) as partial:
-            partial.write_text(tomli_w.dumps({"schema": 1, "lens": family.lens}))
+        write_text(lens, tomli_w.dumps({"schema": 1, "lens": family.lens}), replace=True)
         for number, place in enumerate(place for place in places if place.kind == "plane"):
             wanted[name(choice, place.group)] = scenes.changed(
                 study.scene,

@@ -37,7 +37,7 @@ def camera(
     from formats.images import read_image
     from formats.inputs import in_file, object_in, read_text
     from formats.microscope import read_microscope
-    from formats.whole_files import refuse_existing, written_whole
+    from formats.whole_files import refuse_existing, write_text
 
     refuse_existing(out)
     if read_microscope(microscope).response.curve != "linear":
@@ -59,8 +59,7 @@ def camera(
         found = measured_noise(pairs, bit_depth=bit_depth, bayer=bayer)
     sheet = found.sheet
     content["camera"] = sheet.model_dump(exclude_unset=True)
-    with written_whole(out) as partial:
-        partial.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_text(out, json.dumps(content, indent=1) + "\n")
     error = found.gain_sigma_dn_e / found.gain_dn_e
     print(
         f"{out}: {found.gain_dn_e:.4g} DN per electron (± {100 * error:.1f} %), full well "
