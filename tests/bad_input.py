@@ -4,8 +4,6 @@ Most know the format: they replace a value, drop a key or change a cell, so that
 the parser and meets the rules behind it.
 """
 
-from __future__ import annotations
-
 import copy
 import csv
 import io

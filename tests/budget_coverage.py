@@ -8,8 +8,6 @@ radius, pinhole, touch, axis and clock that the reading is computed with are wro
 anew for each reading from the distributions that the budget is told. The frames know none of them.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Iterator

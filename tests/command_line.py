@@ -1,7 +1,5 @@
 """Runs commands, in this process or in a new one."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

@@ -1,12 +1,9 @@
 """What all tests share: no display, no GPU by accident, and the same examples on every run."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -32,7 +29,7 @@ settings.load_profile("reproducible")
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _nothing_compiled_is_kept() -> Iterator[None]:
+def _nothing_compiled_is_kept():
     """Free what a file's tests have compiled: a worker of all files would hold 5 GB of it."""
     yield
     if "jax" in sys.modules:
@@ -44,7 +41,7 @@ def _nothing_compiled_is_kept() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def fast_compilation() -> Iterator[None]:
+def fast_compilation():
     """Compile without optimising: for a file whose time goes into compiling, not into computing."""
     import jax
 

@@ -5,8 +5,6 @@
 The camera is lost while the file UNPLUGGED exists. Its image is a disc of 40 px at (150, 110) px.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A recording of a drawn spot that wanders and grows, and what is measured in it."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Labelled sets whose frames are drawn, not rendered: quick to make, and true by construction."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

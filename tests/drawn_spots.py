@@ -1,7 +1,5 @@
 """Images of one spot by formula, what may hide it, and the spot that the estimator finds."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from statistics import NormalDist

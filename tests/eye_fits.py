@@ -8,8 +8,6 @@ spots come from rays traced through the surfaces of each eye onto its own ellips
 fit knows none of these.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from pathlib import Path

@@ -4,8 +4,6 @@ It answers as the Hub's documented interface does: text files come within the co
 LFS batch interface. The Hub's own storage protocol (Xet) is not imitated.
 """
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

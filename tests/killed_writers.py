@@ -9,8 +9,6 @@ full disk is a limit on the size of files (RLIMIT_FSIZE), which needs no rights.
 Stubs: Mitsuba and Dask, which render, the check of a set's scenes, and the data card's figures.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import hashlib

@@ -6,8 +6,6 @@ the edge of the lit part crosses count by the share that lies on the lit side, s
 with the square of the grid's step. The grid covers the lit part only, found by a coarser one.
 """
 
-from __future__ import annotations
-
 from functools import partial
 
 import numpy as np

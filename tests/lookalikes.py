@@ -1,7 +1,5 @@
 """Bright things that are no spots: lamps' reflexes, text, polygons and rings."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace

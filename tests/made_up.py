@@ -1,7 +1,5 @@
 """Spots, calibrations and microscopes made up for tests: what a test does not name is plain."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

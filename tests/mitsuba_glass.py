@@ -4,8 +4,6 @@ Call after `scenes.load_mitsuba`. Nothing of `optics.viewing` is used but the nu
 elements: Mitsuba refracts, reflects and weighs the rays.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import mitsuba as mi

@@ -3,8 +3,6 @@
 Levels, noise and the size of the frames are those of `Drawing`.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from dataclasses import replace

@@ -4,8 +4,6 @@ Every stack is rendered from a scene of its own: each uncertain key has its valu
 uncertainty times a normal number, the wall has another texture and the camera other noise.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A rendered stack as the rig would record it, and what is measured in it offline."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

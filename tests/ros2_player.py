@@ -6,8 +6,6 @@ The bytes of the bag are published as they are. The topics, and the bag's clock,
 the first image; the program ends two seconds after the last one.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import threading

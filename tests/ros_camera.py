@@ -6,8 +6,6 @@ First it finds how fast the node reads, then it publishes at twice that rate. A 
 is the number of the image, the seconds from its publication to its status, and the node's counts.
 """
 
-from __future__ import annotations
-
 import json
 import sys
 import time

@@ -1,7 +1,5 @@
 """Messages of ROS 1 and ROS 2 laid out by hand, and bags of them, by rosbags alone."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

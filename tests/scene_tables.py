@@ -1,7 +1,5 @@
 """Scenes from layers of tables."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from scenes import Scene

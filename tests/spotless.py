@@ -1,7 +1,5 @@
 """Frames without a spot, and how often the sub-pixel mode finds one there."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from estimator import SubpixelSettings, TrackState, measure

@@ -3,8 +3,6 @@
 python tests/topic_reader.py TOPIC OUT.json
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -1,14 +1,10 @@
 """What the tests of sets share: one drawn set, which no test may change."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import pytest
 
 from tests.drawn_sets import write_set
 
 
 @pytest.fixture(scope="session")
-def drawn(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def drawn(tmp_path_factory):
     return write_set(tmp_path_factory.mktemp("drawn") / "set")

@@ -1,7 +1,5 @@
 """The command `python -m benchmarks.bench` and what its benchmarks compute."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

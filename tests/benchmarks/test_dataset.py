@@ -1,7 +1,5 @@
 """Labelled sets on disk: complete, the same bytes whoever renders them, damage that is named."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -25,7 +23,7 @@ from benchmarks.sets.make import (
     running_scheduler,
 )
 from benchmarks.sets.read import SetError, read_set, verify_set
-from benchmarks.sets.spec import SetSpec, load_spec, plan
+from benchmarks.sets.spec import load_spec, plan
 from scenes import SceneError, check_scene
 
 SPEC = """\
@@ -98,24 +96,24 @@ def digests(folder: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def spec_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def spec_file(tmp_path_factory):
     file = tmp_path_factory.mktemp("spec") / "tiny.toml"
     file.write_text(SPEC)
     return file
 
 
 @pytest.fixture(scope="module")
-def spec(spec_file: Path) -> SetSpec:
+def spec(spec_file):
     return load_spec(spec_file)
 
 
 @pytest.fixture(scope="module")
-def whole(spec: SetSpec, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(spec, tmp_path_factory):
     return make_set(spec, tmp_path_factory.mktemp("whole") / "set", workers=here()).folder
 
 
 @pytest.fixture
-def copy(whole: Path, tmp_path: Path) -> Path:
+def copy(whole, tmp_path):
     """The whole set, to be damaged."""
     return Path(shutil.copytree(whole, tmp_path / "copy"))
 

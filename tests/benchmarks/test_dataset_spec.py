@@ -1,7 +1,5 @@
 """Specs of labelled sets: what is refused, and how stacks are drawn."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from typing import Any

@@ -1,7 +1,5 @@
 """`eyespot export`: what a set holds comes back out of each format by that format's own reader."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import shutil
@@ -54,7 +52,7 @@ def images_of(folder: Path, file: str = "file_name") -> Iterator[tuple[FrameLabe
         yield row, np.asarray(Image.open(folder / getattr(row, file)))
 
 
-def test_hdf5_holds_frames_masks_and_labels_with_their_units(drawn: Path, tmp_path: Path) -> None:
+def test_hdf5_holds_frames_masks_and_labels_with_their_units(drawn, tmp_path):
     with h5py.File(exported(drawn, tmp_path / "set.h5", "hdf5")) as file:
         assert json.loads(file["set.json"].asstr()[()])["licence"] == "CC-BY-4.0"
         for name in NAMES:
@@ -83,9 +81,7 @@ def test_hdf5_holds_frames_masks_and_labels_with_their_units(drawn: Path, tmp_pa
             assert list(group["kinematics/z_mm"]) == [pose.position_mm[2] for pose in poses]
 
 
-def test_one_hdf5_frame_is_read_alone_and_takes_less_than_its_pixels(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_one_hdf5_frame_is_read_alone_and_takes_less_than_its_pixels(drawn, tmp_path):
     with h5py.File(exported(drawn, tmp_path / "set.h5", "hdf5")) as file:
         frames, masks = file["train/a/frames"], file["train/a/masks"]
         assert frames.chunks == (1, *SHAPE, 3)
@@ -94,9 +90,7 @@ def test_one_hdf5_frame_is_read_alone_and_takes_less_than_its_pixels(
         assert masks.id.get_storage_size() < 0.1 * masks.nbytes
 
 
-def test_ome_tiff_holds_the_recording_with_times_and_the_size_of_a_pixel(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_ome_tiff_holds_the_recording_with_times_and_the_size_of_a_pixel(drawn, tmp_path):
     out = exported(drawn, tmp_path / "tiff", "ome-tiff")
     assert {path.name for path in (out / "train" / "b").glob("*.tif")} == {
         "paper.ome.tif",
@@ -132,9 +126,7 @@ def test_ome_tiff_holds_the_recording_with_times_and_the_size_of_a_pixel(
 
 
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools's
-def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(drawn, tmp_path):
     out = exported(drawn, tmp_path / "coco", "coco")
     assert json.loads((out / "set.json").read_text())["licence"] == "CC-BY-4.0"
     for split, names in STACKS.items():
@@ -166,7 +158,7 @@ def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(
 
 
 @LEAVES_FILES_OPEN
-def test_webdataset_holds_image_mask_and_labels_of_each_sample(drawn: Path, tmp_path: Path) -> None:
+def test_webdataset_holds_image_mask_and_labels_of_each_sample(drawn, tmp_path):
     out = exported(drawn, tmp_path / "shards", "webdataset")
     for split, names in STACKS.items():
         reader = webdataset.WebDataset(
@@ -184,9 +176,7 @@ def test_webdataset_holds_image_mask_and_labels_of_each_sample(drawn: Path, tmp_
 
 
 @LEAVES_FILES_OPEN
-def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(drawn, tmp_path):
     outs = [tmp_path / "first", tmp_path / "second"]
     for out in outs:
         out.mkdir()
@@ -205,9 +195,7 @@ def test_shards_are_the_same_bytes_each_time_and_no_larger_than_asked(
 
 
 @pytest.mark.parametrize("to", ["rosbag1", "rosbag2"])
-def test_a_bag_holds_the_recording_as_the_rig_makes_it(
-    drawn: Path, tmp_path: Path, to: Format
-) -> None:
+def test_a_bag_holds_the_recording_as_the_rig_makes_it(drawn, tmp_path, to):
     out = exported(drawn, tmp_path / "bags", to)
     ending = ".bag" if to == "rosbag1" else ""
     assert {path.stem for path in (out / "train" / "b").iterdir()} >= {"paper", "metered"}
@@ -232,7 +220,7 @@ def test_a_bag_holds_the_recording_as_the_rig_makes_it(
 
 
 @pytest.fixture(scope="module")
-def lengths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+def lengths(tmp_path_factory):
     """Stacks of 24 and of 60 images of the same spot."""
 
     def stack(count: int) -> Path:
@@ -243,9 +231,7 @@ def lengths(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @pytest.mark.parametrize("to", FORMATS)
-def test_memory_does_not_grow_with_the_number_of_frames(
-    lengths: tuple[Path, Path], tmp_path: Path, to: Format
-) -> None:
+def test_memory_does_not_grow_with_the_number_of_frames(lengths, tmp_path, to):
     short, long = lengths
     peaks: list[int] = []
     for stack in (short, short, long):  # the first run loads what the format needs
@@ -260,9 +246,7 @@ def test_memory_does_not_grow_with_the_number_of_frames(
 
 
 @pytest.mark.parametrize("to", ["hdf5", "coco"])
-def test_a_failure_leaves_nothing(
-    drawn: Path, tmp_path: Path, to: Format, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failure_leaves_nothing(drawn, tmp_path, to, monkeypatch):
     broken = write_set(tmp_path / "broken", images=2)
     damaged = broken / "train" / "b" / "frames" / "000003.png"
     damaged.write_bytes(damaged.read_bytes()[:100])
@@ -294,8 +278,8 @@ def test_a_failure_leaves_nothing(
     ],
 )
 def test_hdf5_refuses_a_stack_that_was_changed_with_its_manifest(
-    drawn: Path, tmp_path: Path, name: str, content: str, words: str
-) -> None:
+    drawn, tmp_path, name, content, words
+):
     stack = shutil.copytree(drawn / "train" / "a", tmp_path / "a")
     path = stack / name
     if path.suffix == ".png":
@@ -310,21 +294,19 @@ def test_hdf5_refuses_a_stack_that_was_changed_with_its_manifest(
     assert [found.name for found in tmp_path.iterdir()] == ["a"]
 
 
-def test_a_folder_that_is_no_set_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_is_no_set_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"neither a set \(set.json.*nor a stack"):
         export(tmp_path, to="coco", out=tmp_path / "out")
 
 
-def test_a_set_that_is_not_whole_is_refused(drawn: Path, tmp_path: Path) -> None:
+def test_a_set_that_is_not_whole_is_refused(drawn, tmp_path):
     (tmp_path / "set").mkdir()
     (tmp_path / "set" / "set.json").write_bytes((drawn / "set.json").read_bytes())
     with pytest.raises(ValueError, match="3 of 3 stacks are missing"):
         export(tmp_path / "set", to="coco", out=tmp_path / "out")
 
 
-def test_a_missing_library_names_the_extra(
-    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_missing_library_names_the_extra(drawn, tmp_path, monkeypatch):
     for name in ("benchmarks.sets.formats.hdf5", "benchmarks.sets.formats"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "h5py", None)  # stands in for a machine without it
@@ -332,16 +314,14 @@ def test_a_missing_library_names_the_extra(
         export(drawn, to="hdf5", out=tmp_path / "set.h5")
 
 
-def test_the_command_exports_a_stack_by_itself(drawn: Path, tmp_path: Path) -> None:
+def test_the_command_exports_a_stack_by_itself(drawn, tmp_path):
     out = tmp_path / "shards"
     printed("export", drawn / "train" / "a", "--to", "webdataset", "--out", out)
     assert [path.name for path in out.glob("*.tar")] == ["a-000000.tar"]
 
 
 @pytest.mark.slow
-def test_datasets_reads_a_stack_as_an_image_folder(
-    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_datasets_reads_a_stack_as_an_image_folder(drawn, tmp_path, monkeypatch):
     monkeypatch.setenv("HF_HOME", str(tmp_path))
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
     import datasets

@@ -1,7 +1,5 @@
 """Plans, and stacks that keep or break them: a true scene, a wrong radius, clock, lens or plan."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import NamedTuple
@@ -25,7 +23,7 @@ class Planned(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory) -> Planned:
+def planned(tmp_path_factory):
     folder = tmp_path_factory.mktemp("planned")
     scene = planned_scene()
     return Planned(scene, plan_of(scene, folder), folder)

@@ -1,7 +1,5 @@
 """The main job's report: its claims follow the data, its files are complete and stand alone."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import math
@@ -161,7 +159,7 @@ def study_in(out: Path) -> Study:
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
+def run(tmp_path_factory):
     """The folder of a published report, and the report."""
     out = tmp_path_factory.mktemp("run")
     findings = paper_like_run(stacks=out / "stacks")
@@ -183,7 +181,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Report]:
 
 
 @pytest.fixture(scope="module")
-def written(run: tuple[Path, Report]) -> Path:
+def written(run):
     return run[0]
 
 
@@ -214,11 +212,11 @@ class Page(HTMLParser):
 
 
 @pytest.fixture(scope="module")
-def page(written: Path) -> Page:
+def page(written):
     return Page((written / "report.html").read_text(encoding="utf-8"))
 
 
-def test_page_needs_nothing_from_elsewhere(page: Page) -> None:
+def test_page_needs_nothing_from_elsewhere(page):
     assert not {tag for tag, _ in page.tags} & {"script", "link", "iframe", "object", "embed"}
     for tag, attributes in page.tags:
         assert "srcset" not in attributes
@@ -227,7 +225,7 @@ def test_page_needs_nothing_from_elsewhere(page: Page) -> None:
     assert "url(" not in "".join(page.text)
 
 
-def test_every_link_leads_to_a_file_or_a_place_in_the_page(written: Path, page: Page) -> None:
+def test_every_link_leads_to_a_file_or_a_place_in_the_page(written, page):
     places = {f"#{attributes['id']}" for _, attributes in page.tags if "id" in attributes}
     links = {str(attributes["href"]) for _, attributes in page.tags if "href" in attributes}
     assert {"summary.json", "model_error.csv", "scene.toml"} <= links
@@ -235,7 +233,7 @@ def test_every_link_leads_to_a_file_or_a_place_in_the_page(written: Path, page: 
         assert link in places or (written / link).is_file(), link
 
 
-def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written: Path, page: Page) -> None:
+def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written, page):
     figures = {str(attributes["id"]) for tag, attributes in page.tags if tag == "figure"}
     assert {"film", "plane_fit", "model_error"} <= figures
     links = [str(attributes.get("href")) for tag, attributes in page.tags if tag == "a"]
@@ -249,9 +247,7 @@ def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written: Path, p
         ElementTree.parse(written / f"figures/{name}.svg")
 
 
-def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(
-    run: tuple[Path, Report], page: Page
-) -> None:
+def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(run, page):
     written, made = run
     first = [tag for tag, _ in page.tags].index("h2")
     opening = [attributes.get("class") for tag, attributes in page.tags[:first] if tag == "p"]
@@ -265,7 +261,7 @@ def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(
     assert (written / "report.html").stat().st_size < 3e6
 
 
-def test_a_long_table_shows_eight_rows_and_leads_to_all(page: Page) -> None:
+def test_a_long_table_shows_eight_rows_and_leads_to_all(page):
     rows, longest = 0, 0
     for tag, _ in page.tags:
         rows = 0 if tag == "table" else rows + (tag == "tr")
@@ -276,17 +272,17 @@ def test_a_long_table_shows_eight_rows_and_leads_to_all(page: Page) -> None:
     assert longest <= 9  # with the heading
 
 
-def test_text_from_a_scene_stays_text(page: Page) -> None:
+def test_text_from_a_scene_stays_text(page):
     assert any("<script>alert(1)</script>" in text for text in page.text)
 
 
-def test_a_fit_at_the_bound_is_flagged(written: Path, page: Page) -> None:
+def test_a_fit_at_the_bound_is_flagged(written, page):
     assert "at bound" in page.text
     row = pd.read_csv(written / "table_2.csv").iloc[0]
     assert row.at_bound and math.isnan(row.c_error_mm)
 
 
-def test_frames_left_out_are_counted_once_each(written: Path) -> None:
+def test_frames_left_out_are_counted_once_each(written):
     rows = pd.read_csv(written / "frames.csv")
     # 12 trials of 9 frames in three ways, 24 of the grid with 4 frames in one.
     counted = rows.groupby(["trial", "way"]).frames.sum()
@@ -294,7 +290,7 @@ def test_frames_left_out_are_counted_once_each(written: Path) -> None:
     assert rows.frames[rows.outcome == "none found"].sum() == 12 * 9
 
 
-def test_residuals_of_a_straight_line_are_zero_in_spots_csv(written: Path) -> None:
+def test_residuals_of_a_straight_line_are_zero_in_spots_csv(written):
     rows = pd.read_csv(written / "spots.csv")
     of_trial = (rows.trial == "cone-plane-2") & (rows.way == SUBPIXEL.name)
     residuals = rows.residual_mm[of_trial].dropna()
@@ -303,7 +299,7 @@ def test_residuals_of_a_straight_line_are_zero_in_spots_csv(written: Path) -> No
     assert residuals.abs().max() < 1e-12
 
 
-def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Path) -> None:
+def test_a_report_that_fails_leaves_the_earlier_one(written, tmp_path):
     out = tmp_path / "run"
     shutil.copytree(written, out)
     shutil.rmtree(out / "stacks" / "cone-sphere-1")
@@ -317,7 +313,7 @@ def test_a_report_that_fails_leaves_the_earlier_one(written: Path, tmp_path: Pat
     assert not (out / ".report.unfinished").exists()
 
 
-def test_a_run_without_a_lens_is_reported_without_it(tmp_path: Path) -> None:
+def test_a_run_without_a_lens_is_reported_without_it(tmp_path):
     findings = paper_like_run(("cone",), stacks=tmp_path / "stacks")
     write_stacks(findings)
     made = report(findings)
@@ -342,7 +338,7 @@ def missed(findings: ValidateFindings, name: str) -> set[str]:
 LENS, CONE = "lens paper-candidate", "ideal cone"
 
 
-def test_a_run_like_the_paper_reproduces_table_one() -> None:
+def test_a_run_like_the_paper_reproduces_table_one():
     assert missed(paper_like_run(), LENS) == missed(paper_like_run(), CONE) == set()
 
 
@@ -356,9 +352,7 @@ def test_a_run_like_the_paper_reproduces_table_one() -> None:
         ("plane 3", {"rmse_mm": 0.01}, Criterion.RMSE),
     ],
 )
-def test_table_one_is_not_reproduced_where_one_criterion_is_missed(
-    trial: str, values: dict[str, Any], criterion: Criterion
-) -> None:
+def test_table_one_is_not_reproduced_where_one_criterion_is_missed(trial, values, criterion):
     findings = paper_like_run()
     change(findings.planes, trial, **values)
     assert missed(findings, LENS) == {criterion}
@@ -373,7 +367,7 @@ def bent(findings: ValidateFindings, source: str, axis_px: Callable[[float, int]
     spots.loc[which, "semi_minor_px"] = bent_px
 
 
-def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
+def test_the_part_of_the_range_that_reproduces_table_one_is_found():
     findings = paper_like_run()
 
     def axis_px(travel: float, frame: int) -> float:
@@ -390,7 +384,7 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found() -> None:
     assert 4.0 <= high <= 4.5
 
 
-def test_half_maximum_verdict_follows_the_labels() -> None:
+def test_half_maximum_verdict_follows_the_labels():
     findings = paper_like_run()
     name = "the lens's half-maximum radius grows with distance"
     assert find(findings, name).holds
@@ -404,14 +398,14 @@ def test_half_maximum_verdict_follows_the_labels() -> None:
     assert "over 1.50 mm: from 1.64 to 3.14 mm" in found.text
 
 
-def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach() -> None:
+def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach():
     d = np.linspace(0.0, 6.0, 601)
     # (d - 2)² has its mirror at 4 - d, in reach from 0 to 4.
     assert validate.ambiguous_range(d, (d - 2) ** 2) == pytest.approx((0.0, 4.0), abs=0.01)
     assert validate.ambiguous_range(d, 0.25 + 0.05 * d) is None
 
 
-def test_small_plane_claim_holds_only_within_the_acceptable_error() -> None:
+def test_small_plane_claim_holds_only_within_the_acceptable_error():
     findings = paper_like_run()
     name = "small_plane, z_F = 11.5 mm"
     found = find(findings, name)
@@ -425,7 +419,7 @@ def test_small_plane_claim_holds_only_within_the_acceptable_error() -> None:
         assert "reaches the acceptable 0.5 mm at c = – mm" in found.text
 
 
-def test_a_model_beyond_the_limit_fails_with_its_pinhole_only() -> None:
+def test_a_model_beyond_the_limit_fails_with_its_pinhole_only():
     findings = paper_like_run()
     wrong = findings.rendered.copy()
     wrong.loc[(wrong.model == "stereographic") & (wrong.z_f_mm == 200.0), "error_mm"] = -0.7
@@ -440,7 +434,7 @@ def test_a_model_beyond_the_limit_fails_with_its_pinhole_only() -> None:
         assert find(changed, f"{model} on rendered spots, z_F = 200 mm").holds
 
 
-def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi() -> None:
+def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi():
     findings = paper_like_run()
     found = find(findings, "a fitted c is smaller than the true c")
     assert found.holds
@@ -453,7 +447,7 @@ def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi() -> None:
     assert number(expected[0], 3) == "3.975"
 
 
-def test_fitted_eccentricity_claim_follows_the_fits() -> None:
+def test_fitted_eccentricity_claim_follows_the_fits():
     findings = paper_like_run()
     change(findings.spheres, "sphere 1", c_fitted_mm=6.0)
     found = find(findings, "a fitted c is smaller than the true c")
@@ -461,7 +455,7 @@ def test_fitted_eccentricity_claim_follows_the_fits() -> None:
     assert found.text.startswith("11 of 12 fits give a smaller c than the true one")
 
 
-def test_a_way_that_sees_nothing_is_counted() -> None:
+def test_a_way_that_sees_nothing_is_counted():
     # 12 trials of 9 frames in three ways and 24 of 4 in one, less the blind third.
     found = find(paper_like_run(), "frames used")
     assert found.text.startswith("The fits use 312 of 420 measurements.")
@@ -479,9 +473,7 @@ def test_a_way_that_sees_nothing_is_counted() -> None:
         (0.6, -math.inf, math.inf, None),
     ],
 )
-def test_a_claim_holds_if_every_value_lies_within_its_bounds(
-    value: float | tuple[float, ...], low: float, high: float, holds: bool | None
-) -> None:
+def test_a_claim_holds_if_every_value_lies_within_its_bounds(value, low, high, holds):
     claim = Claim(name="n", sentence="", value=value, low=low, high=high)
     assert claim.holds is holds
 
@@ -490,7 +482,7 @@ def test_a_claim_holds_if_every_value_lies_within_its_bounds(
     ("value", "text"),
     [(-0.5, "−0.50"), (-0.001, "0.00"), (2.0, "2.00"), (math.nan, "–"), (math.inf, "–")],
 )
-def test_numbers_are_typeset(value: float, text: str) -> None:
+def test_numbers_are_typeset(value, text):
     assert number(value) == text
     assert Claim(name="n", sentence=f"It is {value:+.2f} mm.").text.replace("+", "") == (
         f"It is {text} mm."

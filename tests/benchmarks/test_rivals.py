@@ -1,7 +1,5 @@
 """Rivals: every entry measures a spot whose ellipse is known, and misses where there is none."""
 
-from __future__ import annotations
-
 import json
 import math
 import shutil
@@ -40,7 +38,7 @@ ALONE = ("opencv-relative", "skimage-ransac")
 
 
 @pytest.fixture
-def worker_here(monkeypatch: pytest.MonkeyPatch) -> None:
+def worker_here(monkeypatch):
     """A Dask worker in this process, where everything is compiled already."""
 
     def hired(count: int) -> Client:
@@ -75,7 +73,7 @@ def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None =
         *((name, 1.0) for name in ("literal", *ALONE)),
     ],
 )
-def test_an_entry_finds_the_ellipse_that_was_drawn(name: str, tolerance_px: float) -> None:
+def test_an_entry_finds_the_ellipse_that_was_drawn(name, tolerance_px):
     image = frame_of(Drawing(truth=TRUTH), np.random.default_rng(1))
     spot = measured(name, image, AT_HALF.get(name))
     assert isinstance(spot, Spot)
@@ -87,7 +85,7 @@ def test_an_entry_finds_the_ellipse_that_was_drawn(name: str, tolerance_px: floa
 
 
 @pytest.mark.slow  # builds an environment
-def test_pupil_detectors_finds_the_ellipse_that_was_drawn() -> None:
+def test_pupil_detectors_finds_the_ellipse_that_was_drawn():
     if reason := why_unavailable():
         pytest.skip(reason)
     image = frame_of(Drawing(truth=TRUTH), np.random.default_rng(1))
@@ -98,7 +96,7 @@ def test_pupil_detectors_finds_the_ellipse_that_was_drawn() -> None:
 
 
 @pytest.mark.parametrize("name", ["subpixel", "learned"])
-def test_an_entry_that_can_refuse_does_where_there_is_no_spot(name: str) -> None:
+def test_an_entry_that_can_refuse_does_where_there_is_no_spot(name):
     truth = replace(TRUTH, semi_major=60.0, semi_minor=60.0)
     for seed in range(10):
         rng = np.random.default_rng(seed)
@@ -106,7 +104,7 @@ def test_an_entry_that_can_refuse_does_where_there_is_no_spot(name: str) -> None
         assert isinstance(measured(name, empty), NoSpot)
 
 
-def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first() -> None:
+def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first():
     wanted = plain_spot(1.0, 2.0, 30.0, 20.0, 0.4).ellipse
     for turns in (-1, 0, 1, 2):
         same = plain_spot(1.0, 2.0, 30.0, 20.0, 0.4 + turns * math.pi).ellipse
@@ -122,7 +120,7 @@ def run_on(folder: Path, out: Path, split: str) -> None:
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Path) -> None:
+def test_what_the_entries_write_is_what_a_score_reads(drawn, tmp_path):
     out = tmp_path / "out"
     run_on(drawn, out, "train")
     stacks = stacks_of(drawn)
@@ -137,21 +135,19 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn: Path, tmp_path: Pat
         assert about["ms_per_frame"] > 0
 
 
-def test_a_file_that_is_no_table_of_constants_is_named(drawn: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_no_table_of_constants_is_named(drawn, tmp_path):
     (tmp_path / "other.json").write_text("[]")
     with pytest.raises(InputError, match=r"other\.json: not a file of `eyespot rivals tune`"):
         read_constants(tmp_path / "other.json")
 
 
-def test_a_split_that_the_set_lacks_is_named(drawn: Path, tmp_path: Path) -> None:
+def test_a_split_that_the_set_lacks_is_named(drawn, tmp_path):
     with pytest.raises(InputError, match="no split test"):
         run_on(drawn, tmp_path / "out", "test")
 
 
 @pytest.mark.usefixtures("worker_here")
-def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_tuning_sees_the_split_train_only_and_finds_the_better_level(drawn, tmp_path):
     """Frames of the other split are removed, so that reading them would fail."""
     folder = shutil.copytree(drawn, tmp_path / "set")
     for image in (folder / "adverse").rglob("*.png"):
@@ -163,7 +159,7 @@ def test_tuning_sees_the_split_train_only_and_finds_the_better_level(
     assert abs(found["entries"]["opencv-relative"]["constants"]["level"] - 0.5) <= 0.1
 
 
-def test_every_free_constant_of_an_entry_is_in_the_file_that_comes_with_eyespot() -> None:
+def test_every_free_constant_of_an_entry_is_in_the_file_that_comes_with_eyespot():
     known = read_constants()
     for name, kind in KINDS.items():
         assert set(known.get(name, {})) == set(kind.grid), name

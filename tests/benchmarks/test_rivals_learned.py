@@ -1,7 +1,5 @@
 """The learned estimator: its windows and numbers, its training, and what it says about renders."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math
@@ -34,7 +32,7 @@ from tests.drawn_sets import labels_of
 _SPEC = WEIGHTS.with_name("training.toml")
 
 
-def test_the_numbers_of_a_window_mean_the_ellipse_that_they_were_made_of() -> None:
+def test_the_numbers_of_a_window_mean_the_ellipse_that_they_were_made_of():
     rng = np.random.default_rng(3)
     for _ in range(50):
         b = rng.uniform(20, 100)
@@ -52,7 +50,7 @@ def test_the_numbers_of_a_window_mean_the_ellipse_that_they_were_made_of() -> No
         assert np.allclose(found, list(known.values()), rtol=1e-9)  # rounding
 
 
-def test_the_covariance_is_that_of_the_ellipses_slopes() -> None:
+def test_the_covariance_is_that_of_the_ellipses_slopes():
     numbers = np.array([0.1, -0.2, 0.05, 0.2, 0.15, 0.0])
     sigmas = np.array([0.01, 0.02, 0.005, 0.004, 0.006, 0.1])
     window, step = PixelSquare(100, 50, 240), 1e-5
@@ -68,7 +66,7 @@ def test_the_covariance_is_that_of_the_ellipses_slopes() -> None:
 
 
 @pytest.mark.parametrize(("x", "y"), [(300.0, 200.0), (12.3, 400.7), (630.0, 5.0)])
-def test_a_window_shows_its_cells_where_it_says_that_they_are(x: float, y: float) -> None:
+def test_a_window_shows_its_cells_where_it_says_that_they_are(x, y):
     """The centroid of a bell, in cells and then in pixels, is where the bell is drawn."""
     v, u = np.mgrid[0:480, 0:640].astype(float)
     bell = np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 6.0**2))
@@ -91,7 +89,7 @@ def test_a_window_shows_its_cells_where_it_says_that_they_are(x: float, y: float
     assert light.shape == (CELLS, CELLS)
 
 
-def test_the_blob_lies_in_the_spot_and_an_even_frame_has_none() -> None:
+def test_the_blob_lies_in_the_spot_and_an_even_frame_has_none():
     v, u = np.mgrid[0:480, 0:640]
     disc = np.hypot(u - 400, v - 130) < 50
     image = np.repeat(np.where(disc, 200, 40).astype(np.uint8)[..., None], 3, axis=2)
@@ -119,7 +117,7 @@ class _StoppedError(Exception):
     """Ends a training after an epoch, as a kill between two checkpoints does."""
 
 
-def test_a_training_that_was_stopped_ends_with_the_same_bits(tmp_path: Path) -> None:
+def test_a_training_that_was_stopped_ends_with_the_same_bits(tmp_path):
     samples, others = some_samples(1), some_samples(2, 8)
 
     def weights(out: Path, show: Any = lambda epoch: None) -> list[np.ndarray]:
@@ -141,14 +139,14 @@ def test_a_training_that_was_stopped_ends_with_the_same_bits(tmp_path: Path) -> 
     assert curve.epoch.tolist() == [1, 2, 3]
 
 
-def test_the_weights_are_small_and_those_that_their_file_describes() -> None:
+def test_the_weights_are_small_and_those_that_their_file_describes():
     about = json.loads(WEIGHTS.with_suffix(".json").read_text())
     assert WEIGHTS.stat().st_size < 2e6
     assert hashlib.sha256(WEIGHTS.read_bytes()).hexdigest() == about["weights_sha256"]
     assert about["set"] == load_spec(_SPEC).name
 
 
-def test_no_wall_of_a_named_set_was_shown_in_training() -> None:
+def test_no_wall_of_a_named_set_was_shown_in_training():
     shown = {stack.scene.phantom.texture_seed for stack in plan(load_spec(_SPEC))}
     for name in named_specs():
         walls = {stack.scene.phantom.texture_seed for stack in plan(load_spec(name))}
@@ -156,9 +154,7 @@ def test_no_wall_of_a_named_set_was_shown_in_training() -> None:
 
 
 @pytest.mark.slow  # renders
-def test_on_walls_never_shown_the_network_beats_the_blob_and_covers_what_it_states(
-    tmp_path: Path,
-) -> None:
+def test_on_walls_never_shown_the_network_beats_the_blob_and_covers_what_it_states(tmp_path):
     """One frame of each of some stacks: as many independent walls, places and distances."""
     estimator, rng = LearnedEstimator.load(), np.random.default_rng(987)
     errors, sigmas, blobs, ranges = [], [], [], []

@@ -1,7 +1,5 @@
 """`eyespot score`: errors that were put in come out; misses and false spots are counted."""
 
-from __future__ import annotations
-
 import io
 import json
 import math
@@ -33,7 +31,7 @@ SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.fixture(scope="module")
-def images(drawn: Path) -> pd.DataFrame:
+def images(drawn):
     return images_of(stacks_of(drawn))
 
 
@@ -93,7 +91,7 @@ def counts_in(result: Score) -> Any:
     return rows_of(result.counts[result.counts.condition == "all"])[0]
 
 
-def test_an_offset_is_the_bias_of_its_quantity_alone(images: pd.DataFrame) -> None:
+def test_an_offset_is_the_bias_of_its_quantity_alone(images):
     offsets = {"x_px": 0.5, "y_px": -0.25, "semi_major_px": 1.5, "semi_minor_px": -2.0}
     result = scored(images, records_of(images, lambda row: spot_at(row, **offsets), late_mm=0.125))
     # Sums and differences of numbers below 100 in float64.
@@ -107,7 +105,7 @@ def test_an_offset_is_the_bias_of_its_quantity_alone(images: pd.DataFrame) -> No
     assert math.isnan(errors_in(result, "centre_px").bias)
 
 
-def test_perfect_spots_have_no_error_and_miss_nothing(images: pd.DataFrame) -> None:
+def test_perfect_spots_have_no_error_and_miss_nothing(images):
     visible = images[images.visible_fraction > 0]
     result = scored(images, records_of(visible, spot_at))
     counts = counts_in(result)
@@ -124,7 +122,7 @@ def test_perfect_spots_have_no_error_and_miss_nothing(images: pd.DataFrame) -> N
     }
 
 
-def test_the_angle_is_scored_where_the_ellipse_is_not_round(images: pd.DataFrame) -> None:
+def test_the_angle_is_scored_where_the_ellipse_is_not_round(images):
     # The axis at 0.3 rad, turned by 2.9 rad: a half turn less is the same axis.
     turned = scored(images, records_of(images, lambda row: spot_at(row, angle_rad=2.9)))
     assert errors_in(turned, "angle_rad").bias == pytest.approx(2.9 - math.pi, abs=1e-12)
@@ -136,13 +134,13 @@ def test_the_angle_is_scored_where_the_ellipse_is_not_round(images: pd.DataFrame
     assert "angle_rad" not in {*found.quantity}
 
 
-def test_the_other_ellipse_is_another_truth(images: pd.DataFrame) -> None:
+def test_the_other_ellipse_is_another_truth(images):
     # The drawn labels' cone has an edge 1 px outside the half-maximum contour.
     result = scored(images, records_of(images, spot_at), against="cone")
     assert errors_in(result, "semi_minor_px").bias == pytest.approx(-1.0, abs=1e-12)
 
 
-def test_what_was_missed_or_invented_is_counted() -> None:
+def test_what_was_missed_or_invented_is_counted():
     seen, barely, unseen = (
         in_memory(count, visible_fraction=part) for count, part in ((10, 0.5), (7, 0.49), (5, 0.0))
     )
@@ -169,9 +167,7 @@ def test_what_was_missed_or_invented_is_counted() -> None:
     assert errors_in(scored(images, records), "x_px").n == 3
 
 
-def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(
-    images: pd.DataFrame,
-) -> None:
+def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(images):
     records = records_of(images, spot_at)
     told = {
         name: record
@@ -186,7 +182,7 @@ def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(
 
 
 @pytest.mark.parametrize(("claimed", "honest"), [(1.0, True), (0.5, False), (2.0, False)])
-def test_sigma_is_honest_where_errors_scatter_as_it_says(claimed: float, honest: bool) -> None:
+def test_sigma_is_honest_where_errors_scatter_as_it_says(claimed, honest):
     images = in_memory(1000)
     rng = np.random.default_rng(3)
     result = scored(
@@ -205,7 +201,7 @@ def test_sigma_is_honest_where_errors_scatter_as_it_says(claimed: float, honest:
     assert errors_in(result, "x_px").within_1_sigma == 1.0
 
 
-def test_the_interval_of_a_part_is_exact() -> None:
+def test_the_interval_of_a_part_is_exact():
     images = in_memory(40)
     result = scored(images, records_of(images, lambda row: spot_at(row, sigma=1.0, x_px=3.0)))
     errors = errors_in(result, "x_px")
@@ -215,7 +211,7 @@ def test_the_interval_of_a_part_is_exact() -> None:
     assert errors.within_2_high == pytest.approx(1 - 0.025 ** (1 / 40), rel=1e-9)
 
 
-def test_stacks_that_differ_widen_the_interval_of_rmse() -> None:
+def test_stacks_that_differ_widen_the_interval_of_rmse():
     alike, apart = in_memory(60, stacks=12), in_memory(60, stacks=12)
     same = scored(alike, records_of(alike, lambda row: spot_at(row, x_px=0.1)))
     assert errors_in(same, "x_px").rmse_low == pytest.approx(0.1, abs=1e-12)
@@ -230,7 +226,7 @@ def test_stacks_that_differ_widen_the_interval_of_rmse() -> None:
     assert errors.rmse_high == pytest.approx(math.sqrt(0.073), rel=0.1)
 
 
-def test_images_are_scored_apart_by_condition(images: pd.DataFrame) -> None:
+def test_images_are_scored_apart_by_condition(images):
     result = scored(
         images, records_of(images, lambda row: spot_at(row, semi_minor_px=0.1 * row.frame))
     )
@@ -244,7 +240,7 @@ def test_images_are_scored_apart_by_condition(images: pd.DataFrame) -> None:
     assert "medium" not in set(result.by_condition.condition)  # all in air
 
 
-def test_names_with_markup_are_shown_as_they_are() -> None:
+def test_names_with_markup_are_shown_as_they_are():
     name, medium, exposure = "_a$b$[b]c_", "_d$e$[i]f_", "[/b]g$h$"
     other = in_memory(4, medium=medium, exposure=exposure).rename(index="other/{}".format)
     images = pd.concat([in_memory(4, medium="air"), other])
@@ -261,7 +257,7 @@ def test_names_with_markup_are_shown_as_they_are() -> None:
     assert name in {"".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")}
 
 
-def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not() -> None:
+def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not():
     images = in_memory(4)
     no_spot = NoSpot(Reason.AMBIGUOUS)
     records = {
@@ -273,9 +269,7 @@ def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not() -> Non
     assert not any("σ" in title for title in shown)
 
 
-def test_images_that_are_no_sequence_are_measured_each_by_itself(
-    drawn: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_images_that_are_no_sequence_are_measured_each_by_itself(drawn, tmp_path, monkeypatch):
     folder = shutil.copytree(drawn, tmp_path / "set")
     followed = []
 
@@ -313,9 +307,7 @@ def per_stack(drawn: Path, folder: Path) -> Path:
     return folder
 
 
-def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(drawn, tmp_path):
     tracked = per_stack(drawn, tmp_path / "tracked")
     printed("score", drawn, tracked, "--mode", "subpixel", "--out", tmp_path / "score")
     rows = pd.read_csv(tmp_path / "score" / "score.csv")
@@ -334,9 +326,7 @@ def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(
         assert (tmp_path / "score" / name).stat().st_size > 0
 
 
-def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
-    drawn: Path, tmp_path: Path
-) -> None:
+def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(drawn, tmp_path):
     stack = drawn / "train" / "a"
     images = images_of(stacks_of(stack))
     write_spots(tmp_path / "theirs.csv", records_of(images, spot_at).values())
@@ -345,7 +335,7 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(
     assert min(images.index) == "frames/000000.png"
 
 
-def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path: Path) -> None:
+def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path):
     stack = cone_stack(tmp_path / "stack").folder
     rmse = []
     for given in ([], ["--calibration", calibration_in(tmp_path)]):
@@ -361,9 +351,7 @@ def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_pa
     assert rmse[0] < 0.02
 
 
-def test_names_that_the_set_does_not_hold_are_told_in_one_message(
-    drawn: Path, images: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_names_that_the_set_does_not_hold_are_told_in_one_message(drawn, images, tmp_path):
     records = records_of(images, spot_at)
     lost = [replace(r, file_name=f"frames/{n}.png") for n, r in enumerate(records.values())]
     write_spots(tmp_path / "lost.csv", lost)
@@ -372,9 +360,7 @@ def test_names_that_the_set_does_not_hold_are_told_in_one_message(
     assert "\n" not in str(told.value)
 
 
-def test_two_lines_for_an_image_are_refused(
-    drawn: Path, images: pd.DataFrame, tmp_path: Path
-) -> None:
+def test_two_lines_for_an_image_are_refused(drawn, images, tmp_path):
     records = list(records_of(images, spot_at).values())
     write_spots(tmp_path / "twice.csv", [*records, records[3]])
     with pytest.raises(ValueError, match=f"{records[3].file_name} has two lines"):
@@ -390,20 +376,20 @@ def test_two_lines_for_an_image_are_refused(
         (["--mode", "subpixel", "--calibration", "x.json"], "no effect without --mode auto"),
     ],
 )
-def test_what_cannot_be_scored_is_told(drawn: Path, arguments: list[str], words: str) -> None:
+def test_what_cannot_be_scored_is_told(drawn, arguments, words):
     done = call(["score", str(drawn), *arguments])
     assert isinstance(done.exception, ValueError)
     assert words in str(done.exception)
 
 
-def test_a_file_of_no_stack_is_named(drawn: Path, images: pd.DataFrame, tmp_path: Path) -> None:
+def test_a_file_of_no_stack_is_named(drawn, images, tmp_path):
     (tmp_path / "train").mkdir()
     write_spots(tmp_path / "train" / "z.csv", [])
     with pytest.raises(ValueError, match=r"z.csv: the set has no stack train/z"):
         read_set_spots(tmp_path, stacks_of(drawn), images.index)
 
 
-def test_blur_is_counted_at_the_pole() -> None:
+def test_blur_is_counted_at_the_pole():
     scale = MICROSCOPE["scale_mm_px"]
     assert isinstance(scale, float)
     image = in_memory(1, speed_mm_s=2.0, exposure_s=0.05).assign(scale_mm_px=scale)

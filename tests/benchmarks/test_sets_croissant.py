@@ -1,11 +1,8 @@
 """croissant.json: MLCommons' own library accepts it, and reads labels and images by it."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import datasets
 import numpy as np
@@ -33,7 +30,7 @@ print(json.dumps(found))
 
 
 @pytest.fixture(scope="module")
-def carded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def carded(tmp_path_factory):
     folder = write_set(tmp_path_factory.mktemp("croissant") / "set")
     path = folder / "set.json"
     content = json.loads(path.read_text())
@@ -49,7 +46,7 @@ def carded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_the_library_of_the_format_reads_labels_and_images(carded: Path) -> None:
+def test_the_library_of_the_format_reads_labels_and_images(carded):
     # In a process of its own: the library warns of its dependencies' code.
     done = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", READ, carded / "croissant.json"],
@@ -66,16 +63,14 @@ def test_the_library_of_the_format_reads_labels_and_images(carded: Path) -> None
     assert all(size == [160, 120] for _, size in found["images"])
 
 
-def test_a_label_that_only_some_images_have_is_a_column_of_all_splits(
-    carded: Path, tmp_path: Path
-) -> None:
+def test_a_label_that_only_some_images_have_is_a_column_of_all_splits(carded, tmp_path):
     loaded = datasets.load_dataset(str(carded), cache_dir=str(tmp_path))
     known = {split: np.isfinite(loaded[split]["bound_d_mm"]) for split in ("train", "adverse")}
     assert known["train"].sum() == 4  # images of the stack a
     assert not known["adverse"].any()
 
 
-def test_every_column_of_a_set_has_a_meaning(carded: Path) -> None:
+def test_every_column_of_a_set_has_a_meaning(carded):
     described = json.loads((carded / "croissant.json").read_text())
     (train,) = (own for own in described["recordSet"] if own["@id"] == "train")
     fields = {field["source"]["extract"]["column"] for field in train["field"]}
@@ -84,7 +79,7 @@ def test_every_column_of_a_set_has_a_meaning(carded: Path) -> None:
     assert not [name for name in fields if meaning(name).startswith("Key ")]
 
 
-def test_the_card_states_licence_and_intended_use(carded: Path) -> None:
+def test_the_card_states_licence_and_intended_use(carded):
     card = (carded / "README.md").read_text()
     for words in ("## Intended use", "Not intended", "CC-BY-4.0", "croissant.json"):
         assert words in card

@@ -1,7 +1,5 @@
 """Leaderboards: ranks follow from the errors, plain files suffice, intervals are over stacks."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Sequence
@@ -47,7 +45,7 @@ def total(entries: dict[str, pd.DataFrame]) -> dict[str, Any]:
     return {row.entry: row for row in rows_of(found[found.condition == ALL])}
 
 
-def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
+def test_an_entry_that_leaves_out_the_difficult_images_does_not_win():
     steady = [[0.2, -0.2, 0.2, -0.2]] * 6
     # Half as wrong where it answers, which it does on less than half of the images.
     choosy = [[0.1, math.inf, math.inf, math.inf], [0.1, -0.1, math.inf, math.inf]] * 3
@@ -59,14 +57,14 @@ def test_an_entry_that_leaves_out_the_difficult_images_does_not_win() -> None:
     assert found["choosy"].rmse == pytest.approx(0.1)
 
 
-def test_an_entry_that_finds_nothing_is_the_last() -> None:
+def test_an_entry_that_finds_nothing_is_the_last():
     found = total({"blind": judged([[math.inf] * 3] * 4), "bad": judged([[9.0] * 3] * 4)})
     assert (found["bad"].rank, found["blind"].rank) == (1, 2)
     assert found["blind"].missed == 1.0
     assert standings({"blind": judged([[math.inf]])}, E1).empty
 
 
-def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
+def test_an_interval_is_that_of_independent_stacks_and_not_of_images():
     # Each stack has one error in all of its 50 images, so there are 40 values and not 2000.
     rng = np.random.default_rng(1)
     values = rng.normal(0.0, 1.0, 40)
@@ -78,7 +76,7 @@ def test_an_interval_is_that_of_independent_stacks_and_not_of_images() -> None:
     assert 0.44 / 1.5 < width < 0.44 * 1.5
 
 
-def test_the_interval_of_a_median_covers_the_true_median() -> None:
+def test_the_interval_of_a_median_covers_the_true_median():
     # Laplace distribution: the absolute error is exponential, with the median ln 2.
     rng = np.random.default_rng(2)
     tries = 60
@@ -91,7 +89,7 @@ def test_the_interval_of_a_median_covers_the_true_median() -> None:
     assert inside >= 52
 
 
-def test_entries_of_equal_quality_share_the_interval_of_their_ranks() -> None:
+def test_entries_of_equal_quality_share_the_interval_of_their_ranks():
     rng = np.random.default_rng(3)
     entries = {
         name: judged(rng.normal(0.0, scale, (20, 5)).tolist())
@@ -105,7 +103,7 @@ def test_entries_of_equal_quality_share_the_interval_of_their_ranks() -> None:
     assert (far.rank, far.rank_low, far.rank_high) == (3, 3, 3)
 
 
-def test_coverage_is_that_of_the_errors() -> None:
+def test_coverage_is_that_of_the_errors():
     rng = np.random.default_rng(4)
     errors = rng.normal(0.0, 0.1, (100, 10)).tolist()
     honest = total({"one": judged(errors, sigma=0.1)})["one"]
@@ -115,7 +113,7 @@ def test_coverage_is_that_of_the_errors() -> None:
     assert proud.within_1_high < 0.6827
 
 
-def test_only_images_that_all_entries_cover_are_compared() -> None:
+def test_only_images_that_all_entries_cover_are_compared():
     everywhere, half = judged([[0.5] * 4, [0.1] * 4] * 2), judged([[0.5] * 4, [0.2] * 4] * 2)
     easy = half[half["stack"].str.endswith(("1", "3"))]
     found = total({"everywhere": everywhere, "easy": easy})
@@ -126,7 +124,7 @@ def test_only_images_that_all_entries_cover_are_compared() -> None:
         standings({"everywhere": everywhere, "other": other}, E1)
 
 
-def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it() -> None:
+def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it():
     rng = np.random.default_rng(6)
     # Each image has its own bound, and normal errors of that size.
     bounds = rng.uniform(0.01, 0.1, (50, 20))
@@ -159,7 +157,7 @@ def plain(path: Path, drawn: Path, *, off: float, columns: str = "ellipse") -> P
     return path
 
 
-def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path) -> None:
+def test_a_plain_csv_and_a_description_are_an_entry(drawn, tmp_path):
     entries = tmp_path / "entries"
     plain(entries / "theirs.csv", drawn, off=0.3)
     plain(entries / "network" / "all.csv", drawn, off=0.1)
@@ -180,7 +178,7 @@ def test_a_plain_csv_and_a_description_are_an_entry(drawn: Path, tmp_path: Path)
     assert "a network" in page and "predict.py" in page
 
 
-def test_one_split_is_scored_alone(drawn: Path, tmp_path: Path) -> None:
+def test_one_split_is_scored_alone(drawn, tmp_path):
     plain(tmp_path / "theirs.csv", drawn, off=0.3)
     command = ["score", str(drawn), str(tmp_path / "theirs.csv"), "--split", "adverse"]
     printed(*command, "--out", tmp_path / "out")
@@ -209,21 +207,21 @@ HEADER = "file_name,x_px,y_px,semi_major_px,semi_minor_px"
         (f"{HEADER},angle_rad\na.png,1,2,4,3,37\n", "angle_rad .* radians, not degrees"),
     ],
 )
-def test_what_is_wrong_in_a_plain_file_is_named(text: str, words: str, tmp_path: Path) -> None:
+def test_what_is_wrong_in_a_plain_file_is_named(text, words, tmp_path):
     path = tmp_path / "theirs.csv"
     path.write_text(text)
     with pytest.raises(InputError, match=words):
         read_any_spots(path)
 
 
-def test_empty_cells_are_an_image_without_a_spot(tmp_path: Path) -> None:
+def test_empty_cells_are_an_image_without_a_spot(tmp_path):
     path = tmp_path / "theirs.csv"
     path.write_text(f"{HEADER}\na.png,1,2,4,3\nb.png,,,,\n")
     first, second = read_any_spots(path)
     assert first.status == "spot" and second.status == "no_spot"
 
 
-def test_a_folder_without_entries_is_refused(tmp_path: Path) -> None:
+def test_a_folder_without_entries_is_refused(tmp_path):
     with pytest.raises(InputError, match="has no entries"):
         entries_in(tmp_path)
     with pytest.raises(InputError, match="no such folder"):

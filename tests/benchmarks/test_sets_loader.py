@@ -1,7 +1,5 @@
 """The loader for PyTorch in the documentation, as it stands there."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -25,7 +23,7 @@ def documented_class() -> Any:
     return found["Spots"]
 
 
-def test_the_loader_returns_images_ellipses_and_distances_of_a_split() -> None:
+def test_the_loader_returns_images_ellipses_and_distances_of_a_split():
     """A map-style dataset of PyTorch is any object with these two methods; torch is not here."""
     dataset = documented_class()(sample_folder(), "test")
     truth = [row for row in rows(read_set(sample_folder())) if row.planned.split == "test"]

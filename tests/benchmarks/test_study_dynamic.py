@@ -1,7 +1,5 @@
 """The dynamic study: its parts are the error, a late pose costs its way, a tip at rest nothing."""
 
-from __future__ import annotations
-
 import json
 import math
 from itertools import product

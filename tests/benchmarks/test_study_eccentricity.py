@@ -1,7 +1,5 @@
 """The study of eccentricity: its chain is the eye's, its shares are Shapley's, its limits known."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
@@ -55,7 +53,7 @@ def eyes(**columns: object) -> CauseEye:
 
 
 @pytest.fixture(scope="module")
-def worths() -> np.ndarray:
+def worths():
     """Worth of every set of causes in five geometries at d = 4 mm."""
     tilt = math.radians(30.0)
     eye = eyes(
@@ -169,9 +167,7 @@ def test_an_exact_model_told_the_truth_owes_nothing_to_geometry(worths):
     assert np.abs(errors).max() < 1e-8
 
 
-def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(
-    worths,
-):
+def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(worths):
     small = worths[CENTRED, optics.MODELS.index("small_plane")]
     members = coalitions(len(CAUSES))
 
@@ -225,7 +221,7 @@ def test_shares_are_the_mean_gain_over_all_orders_of_joining():
 
 
 @pytest.fixture(scope="module")
-def withdrawals() -> dict[float, tuple[pd.DataFrame, pd.DataFrame]]:
+def withdrawals():
     return {
         z_f: eccentricity.withdrawals(geometry(z_f=z_f), eccentricities=C_MM, medium="air")
         for z_f in (11.5, 100.0, 200.0)

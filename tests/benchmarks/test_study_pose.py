@@ -107,7 +107,7 @@ def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
 
 
 @pytest.fixture(scope="module")
-def rows() -> pd.DataFrame:
+def rows():
     every = pose.places(WALL, count=32, seed=0)
     return pd.DataFrame(pose.errors(ONE, every, WALL, VIEW, seed=0))
 

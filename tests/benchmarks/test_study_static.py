@@ -1,7 +1,5 @@
 """The static study and Table I: error parts sum, moments pool, a threshold measures a lens."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -23,7 +21,7 @@ PLANE = scenes.changed(scenes.load_scene(None, ()), {"phantom.kind": "plane"})
 
 
 @pytest.fixture(scope="module")
-def flat() -> dict[float, Isophotes]:
+def flat():
     """Flat ends by numerical aperture."""
     return {na: Isophotes.of(Family(na, 0.0), PLANE) for na in (0.08, 0.10, 0.20)}
 

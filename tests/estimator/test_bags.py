@@ -1,7 +1,5 @@
 """ROS bags, ROS 1 and ROS 2, and the robot's poses: written by rosbags, read without ROS."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Camera calibrations of OpenCV, ROS and Kalibr: each form gives the camera that it describes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Names of files that are not UTF-8, and terminals that cannot show all letters."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -20,7 +18,7 @@ ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 
 
 @pytest.fixture(scope="module")
-def png() -> bytes:
+def png():
     image = np.rint(spot_image((96, 128), 62.3, 47.7, 30, 22, 0.4)).astype(np.uint8)
     return cv2.imencode(".png", image)[1].tobytes()
 

@@ -1,7 +1,5 @@
 """Image files of every kind show the spot that was drawn into them, or are refused."""
 
-from __future__ import annotations
-
 import struct
 import sys
 import zlib
@@ -38,7 +36,7 @@ Write = Callable[[Path, np.ndarray], object]
 
 
 @pytest.fixture(scope="module")
-def light() -> np.ndarray:
+def light():
     """Of a spot, from 0 to 1, with the noise of an 8-bit camera."""
     return spot_image(SHAPE, *TRUTH, noise=1.0, rng=np.random.default_rng(0)) / 255
 

@@ -1,7 +1,5 @@
 """JSON that anyone may have written: every fault is one ValueError that names it."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import pytest

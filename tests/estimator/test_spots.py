@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import csv
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -72,7 +69,7 @@ def _records() -> list[SpotRecord]:
     ]
 
 
-def test_spots_come_back_bit_for_bit(tmp_path: Path) -> None:
+def test_spots_come_back_bit_for_bit(tmp_path):
     path = tmp_path / "spots.csv"
     write_spots(path, _records())
     for before, after in zip(_records(), read_spots(path), strict=True):
@@ -87,7 +84,7 @@ def test_spots_come_back_bit_for_bit(tmp_path: Path) -> None:
             assert after.result == before.result
 
 
-def test_a_plain_csv_reader_finds_the_columns(tmp_path: Path) -> None:
+def test_a_plain_csv_reader_finds_the_columns(tmp_path):
     path = tmp_path / "spots.csv"
     write_spots(path, _records())
     with path.open(encoding="utf-8", newline="") as file:
@@ -98,7 +95,7 @@ def test_a_plain_csv_reader_finds_the_columns(tmp_path: Path) -> None:
     assert rows[1]["edge_width_px"] == ""
 
 
-def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
+def test_no_spots_make_a_readable_file(tmp_path):
     path = tmp_path / "spots.csv"
     write_spots(path, [])
     assert read_spots(path) == []
@@ -121,7 +118,7 @@ def test_no_spots_make_a_readable_file(tmp_path: Path) -> None:
         (lambda text: "\0\x01", r"not a spots file"),
     ],
 )
-def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, damage, message: str) -> None:
+def test_a_damaged_file_is_refused_with_its_line(tmp_path, damage, message):
     path = tmp_path / "spots.csv"
     write_spots(path, _records())
     path.write_text(damage(path.read_text(encoding="utf-8")), encoding="utf-8")
@@ -130,7 +127,7 @@ def test_a_damaged_file_is_refused_with_its_line(tmp_path: Path, damage, message
     assert "spots.csv" in str(error.value)
 
 
-def test_a_picture_is_no_spots_file(tmp_path: Path) -> None:
+def test_a_picture_is_no_spots_file(tmp_path):
     path = tmp_path / "picture.png"
     path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
     with pytest.raises(ValueError, match=r"picture\.png"):

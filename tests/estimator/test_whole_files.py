@@ -1,7 +1,5 @@
 """Files appear whole or not at all, and nothing is written over that this run did not make."""
 
-from __future__ import annotations
-
 import errno
 import os
 import shutil

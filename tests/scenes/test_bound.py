@@ -1,7 +1,5 @@
 """The Cramér-Rao bound of an ellipse: closed forms, quadrature, and fits that reach it."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 
@@ -40,7 +38,7 @@ def bell(x: float, y: float, a: float, b: float, angle: float, *, factor: int) -
     return np.exp(-0.5 * ((along / a) ** 2 + (across / b) ** 2))
 
 
-def test_a_gaussian_spot_with_even_noise_has_the_bound_of_its_integrals() -> None:
+def test_a_gaussian_spot_with_even_noise_has_the_bound_of_its_integrals():
     ellipse = Affine(*CENTRE, 9.0, 7.0, 0.4)
     noise = 0.02
     light = bell(*ellipse, factor=2)[..., None]
@@ -71,7 +69,7 @@ def test_a_gaussian_spot_with_even_noise_has_the_bound_of_its_integrals() -> Non
 
 
 @pytest.mark.parametrize("factor", [4, 8])
-def test_a_sharp_disc_has_the_bound_of_its_edge(factor: int) -> None:
+def test_a_sharp_disc_has_the_bound_of_its_edge(factor):
     ellipse = Affine(*CENTRE, 36.0, 36.0, 0.0)
     noise = 0.05
     u, v = places(factor)
@@ -101,7 +99,7 @@ def test_a_sharp_disc_has_the_bound_of_its_edge(factor: int) -> None:
     assert np.all((1 - 0.3 / factor < ratio) & (ratio < 1.01))
 
 
-def test_texture_that_is_known_does_not_hide_the_spot() -> None:
+def test_texture_that_is_known_does_not_hide_the_spot():
     ellipse = Affine(*CENTRE, 9.0, 7.0, 0.4)
     light = bell(*ellipse, factor=2)[..., None]
     # Reflectance 0.5 and 1.5 in turn, of pixel-wide stripes: the mean of its square is 1.25.
@@ -116,7 +114,7 @@ def test_texture_that_is_known_does_not_hide_the_spot() -> None:
     assert striped[0, 0] / plain[0, 0] == pytest.approx(1.25, rel=0.01)
 
 
-def test_a_clipped_number_keeps_the_information_that_remains() -> None:
+def test_a_clipped_number_keeps_the_information_that_remains():
     camera = CameraSettings(full_well_e=1e4, read_noise_e=0.0, black_level_dn=0, bit_depth=16)
     # Far below full scale: all of it, 1/variance with the shot noise of 2,500 electrons. At full
     # scale: half of the numbers are clipped; 1/2 + 1/pi remain. Far above: nothing.
@@ -127,14 +125,14 @@ def test_a_clipped_number_keeps_the_information_that_remains() -> None:
     assert found / whole == pytest.approx([1.0, 0.5 + 1 / math.pi, 0.0], abs=1e-5)
 
 
-def test_a_bayer_filter_leaves_one_colour_a_pixel() -> None:
+def test_a_bayer_filter_leaves_one_colour_a_pixel():
     light = np.full((4, 4, 3), 0.5)
     whole = light_information(light, exposure=1.0, settings=CameraSettings())
     single = light_information(light, exposure=1.0, settings=CameraSettings(bayer="RGGB"))
     assert single.sum(axis=(0, 1)) == pytest.approx(whole[0, 0] * [4, 8, 4])
 
 
-def test_fits_by_maximum_likelihood_reach_the_bound() -> None:
+def test_fits_by_maximum_likelihood_reach_the_bound():
     """Drawn bells with shot and read noise, on a striped wall that the fit knows."""
     ellipse = Affine(*CENTRE, 9.0, 7.0, 0.4)
     camera = CameraSettings(read_noise_e=20.0, bit_depth=12)
@@ -182,7 +180,7 @@ SCENE = (
 )
 
 
-def test_the_ellipse_moves_with_the_tip_as_geometry_says() -> None:
+def test_the_ellipse_moves_with_the_tip_as_geometry_says():
     world = World(
         scenes.load_scene(
             None,
@@ -200,7 +198,7 @@ def test_the_ellipse_moves_with_the_tip_as_geometry_says() -> None:
     assert grown == pytest.approx(np.full(2, 1 / world.scene.source.cone_k), rel=0.02)
 
 
-def test_a_restless_view_moves_the_ellipses_but_not_their_derivatives() -> None:
+def test_a_restless_view_moves_the_ellipses_but_not_their_derivatives():
     (still, by_tip, _), (drifting, by_drifting_tip, _) = (
         ellipse_motion(World(scenes.load_scene(None, [*SCENE, *unrest])))
         for unrest in ((), ("unrest.drift_mm_s=[0.005, 0.0]",))
@@ -214,7 +212,7 @@ Bounded = dict[int, tuple[FrameLabels, ...]]
 
 
 @pytest.fixture(scope="module")
-def bounded(tmp_path_factory: pytest.TempPathFactory) -> Bounded:
+def bounded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bound")
     return {
         exposure: scenes.render_stack(
@@ -227,7 +225,7 @@ def bounded(tmp_path_factory: pytest.TempPathFactory) -> Bounded:
     }
 
 
-def test_rendered_images_have_a_bound_that_falls_with_the_light(bounded: Bounded) -> None:
+def test_rendered_images_have_a_bound_that_falls_with_the_light(bounded):
     for few, many in zip(bounded[5000][1:], bounded[20000][1:], strict=True):
         assert 0 < many.bound_semi_minor_px < few.bound_semi_minor_px < 0.01
         # Four times the electrons: half of the standard deviation by shot noise alone, a quarter
@@ -237,7 +235,7 @@ def test_rendered_images_have_a_bound_that_falls_with_the_light(bounded: Bounded
         assert few.bound_d_mm > 0
 
 
-def test_a_sharp_spot_has_about_the_bound_of_a_uniform_disc(bounded: Bounded) -> None:
+def test_a_sharp_spot_has_about_the_bound_of_a_uniform_disc(bounded):
     """The rendered frame against the edge's quadrature, from the labels and the light alone."""
     row = bounded[20000][2]
     a, b = row.half_max_semi_major_px, row.half_max_semi_minor_px
@@ -254,7 +252,7 @@ def test_a_sharp_spot_has_about_the_bound_of_a_uniform_disc(bounded: Bounded) ->
     "change",
     ['phantom.indirect="traced"', 'phantom.spread="own"', "microscope.numerical_aperture=0.03"],
 )
-def test_light_with_random_numbers_has_no_bound(change: str, tmp_path: Path) -> None:
+def test_light_with_random_numbers_has_no_bound(change, tmp_path):
     scene = scenes.load_scene(None, [*SCENE, "exposures.bound=true", change])
     with pytest.raises(SceneError, match=r"exposures\.bound needs light without random numbers"):
         scenes.render_stack(scene, tmp_path / "stack")

@@ -15,7 +15,7 @@ from tests.scene_tables import BARE, scene_of
 
 
 @pytest.fixture(scope="module")
-def renderer() -> Renderer:
+def renderer():
     lens = {
         "phantom": {"kind": "plane"},
         "source": {"kind": "lens", "lens": "dome", "power_mw": 2.0},

@@ -1,7 +1,5 @@
 """Motion of the tip: trajectories, clocks, labels of moving spots, blur from sub-frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

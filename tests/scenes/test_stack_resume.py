@@ -1,7 +1,5 @@
 """Stacks on disk: stopped runs that go on, damage that is named, frames exposed again."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -18,7 +16,7 @@ import numpy as np
 import pytest
 
 from formats.inputs import InputError
-from formats.stack import Stack, StackWriter, read_stack
+from formats.stack import StackWriter, read_stack
 from formats.whole_files import BeingWrittenError
 from scenes import (
     Scene,
@@ -72,12 +70,12 @@ class Stop:
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Stack:
+def whole(tmp_path_factory):
     return render_stack(scene(), tmp_path_factory.mktemp("whole") / "stack")
 
 
 @pytest.fixture
-def copy(whole: Stack, tmp_path: Path) -> Path:
+def copy(whole, tmp_path):
     """The whole stack, to be damaged."""
     return Path(shutil.copytree(whole.folder, tmp_path / "copy"))
 
