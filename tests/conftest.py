@@ -28,6 +28,12 @@ settings.register_profile("reproducible", derandomize=True, deadline=None, datab
 settings.load_profile("reproducible")
 
 
+def pytest_collection_finish() -> None:
+    """What was imported to collect the tests stays: no search for garbage looks at it again."""
+    gc.collect()
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def _nothing_compiled_is_kept():
     """Free what a file's tests have compiled: a worker of all files would hold 5 GB of it."""
