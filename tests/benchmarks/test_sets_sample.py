@@ -31,8 +31,9 @@ def test_every_visible_image_of_the_sample_has_a_bound():
             assert 0 < row.labels.bound_semi_minor_px < 0.05
 
 
-def test_a_newcomer_scores_our_estimator_with_one_option(tmp_path):
-    printed("score", "--sample", "--out", tmp_path / "out")
+@pytest.mark.parametrize("part", [("--split", "unseen"), pytest.param((), marks=pytest.mark.slow)])
+def test_a_newcomer_scores_our_estimator_with_one_option(tmp_path, part):
+    printed("score", "--sample", *part, "--out", tmp_path / "out")
     first = pd.read_csv(tmp_path / "out" / "leaderboard.csv").iloc[0]
     assert first.entry == "auto"
     # No unbiased estimator is better than its bound; sub-pixel mode does not know the wall.
