@@ -40,13 +40,20 @@ def any_ellipse(rng: np.random.Generator, smallest: float, largest: float) -> Tr
     )
 
 
+def clouds(
+    rng: np.random.Generator, shape: tuple[int, int] = SHAPE, slope: float = 1.0
+) -> np.ndarray:
+    """Noise with an amplitude of frequency ** -slope; mean 0, standard deviation 1."""
+    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
+    frequency[0, 0] = math.inf  # no mean
+    noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / frequency**slope, s=shape)
+    return noise / noise.std()
+
+
 def textured_wall(rng: np.random.Generator) -> np.ndarray:
     """Reflectance with a texture of 10 to 20 % (spectrum 1/f) and vessels, (H, W)."""
-    height, width = SHAPE
-    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.rfftfreq(width))
-    frequency[0, 0] = math.inf
-    texture = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(SHAPE)) / frequency, s=SHAPE)
-    wall = 1 + rng.uniform(0.1, 0.2) / 2 * texture / texture.std()
+    texture = clouds(rng)
+    wall = 1 + rng.uniform(0.1, 0.2) / 2 * texture
     for _ in range(int(rng.integers(2, 7))):
         wall = wall * (1 - rng.uniform(0.1, 0.2) * _vessel(rng))
     return wall

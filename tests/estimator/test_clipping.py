@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from estimator.detector.band import _flank, hidden_edge
+from estimator.detector.band import hidden_edge
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import RAYS
@@ -254,11 +254,3 @@ def test_a_flank_of_a_single_grey_pixel_hides_its_edge(radius, grey):
     ellipse = AffineEllipse.from_axes(20.0, 20.0, radius, radius, 0.0)
     # One number cannot tell height, place and width apart.
     assert hidden_edge(patch, ellipse, np.ones(RAYS, bool), levels, 0.2) is None
-
-
-def test_a_flank_without_light_determines_nothing():
-    """The inverse of its information is infinite, and a multiple of it no number."""
-    x = np.linspace(0.9, 1.1, 20)
-    start = np.array([0.3, -23.25, math.log(0.9)])
-    with pytest.raises(np.linalg.LinAlgError):
-        _flank(start, x, np.zeros(20), np.ones(20))

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from estimator.detector.levels import Levels
 from estimator.detector.shape import spot_shape
 from formats.camera import LensDistortion, Response
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import Drawing, any_truth, light_of
 from tests.drawn_spots import spot_in
+from tests.own_frames import clouds
 
 _MODES = (
     SubpixelSettings(),
@@ -152,14 +152,6 @@ def test_views_and_negative_values_are_measured():
 # of an eye would.
 
 
-def clouds(rng: np.random.Generator, shape: tuple[int, int], slope: float) -> np.ndarray:
-    """Noise with an amplitude of frequency ** -slope; mean 0, standard deviation 1."""
-    frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1]))
-    frequency[0, 0] = math.inf  # no mean
-    noise = np.fft.irfft2(np.fft.rfft2(rng.standard_normal(shape)) / frequency**slope, s=shape)
-    return noise / noise.std()
-
-
 def random_frame(rng: np.random.Generator) -> np.ndarray:
     """A frame of 40 to 200 px, grey or RGB, of any type that the detector takes."""
     height, width = (int(side) for side in rng.integers(40, 200, 2))
@@ -167,7 +159,9 @@ def random_frame(rng: np.random.Generator) -> np.ndarray:
     wall = np.exp(rng.uniform(0, 1.2) * clouds(rng, (height, width), rng.uniform(0.5, 2)))
     for _ in range(rng.integers(5)):
         wall *= _vessel(rng, u, v)
-    light = rng.uniform(0, 0.3) + rng.uniform(0, 0.5) * _slope(rng, u / width, v / height)
+    light = rng.uniform(0, 0.3) + rng.uniform(0, 0.5) * (
+        rng.uniform(-1, 1) * u / width + rng.uniform(-1, 1) * v / height
+    )
     for _ in range(rng.integers(4)):
         light += rng.uniform(0.1, 2) * _blob(rng, u, v)
     image = light * wall if rng.random() < 0.8 else light
@@ -188,10 +182,6 @@ def _vessel(rng: np.random.Generator, u: np.ndarray, v: np.ndarray) -> np.ndarra
     across += (v - rng.uniform(0, v.max())) * math.sin(turn)
     across += rng.uniform(0, 10) * np.sin(u / rng.uniform(5, 30))
     return 1 - rng.uniform(0.2, 0.9) * np.exp(-((across / rng.uniform(0.5, 5)) ** 2))
-
-
-def _slope(rng: np.random.Generator, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    return rng.uniform(-1, 1) * x + rng.uniform(-1, 1) * y
 
 
 def _blob(rng: np.random.Generator, u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -282,15 +272,6 @@ def test_none_of_20000_drawn_frames_breaks_the_detector():
 def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed):
     """Its half level was found beyond its centre: a negative radius, then a root of it."""
     _measured_without_a_fault([seed])
-
-
-def test_what_is_darker_than_its_surroundings_has_no_half_level():
-    """Its edge width would be negative; roots and logarithms of it are taken later."""
-    levels = Levels(100.0, (1.0, 0.0, 0.0), 0.0, 20.0, 1.5, 2.0, 0.3, 1.0)
-    assert levels.before(101.0, 2.0, 2.0) is None
-    brighter = levels.before(99.0, 2.0, 2.0)
-    assert brighter is not None
-    assert brighter.amplitude > 0
 
 
 @pytest.mark.parametrize("exponent", [-3, -6, -9])

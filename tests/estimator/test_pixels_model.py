@@ -12,7 +12,7 @@ from scipy.stats import norm
 import optics
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
 from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion, rolled
-from estimator.pixels.frame_fit import _grown, registered
+from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import (
     LENGTHS_MM,
     OWN,
@@ -401,13 +401,6 @@ def test_what_hides_a_spot_is_found_with_its_border():
     # Of the light that is seen, only what is within 4 px of the tool.
     beside[:, 136:169] = True
     assert not hidden[inside & ~beside].any()
-
-
-def test_the_border_of_a_hidden_cell_is_as_wide_on_all_sides():
-    far, expected = np.zeros((2, COUNT, COUNT))
-    far[8:11, 14:20] = 9.0
-    expected[7:12, 13:21] = 9.0
-    np.testing.assert_array_equal(_grown(far.ravel()).reshape(COUNT, COUNT), expected)
 
 
 def test_the_only_bright_region_may_be_a_spot_that_has_grown_threefold():

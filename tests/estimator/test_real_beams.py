@@ -7,9 +7,9 @@ import pytest
 
 from estimator import SubpixelSettings, TrackState, measure
 from formats.spots import NoSpot, Reason, Spot
+from scenes.drawn import SHAPE
 from tests.drawn_spots import spot_image
-
-SHAPE = (480, 640)
+from tests.own_frames import clouds
 
 
 def measured(image: np.ndarray) -> Spot | NoSpot:
@@ -32,10 +32,7 @@ def test_a_spot_of_half_the_light_round_it_is_found(profile):
 def test_a_spot_that_texture_may_be_is_too_faint_and_says_how_faint():
     rng = np.random.default_rng(1)
     image = spot_image(SHAPE, 320, 240, 66, 60, 0.4, peak=40, background=98)
-    frequency = np.hypot(np.fft.fftfreq(SHAPE[0])[:, None], np.fft.rfftfreq(SHAPE[1]))
-    frequency[0, 0] = math.inf
-    clouds = np.fft.irfft2(np.fft.rfft2(rng.normal(size=SHAPE)) / frequency, s=SHAPE)
-    result = measured(image * np.exp(0.06 * clouds / clouds.std()) + rng.normal(0, 2, SHAPE))
+    result = measured(image * np.exp(0.06 * clouds(rng)) + rng.normal(0, 2, SHAPE))
     assert isinstance(result, NoSpot)
     assert result.reason is Reason.TOO_FAINT
     # A step of 40 over texture of 6 % of 98, of which means over a part of the contour keep most.

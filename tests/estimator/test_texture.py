@@ -6,13 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from estimator.detector.contour import without_texture
-from estimator.detector.ellipse import AffineEllipse, Patch
 from tests.drawn_spots import spot_in
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0
-ELLIPSE = AffineEllipse.from_axes(SHAPE[1] / 2, SHAPE[0] / 2, SEMI_MINOR_PX, SEMI_MINOR_PX, 0.0)
 DENSITY = (0.25, 0.65, 0.55)  # of a pigment in red, green and blue
 
 
@@ -32,30 +29,6 @@ def veins(rng: np.random.Generator, width_px: float) -> np.ndarray:
 def tinted(light: np.ndarray, pigment: np.ndarray) -> np.ndarray:
     """Light in three channels after the pigment, (h, w, 3) float32."""
     return (light[..., None] * np.exp(-pigment[..., None] * DENSITY)).astype(np.float32)
-
-
-def unevenness(image: np.ndarray) -> float:
-    """Scatter of an image over the bell where it is bright, relative."""
-    ratio = (image / bell())[bell() > 80]
-    return float(ratio.std() / ratio.mean())
-
-
-def test_a_pigment_is_taken_out_and_the_light_left():
-    # Samples are means of 2.5 px, over which a pigment of waves of 12 px bends by some 3 %: a
-    # fifth of the 10 to 20 % that it takes is the most that may be left.
-    image = tinted(bell(), veins(np.random.default_rng(0), 6.0))
-    red = np.ascontiguousarray(image[..., 0])
-    even = without_texture(Patch(red, 0, 0), image, ELLIPSE).signal
-    assert unevenness(image[..., 0]) > 0.05
-    assert unevenness(even) < unevenness(image[..., 0]) / 5
-
-
-def test_what_is_as_dark_in_every_colour_stays():
-    grey = bell() * np.exp(-0.3 * veins(np.random.default_rng(1), 6.0))
-    light = grey.astype(np.float32)
-    even = without_texture(Patch(light, 0, 0), np.dstack([light] * 3), ELLIPSE).signal
-    # The channels are one, up to the rounding of 32 bits in a logarithm of 5.
-    np.testing.assert_allclose(even / light, 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("semi_minor_px", [25.0, 35.0])
