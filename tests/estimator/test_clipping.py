@@ -1,7 +1,6 @@
 """Spots that a camera clips, at any level: measured within their stated errors, or refused."""
 
 import math
-from collections.abc import Iterable
 
 import numpy as np
 import pytest
@@ -104,7 +103,10 @@ def test_what_is_not_clipped_is_not_saturated(bits, level, shift, noise):
         assert_within(spot, truth)
 
 
-def _random_frames_are_right_or_refused(seeds: Iterable[int]) -> None:
+@pytest.mark.parametrize(
+    "seeds", [range(150), pytest.param(range(150, 10_150), marks=pytest.mark.slow)]
+)
+def test_frames_of_random_depth_level_and_exposure_are_right_or_refused(seeds):
     for seed in seeds:
         rng = np.random.default_rng([2, seed])
         bits, level, shift = LEVELS[rng.integers(len(LEVELS))]
@@ -120,15 +122,6 @@ def _random_frames_are_right_or_refused(seeds: Iterable[int]) -> None:
         )
         if spot := measured(frame):
             assert_within(spot, truth)
-
-
-def test_frames_of_random_depth_level_and_exposure_are_right_or_refused():
-    _random_frames_are_right_or_refused(range(150))
-
-
-@pytest.mark.slow
-def test_ten_thousand_frames_of_random_depth_level_and_exposure_are_right_or_refused():
-    _random_frames_are_right_or_refused(range(150, 10_150))
 
 
 @pytest.mark.parametrize("hidden", [0.02, 0.1, 0.2, 0.3])

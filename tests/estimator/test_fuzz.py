@@ -1,5 +1,4 @@
 import math
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -245,7 +244,13 @@ def _settings_for(
     return [every[k] for k in rng.choice(len(every), 2, replace=False)]
 
 
-def _measured_without_a_fault(seeds: Iterable[int]) -> None:
+# The half level of the two single ones was found beyond their centre: a negative radius.
+@pytest.mark.parametrize(
+    "seeds",
+    [range(150), [3111, 5513], pytest.param(range(150, 20_000), marks=pytest.mark.slow)],
+    ids=str,
+)
+def test_no_drawn_frame_breaks_the_detector(seeds):
     for seed in seeds:
         rng = np.random.default_rng(seed)
         frame = random_frame(rng)
@@ -257,21 +262,6 @@ def _measured_without_a_fault(seeds: Iterable[int]) -> None:
                 _assert_sound(spot, mode)
                 camera = mode.camera if isinstance(mode, SubpixelSettings) else None
                 spot_shape(later, spot, response=mode.response, camera=camera)
-
-
-def test_no_drawn_frame_breaks_the_detector():
-    _measured_without_a_fault(range(150))
-
-
-@pytest.mark.slow
-def test_none_of_20000_drawn_frames_breaks_the_detector():
-    _measured_without_a_fault(range(150, 20_000))
-
-
-@pytest.mark.parametrize("seed", [3111, 5513])
-def test_a_speck_below_the_pixel_grid_is_no_contour_turned_inside_out(seed):
-    """Its half level was found beyond its centre: a negative radius, then a root of it."""
-    _measured_without_a_fault([seed])
 
 
 @pytest.mark.parametrize("exponent", [-3, -6, -9])

@@ -238,24 +238,17 @@ GEOMETRIES = {
 }
 
 
-@given(**GEOMETRIES)
-@settings(max_examples=60)
-def test_exact_distance_inverts_the_exact_contour(c, d, incidence, azimuth, height):
-    assert_distance_returns(c, d, incidence, azimuth, height)
+@pytest.mark.parametrize("examples", [60, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_exact_distance_inverts_the_exact_contour(examples):
+    @given(**GEOMETRIES)
+    @settings(max_examples=examples)
+    def returns(c, d, incidence, azimuth, height):
+        eye = camera(height)
+        beam = SQUARE | {"eccentricity": c, "incidence": incidence, "incidence_azimuth": azimuth}
+        axis = forward_axis(eye, d, beam)
+        np.testing.assert_allclose(inverse_distance(eye, axis, beam), d, atol=1e-8)
 
-
-@pytest.mark.slow
-@given(**GEOMETRIES)
-@settings(max_examples=10_000)
-def test_exact_distance_inverts_ten_thousand_exact_contours(c, d, incidence, azimuth, height):
-    assert_distance_returns(c, d, incidence, azimuth, height)
-
-
-def assert_distance_returns(c, d, incidence, azimuth, height):
-    eye = camera(height)
-    beam = SQUARE | {"eccentricity": c, "incidence": incidence, "incidence_azimuth": azimuth}
-    axis = forward_axis(eye, d, beam)
-    np.testing.assert_allclose(inverse_distance(eye, axis, beam), d, atol=1e-8)
+    returns()
 
 
 def test_derivatives_of_the_exact_contour_match_central_differences():

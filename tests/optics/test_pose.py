@@ -66,25 +66,18 @@ def from_ellipse(ellipse, height, covariance=SIGMAS, prior=NO_PRIOR) -> optics.P
     )
 
 
-@given(**GEOMETRIES)
-@settings(max_examples=150)
-def test_pose_inverts_the_contour(c, d, incidence, azimuth, height):
-    assert_pose_returns(c, d, incidence, azimuth, height)
+@pytest.mark.parametrize("examples", [150, pytest.param(10_000, marks=pytest.mark.slow)])
+def test_pose_inverts_the_contour(examples):
+    @given(**GEOMETRIES)
+    @settings(max_examples=examples)
+    def returns(c, d, incidence, azimuth, height):
+        true = beam(incidence_deg=incidence, c=c, d=d, azimuth=azimuth)
+        found = estimate(spot_contour(true, WALL, eye(height)), height).best
+        np.testing.assert_allclose(found.tip, true.tip, atol=1e-8)
+        np.testing.assert_allclose(found.axis, true.axis, atol=1e-8)
+        np.testing.assert_allclose(found.distance, d, atol=1e-8)
 
-
-@pytest.mark.slow
-@given(**GEOMETRIES)
-@settings(max_examples=10_000)
-def test_pose_inverts_ten_thousand_contours(c, d, incidence, azimuth, height):
-    assert_pose_returns(c, d, incidence, azimuth, height)
-
-
-def assert_pose_returns(c, d, incidence, azimuth, height):
-    true = beam(incidence_deg=incidence, c=c, d=d, azimuth=azimuth)
-    found = estimate(spot_contour(true, WALL, eye(height)), height).best
-    np.testing.assert_allclose(found.tip, true.tip, atol=1e-8)
-    np.testing.assert_allclose(found.axis, true.axis, atol=1e-8)
-    np.testing.assert_allclose(found.distance, d, atol=1e-8)
+    returns()
 
 
 @given(**GEOMETRIES)

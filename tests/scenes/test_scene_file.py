@@ -9,7 +9,7 @@ import pytest
 from pydantic import ValidationError
 
 from scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
-from tests.command_line import call
+from tests.command_line import printed
 
 
 def accepted_by_schema(content: dict[str, Any]) -> bool:
@@ -56,19 +56,13 @@ def test_an_editor_with_the_schema_says_what_the_program_says(content, good):
     assert accepted_by_schema(content) is good
 
 
-def run(*words):
-    done = call([str(word) for word in words])
-    assert done.exit_code == 0, done.output
-    return done.stdout
-
-
 def test_a_new_scene_file_names_the_schema_that_lies_beside_it(tmp_path):
-    run("scene", "init", tmp_path / "alone.toml")
+    printed("scene", "init", tmp_path / "alone.toml")
     assert "#:schema" not in (tmp_path / "alone.toml").read_text()
-    schema = run("scene", "schema")
+    schema = printed("scene", "schema")
     assert json.loads(schema) == scene_schema()
     (tmp_path / "scene.schema.json").write_text(schema)
-    run("scene", "init", tmp_path / "scene.toml")
+    printed("scene", "init", tmp_path / "scene.toml")
     first, *rest = (tmp_path / "scene.toml").read_text().splitlines()
     assert first == "#:schema ./scene.schema.json"
     assert rest == (tmp_path / "alone.toml").read_text().splitlines()
@@ -104,9 +98,9 @@ def test_what_is_set_without_effect_is_said_and_a_default_in_a_file_is_not(tmp_p
 
 def test_the_real_microscope_has_a_name(tmp_path):
     file = tmp_path / "scene.toml"
-    run("scene", "init", file, "--microscope", "real")
+    printed("scene", "init", file, "--microscope", "real")
     assert load_scene(file).microscope.pinhole_height_mm == 200.0
-    run("scene", "init", file, "--overwrite")
+    printed("scene", "init", file, "--overwrite")
     assert load_scene(file) == Scene()
 
 
