@@ -1,5 +1,6 @@
 """Labelled sets whose frames are drawn, not rendered: quick to make, and true by construction."""
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -19,6 +20,16 @@ STACKS = {"train": ("a", "b"), "adverse": ("shadow-0000",)}
 MICROSCOPE: dict[str, object] = microscope_content(
     SHAPE[::-1], scale_mm_px=23.0 / 858.2, pinhole_height_mm=11.5, paper_exposure_s=0.02
 )
+
+
+def digests(folder: Path) -> dict[str, str]:
+    """SHA-256 of every file, by its name; folders too."""
+    return {
+        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+        if path.is_file()
+        else ""
+        for path in sorted(folder.rglob("*"))
+    }
 
 
 def image_row(labels: FrameLabels, *, stack: str) -> dict[str, Any]:

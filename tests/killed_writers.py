@@ -11,7 +11,6 @@ Stubs: Mitsuba and Dask, which render, the check of a set's scenes, and the data
 
 import contextlib
 import errno
-import hashlib
 import os
 import resource
 import shutil
@@ -40,7 +39,7 @@ from formats.spots import NoSpot, Reason, SpotRecord, write_spots
 from formats.stack import Stack, StackWriter, read_stack
 from formats.whole_files import STOPPED, UNFINISHED, written_whole
 from scenes.commands import init
-from tests.drawn_sets import MICROSCOPE, labels_of
+from tests.drawn_sets import MICROSCOPE, digests, labels_of
 
 KILLED, FULL = 77, 78
 SIZES = [0, 1, 100, 200, 500, 1000, 1500, 2000, 3000, 5000, 10_000, 20_000, 50_000]
@@ -210,16 +209,6 @@ TASKS = {
     "hdf5": Task(partial(write_export, to="hdf5"), prepare=write_stack),
     "rosbag2": Task(partial(write_export, to="rosbag2"), prepare=write_stack, few=5),
 }
-
-
-def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file, by its name; folders too."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        if path.is_file()
-        else ""
-        for path in sorted(folder.rglob("*"))
-    }
 
 
 def in_child(write: Callable[[Path], None], folder: Path) -> int:

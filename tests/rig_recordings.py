@@ -3,8 +3,6 @@
 import hashlib
 import json
 import math
-import subprocess
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Literal
@@ -20,6 +18,7 @@ from formats.calibration import write_calibration
 from formats.poses import Pose, PoseTrack
 from formats.spots import Spot
 from formats.stack import read_stack
+from tests.command_line import run_process
 from tests.made_up import a_calibration
 
 HOME = Path(__file__).resolve().parents[1]
@@ -47,9 +46,8 @@ kinds = ["metered"]
 def rendered_stack(folder: Path) -> Path:
     """A tip that withdraws: the instrument hides the first spots, so some frames have none."""
     (folder / "scene.toml").write_text(SCENE)
-    scene, made = str(folder / "scene.toml"), str(folder / "stack")
-    command = [sys.executable, "-m", "eyespot", "render", scene, "--out", made]
-    subprocess.run(command, cwd=HOME, check=True)
+    rendered = run_process("render", folder / "scene.toml", "--out", folder / "stack")
+    assert rendered.exit_code == 0, rendered.stderr
     return folder / "stack"
 
 

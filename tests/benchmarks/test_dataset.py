@@ -1,6 +1,5 @@
 """Labelled sets on disk: complete, the same bytes whoever renders them, damage that is named."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -25,6 +24,7 @@ from benchmarks.sets.make import (
 from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import load_spec, plan
 from scenes import SceneError, check_scene
+from tests.drawn_sets import digests
 
 SPEC = """\
 name = "tiny"
@@ -84,15 +84,6 @@ def seen_by(watch: Callable[[int, int], None], monkeypatch: pytest.MonkeyPatch) 
         yield advance
 
     monkeypatch.setattr(make, "bar", bar)
-
-
-def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file, by its name."""
-    return {
-        path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,6 @@
 """croissant.json: MLCommons' own library accepts it, and reads labels and images by it."""
 
 import json
-import subprocess
-import sys
 
 import datasets
 import numpy as np
@@ -11,13 +9,14 @@ import pytest
 from benchmarks.sets.card import write_card
 from benchmarks.sets.croissant import meaning
 from benchmarks.sets.read import read_set, rows
+from tests.command_line import run_python
 from tests.drawn_sets import write_set
 
 READ = """
-import json, sys
+import json
 import mlcroissant
 
-dataset = mlcroissant.Dataset(jsonld=sys.argv[1])
+dataset = mlcroissant.Dataset(jsonld="croissant.json")
 assert not dataset.metadata.ctx.issues.errors, dataset.metadata.ctx.issues.errors
 found = {"labels": [], "images": []}
 for record in dataset.records("train"):
@@ -48,13 +47,8 @@ def carded(tmp_path_factory):
 
 def test_the_library_of_the_format_reads_labels_and_images(carded):
     # In a process of its own: the library warns of its dependencies' code.
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", READ, carded / "croissant.json"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    done = run_python(READ, cwd=carded, PYTHONWARNINGS="ignore")
+    assert done.exit_code == 0, done.stderr
     found = json.loads(done.stdout.splitlines()[-1])
     train = [row for row in rows(read_set(carded)) if row.planned.split == "train"]
     assert [line["train/d_mm"] for line in found["labels"]] == [row.labels.d_mm for row in train]

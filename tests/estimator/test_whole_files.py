@@ -3,14 +3,13 @@
 import errno
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 from formats.inputs import InputError
 from formats.whole_files import BeingWrittenError, sweep, written_whole
+from tests.command_line import run_python
 
 KINDS = ["file", "folder", "link to a file", "link to a folder", "link to nothing", "pipe"]
 
@@ -123,14 +122,14 @@ def test_only_what_a_killed_writer_left_is_swept(
     tmp_path,
 ):
     killed = """
-import os, sys
+import os
 from pathlib import Path
 from formats.whole_files import written_whole
-with written_whole(Path(sys.argv[1])) as partial:
+with written_whole(Path("left")) as partial:
     partial.write_text("half")
     os._exit(9)
 """
-    subprocess.run([sys.executable, "-c", killed, str(tmp_path / "left")], check=False)
+    assert run_python(killed, cwd=tmp_path).exit_code == 9
     (left,) = tmp_path.iterdir()
     assert left.name == ".left.unfinished"
     shutil.copytree(left, tmp_path / ".other.unfinished")

@@ -1,6 +1,5 @@
 """Stacks on disk: stopped runs that go on, damage that is named, frames exposed again."""
 
-import hashlib
 import json
 import os
 import shutil
@@ -26,6 +25,7 @@ from scenes import (
     render_stack,
     scene_toml,
 )
+from tests.drawn_sets import digests
 from tests.scene_tables import scene_of
 
 
@@ -46,15 +46,6 @@ def moving() -> Scene:
     """Three frames of a hand's motion, which take many renderings each."""
     content = scene(exposures={"kinds": ["metered"]}).model_dump(mode="json", by_alias=True)
     return Scene.model_validate({**content, "motion": {"kind": "hand", "duration_s": 0.2}})
-
-
-def digests(folder: Path) -> dict[str, str]:
-    """SHA-256 of every file, by its name."""
-    return {
-        str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest()
-        for path in sorted(folder.rglob("*"))
-        if path.is_file()
-    }
 
 
 class Stop:

@@ -1,8 +1,5 @@
 """The same stack from every variant of Mitsuba that a machine can run."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import cv2
@@ -12,6 +9,7 @@ import pytest
 from formats.stack import Stack, read_stack
 from scenes import SceneError, load_scene, render_stack
 from scenes.machine.llvm import ENVIRONMENT_VARIABLE
+from tests.command_line import run_process
 
 SCENE = """\
 schema = 1
@@ -31,21 +29,13 @@ kinds = ["metered"]
 """
 
 
-def rendered(folder: Path, variant: str, **environment: str) -> subprocess.CompletedProcess[str]:
-    """`eyespot render` in a process of its own: a process runs one variant."""
+def compare(folder: Path, variant: str, **environment: str) -> None:
+    """A stack that a process of its own has rendered, as a process runs one variant, with ours."""
     scene = folder / "scene.toml"
     scene.write_text(SCENE)
-    command = ["render", str(scene), "--out", str(folder / variant), "--variant", variant]
-    return subprocess.run(
-        [sys.executable, "-m", "eyespot", *command],
-        capture_output=True,
-        text=True,
-        check=False,
-        env=os.environ | environment,
-    )
-
-
-def compare(folder: Path, variant: str) -> None:
+    options = ("--out", folder / variant, "--variant", variant)
+    done = run_process("render", scene, *options, **environment)
+    assert done.exit_code == 0, done.stderr
     reference = render_stack(load_scene(folder / "scene.toml"), folder / "llvm_ad_rgb")
     other: Stack = read_stack(folder / variant)
     assert other.description["run"]["variant"] == variant
@@ -65,9 +55,7 @@ def compare(folder: Path, variant: str) -> None:
 
 def test_without_llvm_a_cone_is_rendered_in_scalar_mode(tmp_path):
     nowhere = {ENVIRONMENT_VARIABLE: str(tmp_path / "libLLVM-15.so.1")}
-    done = rendered(tmp_path, "scalar_rgb", **nowhere)
-    assert done.returncode == 0, done.stderr
-    compare(tmp_path, "scalar_rgb")
+    compare(tmp_path, "scalar_rgb", **nowhere)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +70,4 @@ def test_scalar_mode_refuses_what_it_cannot_do_in_time(tmp_path, change):
 
 @pytest.mark.gpu
 def test_a_gpu_renders_the_same_stack(tmp_path):
-    done = rendered(tmp_path, "cuda_ad_rgb")
-    assert done.returncode == 0, done.stderr
     compare(tmp_path, "cuda_ad_rgb")
