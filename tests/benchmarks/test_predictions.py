@@ -2,43 +2,65 @@
 
 import json
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import pytest
 
-from benchmarks.predictions.plan import SURE, Judgement, Plan, predicted, read_plan
+from benchmarks.predictions.plan import (
+    SURE,
+    Judgement,
+    Plan,
+    judged,
+    measured_as_planned,
+    predicted,
+    read_plan,
+)
+from formats.calibration import write_calibration
 from formats.inputs import InputError
-from scenes import Scene, changed, render_stack, scene_toml
+from scenes import changed, load_scene, render_stack, scene_toml
+from scenes.world.labels import true_calibration
 from tests.command_line import printed
-from tests.prediction_coverage import drawn, plan_of, planned_scene, verdict
 
-
-class Planned(NamedTuple):
-    """A scene with its plan."""
-
-    scene: Scene
-    plan: Plan
-    folder: Path
+UNCERTAIN = {
+    "phantom.radius_mm": 0.3,
+    "source.cone_k": 0.05,
+    "source.cone_apex_offset_mm": 0.03,
+    "motion.start_mm": 0.02,
+    "motion.speed_mm_s": 0.002,
+    "spot.eccentricity_mm": 0.03,
+    "clocks.kinematics_offset_s": 0.01,
+}
+# A withdrawal at c = 2.5 mm under a microscope at 200 mm, in six small frames.
+SCENE = load_scene(
+    None,
+    [
+        *("source.kind=cone", "spot.eccentricity_mm=2.5", 'exposures.kinds=["metered"]'),
+        *("microscope.pinhole_height_mm=200", "microscope.scale_mm_px=0.0134"),
+        *("microscope.width_px=320", "microscope.height_px=240"),
+        *("motion.start_mm=0.5", "motion.travel_mm=4", "motion.speed_mm_s=1", "motion.frames=6"),
+    ],
+)
 
 
 @pytest.fixture(scope="module")
-def planned(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("planned")
-    scene = planned_scene()
-    return Planned(scene, plan_of(scene, folder), folder)
+def plan(tmp_path_factory):
+    """What is predicted with the scene's own calibration."""
+    file = tmp_path_factory.mktemp("planned") / "cone.json"
+    write_calibration(file, true_calibration(SCENE))
+    return predicted(SCENE, UNCERTAIN, calibration=file, model="corrected")
 
 
-def judged(planned: Planned, **changes: float) -> Judgement:
+def verdict(plan: Plan, folder: Path, values: dict[str, float]) -> Judgement:
+    """Render the scene with other values, and compare it with the plan."""
     # Another texture and other noise than in the rehearsal.
-    changes |= {"seed": 3, "phantom__texture_seed": 3}
-    return verdict(planned.plan, planned.scene, planned.folder, **changes)
+    render_stack(changed(SCENE, {"seed": 3, "phantom.texture_seed": 3} | values), folder / "stack")
+    return judged(plan, measured_as_planned(plan, str(folder / "stack")))
 
 
-def test_the_planned_scene_itself_keeps_every_prediction(planned):
-    found = judged(planned)
+def test_the_planned_scene_itself_keeps_every_prediction(plan, tmp_path):
+    found = verdict(plan, tmp_path, {})
     # Without an error of the scene only noise is left, far inside of the intervals.
-    assert found.hits == found.predictions == planned.plan.array("expected").size
+    assert found.hits == found.predictions == plan.array("expected").size
     assert not found.causes.contradicts.any()
 
 
@@ -53,8 +75,8 @@ def test_the_planned_scene_itself_keeps_every_prediction(planned):
         ("source.cone_k", 19.0, 0.1),
     ],
 )
-def test_what_is_wrong_is_named_with_its_value(planned, key, value, tolerance):
-    found = judged(planned, **{key.replace(".", "__"): value})
+def test_what_is_wrong_is_named_with_its_value(plan, tmp_path, key, value, tolerance):
+    found = verdict(plan, tmp_path, {key: value})
     first = found.causes.iloc[0]
     assert first.contradicts
     assert first.key == key
@@ -62,35 +84,35 @@ def test_what_is_wrong_is_named_with_its_value(planned, key, value, tolerance):
     assert found.hits < found.predictions
 
 
-def test_an_error_that_no_key_explains_is_a_misfit(planned):
+def test_an_error_that_no_key_explains_is_a_misfit(plan, tmp_path):
     # Under a tilt of 45 degrees instead of 30 the centres stay, and the axes change as no key does.
-    found = judged(planned, spot__incidence_deg=45.0)
+    found = verdict(plan, tmp_path, {"spot.incidence_deg": 45.0})
     assert found.misfit > 10
     assert found.hits / found.predictions < 0.8
 
 
-def test_a_spot_that_is_not_there_is_a_miss(planned):
+def test_a_spot_that_is_not_there_is_a_miss(plan, tmp_path):
     # At 60 degrees the instrument hides the spot in every frame.
-    found = judged(planned, spot__incidence_deg=60.0)
+    found = verdict(plan, tmp_path, {"spot.incidence_deg": 60.0})
     assert found.no_spot.total() == 6
     tallies = found.tallies.set_index("quantity")
     assert tallies.misses["semi_minor_px"] == tallies.misses["distance_mm"] == 6
     assert tallies.hits["robot_mm"] == 6
 
 
-def test_a_wrong_eccentricity_moves_the_centre_only(planned):
-    found = judged(planned, spot__eccentricity_mm=2.8)
+def test_a_wrong_eccentricity_moves_the_centre_only(plan, tmp_path):
+    found = verdict(plan, tmp_path, {"spot.eccentricity_mm": 2.8})
     assert found.causes.key.iloc[0] == "spot.eccentricity_mm"
     assert found.tallies.set_index("quantity").misses["x_px"] == 6
 
 
-def test_a_plan_comes_back_and_a_changed_one_is_refused(planned, tmp_path):
+def test_a_plan_comes_back_and_a_changed_one_is_refused(plan, tmp_path):
     path = tmp_path / "plan.json"
-    path.write_text(planned.plan.model_dump_json(by_alias=True))
+    path.write_text(plan.model_dump_json(by_alias=True))
     again = read_plan(path)
-    assert again.sha256 == planned.plan.sha256
-    assert (again.expected, again.moved) == (planned.plan.expected, planned.plan.moved)
-    assert again.uncertain == planned.plan.uncertain
+    assert again.sha256 == plan.sha256
+    assert (again.expected, again.moved) == (plan.expected, plan.moved)
+    assert again.uncertain == plan.uncertain
     content = json.loads(path.read_text())
     content["expected"][0][0] += 1e-6
     path.write_text(json.dumps(content))
@@ -98,8 +120,7 @@ def test_a_plan_comes_back_and_a_changed_one_is_refused(planned, tmp_path):
         read_plan(path)
 
 
-def test_the_intervals_contain_the_stated_uncertainties_and_the_noise(planned):
-    plan = planned.plan
+def test_the_intervals_contain_the_stated_uncertainties_and_the_noise(plan):
     expected = plan.array("expected")
     sigma = (plan.array("high") - plan.array("low")) / (2 * 1.959964)  # of 95 % intervals
     assert np.isfinite(expected).all() and np.isfinite(sigma).all()
@@ -122,17 +143,17 @@ def test_the_intervals_contain_the_stated_uncertainties_and_the_noise(planned):
 )
 def test_an_uncertain_key_that_is_none_is_bad_input(key, word):
     with pytest.raises(InputError, match=word):
-        predicted(planned_scene(), {key: 0.1})
+        predicted(SCENE, {key: 0.1})
 
 
-def test_the_commands_write_a_plan_and_judge_a_stack(planned, tmp_path):
-    (tmp_path / "scene.toml").write_text(scene_toml(planned.scene))
+def test_the_commands_write_a_plan_and_judge_a_stack(tmp_path):
+    (tmp_path / "scene.toml").write_text(scene_toml(SCENE))
     plan, stack = tmp_path / "plan.json", tmp_path / "stack"
     uncertain = "clocks.kinematics_offset_s=0.005"
     said = printed("preregister", tmp_path / "scene.toml", "--out", plan, "--uncertain", uncertain)
     sha256 = read_plan(plan).sha256
     assert sha256 in said
-    render_stack(changed(planned.scene, {"clocks.kinematics_offset_s": 0.05}), stack)
+    render_stack(changed(SCENE, {"clocks.kinematics_offset_s": 0.05}), stack)
     content = json.loads(printed("adjudicate", plan, stack, "--json"))
     assert content["plan_sha256"] == sha256
     (clock,) = content["keys"]
@@ -144,11 +165,14 @@ def test_the_commands_write_a_plan_and_judge_a_stack(planned, tmp_path):
 
 
 @pytest.mark.slow
-def test_95_percent_of_the_predictions_hold_with_true_scenes(planned):
-    found = [
-        verdict(planned.plan, planned.scene, planned.folder, **drawn(planned.plan, number))
-        for number in range(60)
-    ]
+def test_95_percent_of_the_predictions_hold_with_true_scenes(plan, tmp_path):
+    """Each is a scene of its own, with every uncertain key drawn as the plan states it."""
+    found = []
+    for number in range(60):
+        noise = np.random.default_rng([2, number])
+        values = {key: v + s * noise.standard_normal() for key, (v, s) in plan.uncertain.items()}
+        seeds = {"seed": number, "phantom.texture_seed": number}
+        found.append(verdict(plan, tmp_path / f"{number}", values | seeds))
     share = sum(one.hits for one in found) / sum(one.predictions for one in found)
     # Predictions of one stack share their errors: 60 stacks times about 5 that differ, 1.3 %.
     assert 0.91 <= share <= 0.99

@@ -97,8 +97,7 @@ def test_what_is_not_clipped_is_not_saturated(bits, level, shift, noise):
         over = rng.uniform(0.5, 0.9)
         settings = {"bits": bits, "level": level, "shift": shift, "noise": noise}
         frame, truth = drawn(rng, over=over, profile=profile, **settings)
-        spot = measured(frame)
-        assert isinstance(spot, Spot)
+        spot = spot_in(frame)
         assert spot.saturated == 0
         assert_within(spot, truth)
 
@@ -129,8 +128,7 @@ def test_a_bell_is_measured_up_to_a_third_of_its_area_clipped(hidden):
     # Of a Gaussian's area above half of its peak, log2(peak / level) is above the level.
     for seed in range(5):
         frame, truth = drawn(np.random.default_rng([3, seed]), profile="bell", over=2**hidden)
-        spot = measured(frame)
-        assert isinstance(spot, Spot)
+        spot = spot_in(frame)
         assert_within(spot, truth, relative=0.05)
 
 
@@ -146,8 +144,7 @@ def test_hot_pixels_above_the_level_do_not_hide_it():
     frame, truth = drawn(rng, over=1.4)
     rows, columns = rng.integers(100, 140, 3), rng.integers(140, 180, 3)
     frame[rows, columns] = 65535
-    spot = measured(frame)
-    assert isinstance(spot, Spot)
+    spot = spot_in(frame)
     assert spot.saturated > 0.6
     assert_within(spot, truth)
 
@@ -162,8 +159,7 @@ def test_a_curve_counts_from_the_cameras_full_scale(tmp_path):
     for response in (Response(curve="srgb", full_scale=4095), Response(curve="srgb")):
         # Without a stated full scale, values whose lowest bits are 0 show it.
         shifted = frame << 4 if response.full_scale is None else frame
-        spot = measured(shifted, SubpixelSettings(response=response))
-        assert isinstance(spot, Spot)
+        spot = spot_in(shifted, SubpixelSettings(response=response))
         assert_within(spot, (40, 30))
     with pytest.raises(InputError, match=r"full scale of 16-bit images.*--full-scale 4095"):
         measured(frame, SubpixelSettings(response=Response(curve="srgb")))

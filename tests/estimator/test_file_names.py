@@ -11,6 +11,7 @@ import pytest
 
 from estimator.sources.opening import open_source
 from formats.spots import read_spots
+from tests.drawn_recording import write_video
 from tests.drawn_sets import write_set
 from tests.drawn_spots import spot_image
 
@@ -49,12 +50,9 @@ def test_names_that_are_no_utf8_are_measured_and_written_as_bytes(tmp_path, png,
 
 
 def test_a_video_whose_name_is_no_utf8_is_read(tmp_path):
-    writer = cv2.VideoWriter(str(tmp_path / "a.avi"), cv2.VideoWriter.fourcc(*"FFV1"), 25, (64, 48))
-    for level in (10, 20):
-        writer.write(np.full((48, 64, 3), level, np.uint8))
-    writer.release()
+    frames = [np.full((48, 64, 3), level, np.uint8) for level in (10, 20)]
     strange = tmp_path / os.fsdecode(b"\xe9.avi")
-    (tmp_path / "a.avi").rename(strange)
+    write_video(tmp_path / "a.avi", frames).rename(strange)
     assert [frame.image[0, 0, 0] for frame in open_source(strange)] == [10, 20]
 
 

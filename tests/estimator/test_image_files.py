@@ -23,6 +23,7 @@ from formats.camera import Response
 from formats.images import decoded_image
 from formats.inputs import InputError
 from formats.spots import Spot
+from tests.drawn_recording import write_video
 from tests.drawn_spots import spot_image
 
 SHAPE = (96, 128)
@@ -435,12 +436,7 @@ def test_a_bayer_mosaic_has_the_colours_of_its_pattern(tmp_path, pattern, colour
 
 def rotated_mp4(path: Path, frame: np.ndarray) -> None:
     """A video of phones: the matrix of its track turns it by 90 degrees."""
-    writer = cv2.VideoWriter(
-        str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25, (frame.shape[1], frame.shape[0])
-    )
-    for _ in range(3):
-        writer.write(grey_as_rgb(frame))
-    writer.release()
+    write_video(path, [grey_as_rgb(frame)] * 3, "mp4v")
     data = path.read_bytes()
     one, whole = 1 << 16, 1 << 30
     upright = struct.pack(">9i", one, 0, 0, 0, one, 0, 0, 0, whole)

@@ -87,10 +87,10 @@ def test_literal_mode_follows_steps_that_leave_the_spot_in_its_patch():
 
 def test_a_16_bit_frame_reads_as_its_8_bit_twin():
     frame = frame_of(_SCENE, np.random.default_rng(0))
-    state = TrackState(at_px=(320, 240))
-    eight, _ = measure(frame, state, LiteralSettings())
-    sixteen, _ = measure(frame.astype(np.uint16) * 257, state, LiteralSettings())
-    assert isinstance(eight, Spot) and isinstance(sixteen, Spot)
+    eight, sixteen = (
+        spot_in(image, LiteralSettings(), at=(320, 240))
+        for image in (frame, frame.astype(np.uint16) * 257)
+    )
     assert sixteen.semi_minor_px == eight.semi_minor_px
 
 

@@ -8,13 +8,16 @@ import pytest
 from estimator import SubpixelSettings, TrackState, measure
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE
-from tests.drawn_spots import spot_image
+from tests.drawn_spots import spot_image, spot_in
 from tests.own_frames import clouds
 
 
+def eight_bit(image: np.ndarray) -> np.ndarray:
+    return np.clip(np.rint(image), 0, 255).astype(np.uint8)
+
+
 def measured(image: np.ndarray) -> Spot | NoSpot:
-    frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
-    return measure(frame, TrackState(), SubpixelSettings())[0]
+    return measure(eight_bit(image), TrackState(), SubpixelSettings())[0]
 
 
 @pytest.mark.parametrize("profile", ["disc", "bell"])
@@ -23,8 +26,7 @@ def test_a_spot_of_half_the_light_round_it_is_found(profile):
     image = spot_image(
         SHAPE, 320, 240, 66, 60, 0.4, profile=profile, peak=50, background=98, noise=2, rng=rng
     )
-    spot = measured(image)
-    assert isinstance(spot, Spot)
+    spot = spot_in(eight_bit(image))
     sigma = math.sqrt(spot.covariance[2, 2])
     assert abs(spot.semi_major_px - 66) < 5 * sigma + 0.1
 
@@ -56,11 +58,9 @@ def test_repeated_pixels_are_measured_as_those_that_they_repeat(times):
     down, right = times
     rng = np.random.default_rng(3)
     small = spot_image((240, 320), 150, 120, 40, 30, 0.4, noise=2, rng=rng)
-    single = measured(small)
+    single = spot_in(eight_bit(small))
     # An odd offset, as after cropping; the centre of k repeated pixels lies (k - 1) / 2 behind.
-    enlarged = measured(np.repeat(np.repeat(small, down, 0), right, 1)[1:, 1:])
-    assert isinstance(single, Spot)
-    assert isinstance(enlarged, Spot)
+    enlarged = spot_in(eight_bit(np.repeat(np.repeat(small, down, 0), right, 1)[1:, 1:]))
     middle = right * single.x_px + (right - 1) / 2 - 1, down * single.y_px + (down - 1) / 2 - 1
     assert [enlarged.x_px, enlarged.y_px] == pytest.approx(middle, abs=0.1)
     area = enlarged.semi_major_px * enlarged.semi_minor_px / (down * right)
@@ -81,8 +81,7 @@ def test_fringes_are_in_the_stated_error(period):
         turn = rng.uniform(0, math.pi)
         phase = (u * math.cos(turn) + v * math.sin(turn)) / (period * minor) + rng.uniform()
         fringed = image * (1 + 0.05 * np.cos(2 * math.pi * phase)) + 8
-        spot = measured(fringed + rng.normal(0, 2, SHAPE))
-        assert isinstance(spot, Spot)
+        spot = spot_in(eight_bit(fringed + rng.normal(0, 2, SHAPE)))
         errors.append(math.sqrt(spot.semi_major_px * spot.semi_minor_px / 1.1) / minor - 1)
         stated.append(spot.sigma_semi_minor_px / spot.semi_minor_px)
     scatter = math.sqrt(np.mean(np.square(errors)))

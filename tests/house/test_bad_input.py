@@ -34,6 +34,7 @@ from scenes.world.motion import frame_count, kinematics
 from scenes.world.world import World
 from tests.bad_input import OLD, odd, spoilt
 from tests.command_line import run_process
+from tests.drawn_recording import write_video
 
 STACK = "small-v1/train/0000"
 SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}
@@ -65,11 +66,7 @@ def folder(tmp_path_factory):
         assert cv2.imwrite(str(folder / f"image.{suffix}"), image)
     assert cv2.imwrite(str(folder / "image.pgm"), image[:, :, 0])
     for name, codec in (("video.mp4", "mp4v"), ("video.avi", "MJPG")):
-        size = image.shape[1::-1]
-        video = cv2.VideoWriter(str(folder / name), cv2.VideoWriter.fourcc(*codec), 10, size)
-        for _ in range(4):
-            video.write(image)
-        video.release()
+        write_video(folder / name, [image] * 4, codec)
     frames = [Frame(index=n, time_s=1.0 + n, image=image) for n in range(2)]
     poses = [Pose(time_s=0.5 + n, position_mm=(0.0, 0.0, float(n))) for n in range(3)]
     write_bag(folder / "ros1.bag", frames=frames, poses=poses, ros=1)

@@ -7,9 +7,7 @@ import pytest
 from pydantic import ValidationError
 
 import optics
-from estimator import SubpixelSettings, TrackState, measure
 from formats.poses import read_poses
-from formats.spots import Spot
 from scenes import (
     Renderer,
     Scene,
@@ -21,6 +19,7 @@ from scenes import (
 )
 from scenes.world.motion import frame_times, kinematics
 from scenes.world.world import World
+from tests.drawn_spots import spot_in
 from tests.scene_tables import BARE, scene_of
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
@@ -236,8 +235,7 @@ def test_every_label_of_a_moving_spot_is_found_again_in_the_pixels(motion):
     truth = renderer.world.truth.half_max
     for frame in (0, 7):
         image = renderer.render(frame).radiance
-        spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
-        assert isinstance(spot, Spot)
+        spot = spot_in(image / image.max() * 0.8)
         found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
         axes = truth.semi_major[frame], truth.semi_minor[frame]
         np.testing.assert_allclose(found, (*truth.centre[frame], *axes), atol=0.05)

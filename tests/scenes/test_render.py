@@ -5,9 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, TrackState, measure
 from formats.inputs import InputError
-from formats.spots import Spot
 from formats.stack import read_stack
 from scenes import (
     Renderer,
@@ -20,6 +18,7 @@ from scenes import (
 )
 from scenes.camera import after_jpeg
 from scenes.world.world import World
+from tests.drawn_spots import spot_in
 from tests.scene_tables import BARE, scene_of
 
 
@@ -89,8 +88,7 @@ def test_every_label_is_found_again_in_the_pixels(kind, distortion):
     renderer = Renderer(settings)
     for frame in range(2):
         image = renderer.render(frame).radiance
-        spot, _ = measure(image / image.max() * 0.8, TrackState(), SubpixelSettings())
-        assert isinstance(spot, Spot)
+        spot = spot_in(image / image.max() * 0.8)
         truth = renderer.world.truth.cone
         found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
         expected = (
