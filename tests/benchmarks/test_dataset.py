@@ -331,24 +331,6 @@ def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_with_the_frames_that_it_had(spec_file, whole, tmp_path):
-    out = tmp_path / "set"
-    arguments = command(spec_file, "--out", out, "--workers", 1)
-    run = subprocess.Popen(arguments, start_new_session=True)
-    lines = out / "train" / ".0001.partial" / "metadata.jsonl"
-    wait_for(lambda: lines.is_file() and lines.stat().st_size, run)
-    os.killpg(run.pid, signal.SIGKILL)
-    run.wait()
-    assert (out / "train" / "0000").is_dir()
-    assert not (out / "manifest.json").exists()
-    first = (lines.parent / "frames" / "000000.png").stat().st_mtime_ns
-    subprocess.run(arguments, check=True)
-    assert (out / "train" / "0001" / "frames" / "000000.png").stat().st_mtime_ns == first
-    subprocess.run(command("verify", out), check=True)
-    assert digests(out) == digests(whole)
-
-
-@pytest.mark.slow
 def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_path):
     file = tmp_path / "scheduler.json"
     scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)

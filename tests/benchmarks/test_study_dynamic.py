@@ -21,10 +21,10 @@ from benchmarks.studies.dynamic import (
     PARTS,
     speed_at,
 )
-from formats.microscope import MicroscopeFile
 from formats.poses import Pose, PoseTrack
 from scenes import SceneError
 from scenes.world.world import World
+from tests.made_up import a_microscope
 
 R = 11.5
 SPHERE = optics.Sphere(R)
@@ -141,16 +141,7 @@ def test_a_plane_is_refused(tmp_path):
 
 
 def test_the_calibration_at_rest_finds_the_papers_k_and_b():
-    microscope = MicroscopeFile(
-        width_px=640,
-        height_px=480,
-        camera_matrix=None,
-        distortion=np.zeros(5),
-        scale_mm_px=0.0067,
-        principal_point_px=(0.0, 0.0),
-        pinhole_height_mm=math.inf,
-        eye_radius_mm=R,
-    )
+    microscope = a_microscope(pinhole_height_mm=math.inf)
     seen, c = np.linspace(40.0, 80.0, 9), np.linspace(0.0, 3.0, 9)
     d = optics.small_plane_distance(
         semi_minor_px=seen, scale=0.0067, k=20.0, b=-5.117, eccentricity=c, eye_radius=R

@@ -5,7 +5,6 @@ import json
 import pkgutil
 import re
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -129,6 +128,11 @@ def test_a_schema_is_one_and_explains_every_key(slug):
         assert not [key for key, _, _, meaning in rows if not meaning]
 
 
+def content_of(path: Path) -> dict[str, Any]:
+    text = path.read_text()
+    return tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
+
+
 def cells(path: Path) -> list[dict[str, Any]]:
     """Rows of a CSV file as the schemas have them."""
     table = pd.read_csv(path).astype(object)
@@ -137,12 +141,12 @@ def cells(path: Path) -> list[dict[str, Any]]:
 
 def test_the_files_of_a_set_fulfil_their_schemas():
     stack = SAMPLE / "test" / "0000"
-    assert not faults("set", json.loads((SAMPLE / "set.json").read_text()))
-    assert not faults("manifest", json.loads((SAMPLE / "manifest.json").read_text()))
-    assert not faults("spec", tomllib.loads((SAMPLE / "spec.toml").read_text()))
-    assert not faults("stack", tomllib.loads((stack / "stack.toml").read_text()))
-    assert not faults("scene", tomllib.loads((stack / "stack.toml").read_text())["scene"])
-    assert not faults("microscope", json.loads((stack / "microscope.json").read_text()))
+    for slug in ("set", "manifest"):
+        assert not faults(slug, content_of(SAMPLE / f"{slug}.json"))
+    assert not faults("spec", content_of(SAMPLE / "spec.toml"))
+    assert not faults("stack", content_of(stack / "stack.toml"))
+    assert not faults("scene", content_of(stack / "stack.toml")["scene"])
+    assert not faults("microscope", content_of(stack / "microscope.json"))
     for line in (stack / "metadata.jsonl").read_text().splitlines():
         assert not faults("labels", json.loads(line))
     for row in cells(stack / "kinematics.csv"):
@@ -162,7 +166,7 @@ def test_files_that_come_with_eyespot_fulfil_their_schemas(slug, pattern):
     files = sorted(HOME.glob(pattern))
     assert files
     for file in files:
-        assert not faults(slug, tomllib.loads(file.read_text())), file
+        assert not faults(slug, content_of(file)), file
 
 
 SCENE = [
@@ -191,13 +195,6 @@ def written(tmp_path_factory):
     return folder
 
 
-READERS: dict[str, Callable[[Path], object]] = {
-    "scene.toml": lambda path: tomllib.loads(path.read_text()),
-    "stack/stack.toml": lambda path: tomllib.loads(path.read_text()),
-    "stated.toml": lambda path: tomllib.loads(path.read_text()),
-}
-
-
 @pytest.mark.parametrize(
     ("slug", "file"),
     [
@@ -212,8 +209,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     ],
 )
 def test_a_file_that_was_written_fulfils_its_schema(written, slug, file):
-    read = READERS.get(file, lambda path: json.loads(path.read_text()))
-    assert not faults(slug, read(written / file))
+    assert not faults(slug, content_of(written / file))
 
 
 def test_rows_that_were_written_fulfil_their_schemas(written):

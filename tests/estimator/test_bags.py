@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from rosbags import rosbag1, rosbag2
@@ -459,13 +458,3 @@ def test_the_age_of_the_pose_stands_beside_every_frame(tmp_path):
     # Poses at -12.5 ms + 5 ms k: 2.5 ms before every frame at a multiple of 100 ms.
     for record in tracking.records:
         assert record.pose_age_s == pytest.approx(0.0025, abs=2 * CLOCK_S)
-
-
-def test_poses_need_frames_with_a_time(tmp_path):
-    cv2.imwrite(str(tmp_path / "a.png"), RGB)
-    with pytest.raises(ValueError, match=r"frame 0 has no time.*Leave the poses out"):
-        track_source(
-            open_source(tmp_path),
-            new_reader(),
-            poses=PoseTrack(poses()),
-        )

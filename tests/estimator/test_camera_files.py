@@ -239,14 +239,6 @@ def test_what_does_not_describe_one_camera_is_refused_with_its_key(tmp_path, tex
     assert "\n" not in str(caught.value)
 
 
-def test_references_that_multiply_are_refused_at_once(tmp_path):
-    lines = ["a0: &a0 [1, 1]"] + [f"a{n}: &a{n} [*a{n - 1}, *a{n - 1}]" for n in range(1, 60)]
-    path = tmp_path / "camera.yaml"
-    path.write_text("\n".join(lines))
-    with pytest.raises(InputError, match="reference"):
-        read_microscope(path, **EYE)
-
-
 def test_a_spot_under_a_fisheye_is_measured_as_a_pinhole_would_see_it(tmp_path):
     v, u = np.mgrid[: SIZE[1], : SIZE[0]]
     seen = np.stack([u.ravel(), v.ravel()], axis=1).astype(float)

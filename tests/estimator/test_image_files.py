@@ -51,8 +51,7 @@ def error_px(frame: Frame) -> float:
     settings = SubpixelSettings(response=Response(full_scale=frame.full_scale))
     (spot,) = track([frame.image], settings)
     assert isinstance(spot, Spot), spot
-    found = (spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px)
-    return float(np.abs(np.subtract(found, TRUTH[:4])).max())
+    return float(np.abs(np.subtract(spot.ellipse[:4], TRUTH[:4])).max())
 
 
 def grey_as_rgb(values: np.ndarray) -> np.ndarray:

@@ -158,14 +158,6 @@ distortion_coefficients:
 LISTS = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
 
 
-@pytest.mark.parametrize(("content", "suffix"), [(ROS, ".yaml"), (LISTS, ".json")])
-def test_what_ros_writes_and_plain_lists_are_read(written, content, suffix):
-    microscope = read_microscope(written(content, suffix), **EYE)
-    assert microscope.camera_matrix is not None
-    np.testing.assert_allclose(microscope.camera_matrix, MATRIX)
-    np.testing.assert_allclose(microscope.distortion, DISTORTION)
-
-
 def test_undistorted_points_lie_in_the_ideal_microscopes_image(written):
     microscope = read_microscope(written(LISTS), **EYE)
     # Points of the eye, seen by OpenCV's camera at F that looks down: (X, -Y, z_F - Z).

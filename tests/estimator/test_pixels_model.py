@@ -22,11 +22,10 @@ from estimator.pixels.frame_model import (
     RobotPose,
     TextureVariances,
     covered,
-    halo,
     motion_between,
     texture_of,
 )
-from estimator.pixels.picture import _most_even, hidden_pixels
+from estimator.pixels.picture import _most_even
 from estimator.pixels.solver import together
 from estimator.pixels.tracker import _like
 from formats.spots import Outline
@@ -375,34 +374,6 @@ def test_cells_at_the_edge_of_a_saturated_spot_are_covered_in_part(full_scales):
     assert np.abs(model - cells(seen)).max() < 0.5 * 8 / side**2
 
 
-def test_a_lamp_has_a_halo_and_a_saturated_spot_has_none():
-    v, u = np.indices((COUNT, COUNT)) - COUNT // 2
-    radius = np.hypot(u, v)
-    wall = np.full(COUNT**2, 0.2)
-    lit = (radius < 9).ravel()
-    assert halo(np.where(lit, 1.0, wall), lit) == pytest.approx(1.0)
-    # The middle of what counts as beside it is 2.5 cells away, and of the rest 5.
-    glow = 0.8 * np.exp(-np.maximum(radius - 9, 0) / 3).ravel()
-    expected = (0.2 + 0.8 * np.exp(-2.5 / 3)) / (0.2 + 0.8 * np.exp(-5 / 3))
-    assert halo(np.where(lit, 1.0, wall + glow), lit) == pytest.approx(expected, rel=0.1)
-
-
-def test_what_hides_a_spot_is_found_with_its_border():
-    share = covered_by_the_spot()
-    light = np.repeat((0.02 + 0.6 * share)[..., None], 3, axis=2)
-    assert hidden_pixels(light, SPOT) is None
-    tool, beside = np.zeros((2, *share.shape), bool)
-    tool[:, 140:165] = True
-    light[tool] = 0.03
-    hidden = hidden_pixels(light, SPOT)
-    assert hidden is not None
-    inside = share == 1
-    assert hidden[tool & inside].mean() > 0.99
-    # Of the light that is seen, only what is within 4 px of the tool.
-    beside[:, 136:169] = True
-    assert not hidden[inside & ~beside].any()
-
-
 def test_the_only_bright_region_may_be_a_spot_that_has_grown_threefold():
     # Behind a dome in vitreous a spot grew by that within 0.75 mm; its fitted light decides.
     def outline(size, x=300.0):
@@ -425,23 +396,6 @@ def test_a_point_of_the_map_comes_back_from_the_image():
     later = step.after(motion)
     np.testing.assert_allclose(later.image_px(points), step.image_px(motion.image_px(points)))
     np.testing.assert_allclose(later.since(motion), step, atol=1e-12)
-
-
-def test_cells_follow_a_wall_that_turns():
-    v, u = np.mgrid[0:300, 0:400].astype(float)
-    pixels = np.stack([u, v], axis=-1)
-
-    def picture(points):
-        return 0.5 + 0.2 * np.sin(points[..., 0] / 31.0) * np.cos(points[..., 1] / 23.0)
-
-    motion = WallMotion.about(np.array([200.0, 150.0]), np.array([9.0, -4.0]), 0.09)
-    usable, window = np.ones(u.shape, bool), CellWindow(left=130, top=90, side=5)
-    still = CellLight(picture(pixels), usable, np.zeros_like).means(window)[0]
-    turned = CellLight(picture(motion.map_px(pixels)), usable, np.zeros_like, motion)
-    moved, kept = turned.means(window)
-    assert kept.all()
-    # Between pixels the picture is bent by 0.2 / 23^2 per px^2; an eighth of that is lost.
-    np.testing.assert_allclose(moved, still, atol=1e-4)
 
 
 def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():

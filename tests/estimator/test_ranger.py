@@ -309,10 +309,7 @@ def test_exact_forgives_an_axis_that_is_a_degree_off():
 
 def drawn(rng, seen, covariance):
     """The spot measured again."""
-    values = np.array(
-        [seen.x_px, seen.y_px, seen.semi_major_px, seen.semi_minor_px, seen.angle_rad]
-    )
-    return spot(*rng.multivariate_normal(values, covariance), covariance=covariance)
+    return spot(*rng.multivariate_normal(seen.ellipse, covariance), covariance=covariance)
 
 
 CALIBRATION_COVARIANCE = np.array([[0.04, -0.012], [-0.012, 0.0049]])  # k and b: correlation -0.86

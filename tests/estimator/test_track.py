@@ -149,7 +149,7 @@ def test_a_spot_that_is_followed_is_the_one_that_is_found(kind, monkeypatch):
             followed, state = measure(frame, state, settings)
         assert isinstance(found, Spot) and isinstance(followed, Spot)
         sigmas = np.sqrt(np.diag(found.covariance))
-        differences.append(np.abs(_values(followed) - _values(found)) / sigmas)
+        differences.append(np.abs(np.subtract(followed.ellipse, found.ellipse)) / sigmas)
         # Half of a saturated spot's own peak is higher than half of full scale: less rim counts,
         # one pixel of the search's grid (4 px) at most round 60 px: 4 px / 30 px of the area.
         assert abs(followed.saturated - found.saturated) < 0.13
@@ -158,10 +158,6 @@ def test_a_spot_that_is_followed_is_the_one_that_is_found(kind, monkeypatch):
     # width; a ray that one keeps and the other leaves out may make the largest difference.
     assert np.median(differences) < 0.15
     assert np.max(differences) < 1.5
-
-
-def _values(spot: Spot) -> np.ndarray:
-    return np.array([spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px, spot.angle_rad])
 
 
 def test_what_takes_the_place_of_a_spot_is_not_followed():

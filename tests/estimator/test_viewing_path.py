@@ -157,9 +157,7 @@ def test_the_areas_sigma_is_the_spread_of_noisy_repeats(path_camera):
         measured = spot(*ellipse, covariance=of_spot)
         return ranger.distance(measured, axis=direction, axis_sigma_rad=off)
 
-    ellipse = np.array(
-        [clean.x_px, clean.y_px, clean.semi_major_px, clean.semi_minor_px, clean.angle_rad]
-    )
+    ellipse = np.array(clean.ellipse)
     ranger = Ranger(
         calibration(covariance=covariance, **values), file_of(path_camera), model="area"
     )

@@ -156,12 +156,6 @@ def test_an_error_of_the_disk_names_the_finished_file(tmp_path):
     assert caught.value.filename == "source/b.png"
 
 
-def test_a_folder_that_does_not_exist_is_named(tmp_path):
-    with pytest.raises(InputError, match=r"nowhere is no folder"):
-        with written_whole(tmp_path / "nowhere" / "out"):
-            pytest.fail("the work has begun")
-
-
 def test_a_working_folder_that_was_removed_is_refused(tmp_path, monkeypatch):
     folder = tmp_path / "gone"
     folder.mkdir()

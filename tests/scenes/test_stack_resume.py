@@ -1,12 +1,7 @@
 """Stacks on disk: stopped runs that go on, damage that is named, frames exposed again."""
 
 import json
-import os
 import shutil
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -15,15 +10,13 @@ import numpy as np
 import pytest
 
 from formats.inputs import InputError
-from formats.stack import StackWriter, read_stack
-from formats.whole_files import BeingWrittenError
+from formats.stack import read_stack
 from scenes import (
     Scene,
     SceneError,
     check_scene,
     least_bytes,
     render_stack,
-    scene_toml,
 )
 from tests.drawn_sets import digests
 from tests.scene_tables import scene_of
@@ -40,12 +33,6 @@ def scene(**parts: Any) -> Scene:
         "clocks": {"kinematics_hz": 20.0},
     }
     return scene_of(plain, parts)
-
-
-def moving() -> Scene:
-    """Three frames of a hand's motion, which take many renderings each."""
-    content = scene(exposures={"kinds": ["metered"]}).model_dump(mode="json", by_alias=True)
-    return Scene.model_validate({**content, "motion": {"kind": "hand", "duration_s": 0.2}})
 
 
 class Stop:
@@ -88,24 +75,6 @@ def test_a_run_that_was_stopped_goes_on_and_ends_byte_for_byte_the_same(whole, t
     assert [path.name for path in tmp_path.iterdir()] == ["stack"]
 
 
-def test_a_killed_process_leaves_what_the_next_one_ends(tmp_path):
-    file, out = tmp_path / "scene.toml", tmp_path / "stack"
-    file.write_text(scene_toml(moving()))
-    command = [sys.executable, "-m", "eyespot", "render", str(file), "--out", str(out)]
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    lines = tmp_path / ".stack.partial" / "metadata.jsonl"
-    while child.poll() is None and not (lines.is_file() and lines.stat().st_size):
-        time.sleep(0.005)
-    os.kill(child.pid, signal.SIGKILL)
-    assert child.wait() == -signal.SIGKILL, "the run ended before it could be killed"
-    assert not out.exists()
-    first = (tmp_path / ".stack.partial" / "frames" / "000000.png").stat().st_mtime_ns
-    render_stack(moving(), out)
-    assert (out / "frames" / "000000.png").stat().st_mtime_ns == first
-    render_stack(moving(), tmp_path / "whole")
-    assert digests(out) == digests(tmp_path / "whole")
-
-
 @pytest.mark.parametrize("cut", [1, 40])
 def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, cut):
     out = tmp_path / "stack"
@@ -143,13 +112,6 @@ def test_frames_of_another_wall_image_are_not_used(tmp_path):
     render_stack(painted(200), tmp_path / "stack")
     render_stack(painted(200), tmp_path / "whole")
     assert digests(tmp_path / "stack") == digests(tmp_path / "whole")
-
-
-def test_two_processes_do_not_write_one_stack(tmp_path):
-    with StackWriter(tmp_path / "stack") as writer:
-        writer.describe(stack={}, microscope={})
-        with pytest.raises(BeingWrittenError, match="stack is being written by another process"):
-            StackWriter(tmp_path / "stack").__enter__()
 
 
 def test_a_frame_without_a_line_and_a_line_without_a_frame_are_named(copy):
