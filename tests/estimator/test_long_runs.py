@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import signal
 import subprocess
 import time
 import tracemalloc
@@ -20,7 +21,7 @@ from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
 from scenes.drawn import Drawing, Truth, frame_of
 from tests.command_line import EYESPOT, Called, printed, run, run_python
-from tests.drawn_recording import SHAPE, new_reader, write_folder
+from tests.drawn_recording import SHAPE, assert_same, new_reader, write_folder
 
 
 @pytest.fixture(scope="module")
@@ -99,21 +100,42 @@ def test_a_command_after_one_that_met_a_bug_is_not_to_blame(monkeypatch, tmp_pat
     printed("track", frames, "--out", tmp_path / "spots.csv")
 
 
+def begun(frames: Path, out: Path, *options: str | Path) -> subprocess.Popen[str]:
+    """A run over 4,000 frames, which would take some twenty seconds, when a few are measured."""
+    for index in range(8, 4000):
+        os.link(frames / f"{index % 8}.png", frames / f"{index}.png")
+    command = [EYESPOT, "track", frames, "--out", out, *options]
+    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    child = subprocess.Popen(command, **pipes)
+    latest, partial = time.monotonic() + 60, out.with_name("spots.partial.csv")
+    while not (partial.exists() and len(partial.read_bytes().splitlines()) > 9):
+        assert child.poll() is None and time.monotonic() < latest
+        time.sleep(0.01)
+    return child
+
+
+def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames, images):
+    out, overlay = tmp_path / "spots.csv", tmp_path / "overlay.mp4"
+    child = begun(frames, out, "--overlay", overlay)
+    child.send_signal(signal.SIGINT)
+    _, words = child.communicate(timeout=60)
+    records = read_spots(out)
+    assert child.returncode == 130
+    assert 0 < len(records) < 4000
+    assert words == f"Stopped. {out} holds the {len(records)} frames measured so far.\n"
+    seen = [images[index % 8] for index in range(len(records))]
+    assert_same(records, list(track(seen, SubpixelSettings())))
+    assert sorted(tmp_path.iterdir()) == [frames, overlay, out]
+
+
 @pytest.mark.parametrize("name", ["spots.csv", "spots.parquet"])
 def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(tmp_path, frames, whole, name):
     out, partial = tmp_path / name, tmp_path / "spots.partial.csv"
-    more = [frames / f"{index}.png" for index in range(8, 4000)]  # some twenty seconds
-    for index, path in enumerate(more):
-        os.link(frames / f"{index % 8}.png", path)
-    child = subprocess.Popen([EYESPOT, "track", frames, "--out", out])
-    latest = time.monotonic() + 60
-    while not (partial.exists() and len(partial.read_bytes().splitlines()) > 8):
-        assert child.poll() is None and time.monotonic() < latest
-        time.sleep(0.01)
+    child = begun(frames, out)
     child.kill()
-    child.wait()
-    for path in more:
-        path.unlink()
+    child.communicate()
+    for index in range(8, 4000):
+        (frames / f"{index}.png").unlink()
     before = partial.read_bytes()
     assert before.endswith(b"\n")
     assert lines_of(partial)[:8] == whole

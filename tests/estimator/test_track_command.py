@@ -3,10 +3,6 @@
 import functools
 import json
 import math
-import os
-import signal
-import subprocess
-import time
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -406,36 +402,6 @@ def test_a_real_process_prints_one_line_for_a_broken_video(tmp_path):
     path.write_bytes(b"\0\0\0\x18ftypmp42" + bytes(500))
     done = command_line.run_process("track", path, "--out", tmp_path / "spots.csv")
     done.assert_bad_input(str(path))
-
-
-def test_ctrl_c_keeps_whole_lines_of_the_frames_measured_so_far(tmp_path, frames, images):
-    out, overlay, count = tmp_path / "spots.csv", tmp_path / "overlay.mp4", len(images)
-    for index in range(count, 4000):  # some twenty seconds, if nobody stops it
-        os.link(frames / f"{index % count}.png", frames / f"{index}.png")
-    child = subprocess.Popen(
-        [command_line.EYESPOT, "track", frames, "--out", out, "--overlay", overlay],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    latest = time.monotonic() + 60
-    partial = tmp_path / "spots.partial.csv"
-    while not (partial.exists() and len(partial.read_bytes().splitlines()) > 5):
-        assert child.poll() is None and time.monotonic() < latest
-        time.sleep(0.01)
-    child.send_signal(signal.SIGINT)
-    _, words = child.communicate(timeout=60)
-    records = read_spots(out)
-    assert child.returncode == 130
-    assert 0 < len(records) < 4000
-    assert words == f"Stopped. {out} holds the {len(records)} frames measured so far.\n"
-    seen = [images[index % count] for index in range(len(records))]
-    assert_same(records, list(track(seen, SubpixelSettings())))
-    assert sorted(path.name for path in tmp_path.iterdir()) == [
-        "frames",
-        "overlay.mp4",
-        "spots.csv",
-    ]
 
 
 def test_ctrl_c_between_writing_and_counting_a_video_frame_is_no_fault(
