@@ -14,6 +14,14 @@ _LOOK = 240  # cells per side of the coarse grid
 _MARGIN = 3  # of these, added around the lit ones
 
 
+def transmittance(sine, n1, n2):
+    """Fresnel's equations as in a textbook, for a sine of incidence in the first medium."""
+    cos1, cos2 = np.sqrt(1 - sine**2), np.sqrt(1 - (n1 / n2 * sine) ** 2)
+    s = (n1 * cos1 - n2 * cos2) / (n1 * cos1 + n2 * cos2)
+    p = (n2 * cos1 - n1 * cos2) / (n2 * cos1 + n1 * cos2)
+    return 1 - (s**2 + p**2) / 2
+
+
 def irradiance(lens, medium, radius, distance, *, steps=500):
     """E on a plane perpendicular to the axis, 1/mm² per unit power, at one radius and distance."""
     cells = partial(_cells, lens, medium, radius, distance)

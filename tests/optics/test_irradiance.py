@@ -10,7 +10,7 @@ from scipy.integrate import cubature, quad
 
 import optics
 from optics.lens_table import LensField, transmitted_power
-from tests.lens_quadrature import irradiance
+from tests.lens_quadrature import irradiance, transmittance
 from tests.photons import Drop, photons
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
@@ -67,10 +67,7 @@ def test_a_lambertian_disc_on_its_axis():
 def test_near_the_flat_end_the_cone_alone_counts(medium):
     # Inside the overlap of disc and cone: E = 2π L ∫ T sin cos dθ over the cone in the medium.
     def fresnel(sine):
-        cos1, cos2 = np.sqrt(1 - (sine * medium / GLUE) ** 2), np.sqrt(1 - sine**2)
-        s = (GLUE * cos1 - medium * cos2) / (GLUE * cos1 + medium * cos2)
-        p = (medium * cos1 - GLUE * cos2) / (medium * cos1 + GLUE * cos2)
-        return 1 - (s**2 + p**2) / 2
+        return transmittance(sine * medium / GLUE, GLUE, medium)
 
     limit = 0.10 / medium
     integral, _ = quad(lambda q: 2 * q * fresnel(q), 0, limit, epsabs=1e-15)

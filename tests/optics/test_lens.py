@@ -16,6 +16,7 @@ from optics.lens_table import (
     transmitted_power,
 )
 from optics.refraction import fresnel_transmittance, refracted_cosine
+from tests.lens_quadrature import transmittance
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -32,14 +33,6 @@ def lens(**changes) -> optics.GlueLens:
         "numerical_aperture": 0.2,
     }
     return optics.glue_lens(**{**shape, **changes})
-
-
-def transmittance(sine, n1, n2):
-    """Fresnel's equations as in a textbook, in NumPy: the tests' own."""
-    cos1, cos2 = np.sqrt(1 - sine**2), np.sqrt(1 - (n1 / n2 * sine) ** 2)
-    s = (n1 * cos1 - n2 * cos2) / (n1 * cos1 + n2 * cos2)
-    p = (n2 * cos1 - n1 * cos2) / (n2 * cos1 + n1 * cos2)
-    return 1 - (s**2 + p**2) / 2
 
 
 @pytest.mark.parametrize(
