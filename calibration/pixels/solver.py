@@ -61,8 +61,8 @@ _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its
 _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest cell."""
 _OF_TABLE = 0.25 * TABLE_ERROR
-"""Error of a cell's light from a lens's table, relative to the frame's brightest cell. A mean over a
-disc errs less than a sample."""
+"""Error of a lens's light in a cell, relative to the frame's brightest. A mean errs less than a
+sample of the table."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
 _FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
 _LEARNINGS = 30  # of the variances, with the model as it is
