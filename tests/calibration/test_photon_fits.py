@@ -17,6 +17,7 @@ from scipy import ndimage
 
 import calibration
 import optics
+from calibration.pixels.fit import fit_image
 from formats.calibration import read_calibration
 from tests.command_line import call
 from tests.lens_quadrature import irradiance
@@ -44,6 +45,23 @@ def results(request):
     version = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
     folder = request.config.cache.mkdir("photon_fits")
     return lambda name: folder / f"{name}-{version}.jsonl"
+
+
+@pytest.mark.slow
+def test_a_rim_that_no_light_shows_stays_around_the_core():
+    # The light of an almost flat drop hardly tells its rim, and of equal fits the best may lie
+    # inside the core, where no drop is.
+    truth = {"sag": 0.016, "numerical_aperture": 0.17, "core_radius": 0.25}
+    drop = Drop(core=0.25, aperture=0.2525, sag=0.016, rim=0.0, aperture_na=0.17)
+    recording = Recording(drop=drop, frames=10, width=96, height=72, scale=0.035)
+    footage = footage_of(recording, photographed(recording, np.random.default_rng([28, 1])))
+    start = truth | {"aperture_radius": 0.265, "rim_height": 0.0, "glue_index": drop.index}
+    fit = fit_image(footage, source="lens", start=start, free=(*truth, "aperture_radius"))
+    assert fit.converged
+    assert fit.values["aperture_radius"] >= fit.values["core_radius"]
+    for name, true in (truth | {"aperture_radius": drop.aperture}).items():
+        value, sigma = fit.parameters[name]
+        assert abs(value - true) < 3 * sigma, name
 
 
 @pytest.mark.slow  # an hour or more on two cores
