@@ -15,7 +15,15 @@ from jaxtyping import Float
 
 import optics
 from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
-from calibration.pixels.light import NEAREST_MM, STATES, Cells, LinearLensLight
+from calibration.pixels.light import (
+    CAP,
+    CLEAR,
+    ENCLOSED,
+    NEAREST_MM,
+    STATES,
+    Cells,
+    LinearLensLight,
+)
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
 from calibration.solvers import covariance_and_lost, propagated
@@ -341,6 +349,8 @@ class _FitRun(NamedTuple):
         failed, of_table = self._settled(solver)
         if failed is None and "core_radius" in self.names:
             of_table = self._from_wider_core(solver, of_table)
+        if failed is None and set(CAP) <= set(self.names):
+            of_table = self._with_cut_light(solver, of_table)
         return _result(solver, failed, of_table)
 
     def _tabulate(self, solver: BeamSolver, *, coarse: bool) -> None:
@@ -399,17 +409,41 @@ class _FitRun(NamedTuple):
         how narrow the core may be, but not how wide. A fit from below ends there, with an error
         that is that of one side only.
         """
-        here, cost, core = solver.point, solver.equations.cost, solver.point.values["core_radius"]
-        at = self.names.index("core_radius")
+        values, at = solver.point.values, self.names.index("core_radius")
+        core = values["core_radius"]
         sigma = math.sqrt(np.linalg.pinv(solver.effective()[0])[at, at]) * solver.sizes[at]
         if sigma < _KNOWN_CORE * core:
             return of_table
         wider = core + 2.0 * sigma
-        rim = max(here.values["aperture_radius"], wider)
-        values = here.values | {"core_radius": wider, "aperture_radius": rim}
-        solver.point = Point(values, here.states)
+        rim = max(values["aperture_radius"], wider)
+        cap = {"core_radius": wider, "aperture_radius": rim}
+        return self._again(solver, cap, of_table, gain=-_SAME_COST)
+
+    def _with_cut_light(self, solver: BeamSolver, of_table: np.ndarray | None) -> np.ndarray | None:
+        """Let a rim at its bound cut off light, and keep the result if the frames demand it.
+
+        Beside the core's edge derivatives are those of the cut, so a rim that the frames do not
+        show would seem known, and a fit can end there although wider rims explain them better.
+        """
+        core, rim = (solver.point.values[name] for name in ("core_radius", "aperture_radius"))
+        if rim > 1.00001 * CLEAR * core:
+            return of_table
+        solver.least_rim = ENCLOSED
+        return self._again(solver, {}, of_table, gain=_SAME_COST)
+
+    def _again(
+        self,
+        solver: BeamSolver,
+        changes: dict[str, float],
+        of_table: np.ndarray | None,
+        *,
+        gain: float,
+    ) -> np.ndarray | None:
+        """Fit from a changed lens, and keep the result if chi squared falls by the gain."""
+        here, cost = solver.point, solver.equations.cost
+        solver.point = Point(here.values | changes, here.states)
         failed, of_last = self._settled(solver)
-        if failed is None and solver.equations.cost < cost + _SAME_COST:
+        if failed is None and solver.equations.cost < cost - gain:
             return of_last
         solver.point = here
         self._tabulate(solver, coarse=False)

@@ -31,7 +31,7 @@ from scipy.optimize import brentq
 from calibration.pixels.data import Footage, possible
 from calibration.pixels.light import (
     CAP,
-    ENCLOSED,
+    CLEAR,
     NEAREST_MM,
     SHIFT,
     STATES,
@@ -41,6 +41,7 @@ from calibration.pixels.light import (
     Light,
     LinearLensLight,
     cap_of,
+    cap_sag,
     cap_shape,
     cap_slopes,
 )
@@ -139,6 +140,7 @@ class BeamSolver:
         self.sizes = np.array([_size(name, point.values, priors) for name in names])
         self._steps = self.sizes.copy()  # of the coordinates
         self._shapes_cap = set(CAP) <= set(names)
+        self.least_rim = CLEAR  # over the core, of a cap whose sag is free as well
         if self._shapes_cap:
             self._steps[names.index("sag")] /= cap_slopes(point.values)[0, 0]
         self.spread = np.ones(len(STATES))  # of the states, in their units
@@ -360,10 +362,9 @@ class BeamSolver:
         if self._shapes_cap:
             curvature, chord = (own[name] for name in CAP)
             sag, rim = cap_of(np.array([curvature, chord]))
-            least = ENCLOSED * (self.point.values | own)["core_radius"]
+            least = self.least_rim * (self.point.values | own)["core_radius"]
             if rim < least and abs(curvature) * least < 1.0:
-                rim = least
-                sag = curvature * rim**2 / (1.0 + math.sqrt(1.0 - (curvature * rim) ** 2))
+                sag, rim = cap_sag(curvature, least), least
             own |= zip(CAP, (sag, rim), strict=True)
         return self.point.values | own
 
@@ -375,7 +376,7 @@ class BeamSolver:
         if not self._shapes_cap:
             return found
         at = self.names.index("aperture_radius")
-        encloses = values["aperture_radius"] > (1.0 + 1e-9) * ENCLOSED * values["core_radius"]
+        encloses = values["aperture_radius"] > (1.0 + 1e-9) * self.least_rim * values["core_radius"]
         if encloses or found.gradient[at] <= 0.0:
             return found
         rim = self.by_coordinates(values)[at]
@@ -383,7 +384,7 @@ class BeamSolver:
         along[at, : len(rim)] = -rim / rim[at]
         if "core_radius" in self.names:
             core = self.names.index("core_radius")
-            along[at, core] += ENCLOSED * self._steps[core] / rim[at]
+            along[at, core] += self.least_rim * self._steps[core] / rim[at]
         along[at, at] = 0.0
         information = along.T @ found.information @ along
         information[at, at] = 1.0

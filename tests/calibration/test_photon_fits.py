@@ -48,11 +48,12 @@ def results(request):
 
 
 @pytest.mark.slow
-def test_a_rim_that_no_light_shows_stays_around_the_core():
+@pytest.mark.parametrize(("rim", "sag"), [(0.2525, 0.016), (0.275, 0.019)])
+def test_a_rim_that_no_light_shows_stays_around_the_core(rim, sag):
     # The light of an almost flat drop hardly tells its rim, and of equal fits the best may lie
-    # inside the core, where no drop is.
-    truth = {"sag": 0.016, "numerical_aperture": 0.17, "core_radius": 0.25}
-    drop = Drop(core=0.25, aperture=0.2525, sag=0.016, rim=0.0, aperture_na=0.17)
+    # inside the core, where no drop is. At the core's edge the rim must not seem known.
+    truth = {"sag": sag, "numerical_aperture": 0.17, "core_radius": 0.25}
+    drop = Drop(core=0.25, aperture=rim, sag=sag, rim=0.0, aperture_na=0.17)
     recording = Recording(drop=drop, frames=10, width=96, height=72, scale=0.035)
     footage = footage_of(recording, photographed(recording, np.random.default_rng([28, 1])))
     start = truth | {"aperture_radius": 0.265, "rim_height": 0.0, "glue_index": drop.index}
