@@ -4,8 +4,6 @@ Wraps functions of NumPy arrays, so it works for any renderer. docs/python.md li
 functions may contain.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ the wall's kind and tilt, the medium, the fibre's diameter, and whether the with
 touch.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Sequence

@@ -5,8 +5,6 @@ residuals or their Jacobian, which takes 24 GB for the pixels of 40 frames. The 
 used here can be computed in chunks.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 

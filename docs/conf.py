@@ -1,7 +1,5 @@
 """Sphinx's settings for the site: `make docs` builds it into out/docs."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import logging
 import os

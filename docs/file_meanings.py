@@ -1,7 +1,5 @@
 """Meanings of the keys of files: from docstrings, and those that no docstring has."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import itertools

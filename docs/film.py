@@ -4,8 +4,6 @@ A withdrawal over a photograph of a fundus: each frame with the ellipse that was
 distance that was read from it against the true one.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -3,8 +3,6 @@
 `docs/conf.py` calls `write_pages` before every build; nobody edits what it writes.
 """
 
-from __future__ import annotations
-
 import inspect
 import json
 from collections.abc import Iterator

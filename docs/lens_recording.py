@@ -4,8 +4,6 @@ A page that fits a lens would take minutes to build. So the commands are run her
 folder, and what they print is kept in docs/tutorials/recorded/lens.txt.
 """
 
-from __future__ import annotations
-
 import os
 import platform
 import re

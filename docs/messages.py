@@ -1,7 +1,5 @@
 """Pages of the reference about failures: reasons, messages of wrong input, and exit codes."""
 
-from __future__ import annotations
-
 import ast
 import errno
 import inspect

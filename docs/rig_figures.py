@@ -4,8 +4,6 @@ pip install 'eyespot[console,browser]'; apt-get install chromium
 python -m docs.rig_figures
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -5,8 +5,6 @@ node under ROS 1 and under ROS 2, plays the recording, and writes the outputs to
 docs/tutorials/recorded.
 """
 
-from __future__ import annotations
-
 import csv
 import json
 import os

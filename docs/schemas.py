@@ -4,8 +4,6 @@ A schema describes the content of a file: of a TOML file what a TOML reader retu
 one row whose cells are numbers where the column holds numbers and null where they are empty.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from functools import reduce
 from operator import or_

@@ -1,7 +1,5 @@
 """The fibre's beam: a cone, given by tip and axis, by spot and distance, or through a trocar."""
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np

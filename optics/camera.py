@@ -1,7 +1,5 @@
 """Pinhole microscope at any height: above the retina, at infinity, or behind it."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from typing import Self
 

@@ -4,8 +4,6 @@ Fitting ellipses inside a solver is slow. The fit's normal equations are enough 
 given ellipse is the fitted one: `ellipse_mismatch`.
 """
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float

@@ -1,7 +1,5 @@
 """Distance from the exact contour: by its semi-minor axis, or by its area for a known axis."""
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax.numpy as jnp
 import optimistix as optx

@@ -1,7 +1,5 @@
 """The ellipse of a contour, with one definition for labels, models and fits."""
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 

@@ -6,8 +6,6 @@ between lit and dark are found along a scan, with the implicit function's deriva
 turns on rings that it touches, or on which two limits meet.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -357,7 +355,7 @@ class RingRange(eqx.Module):
         tangent = (x - self.radius) / self.gap
         return tangent / (1.0 + jnp.sqrt(1.0 + jnp.square(tangent)))
 
-    def between(self, first: Array, last: Array) -> RingRange:
+    def between(self, first: Array, last: Array) -> "RingRange":
         """The range between two rings."""
         ends = self.angle(first), self.angle(last)
         return RingRange(self.radius, self.gap, self.end, *ends)

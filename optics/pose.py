@@ -16,8 +16,6 @@ where the left side is the signed distance of X from the cone. Divided by its gr
 it is the point's distance from the contour in px (Sampson 1982); no contour needs to be computed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from operator import itemgetter

@@ -5,8 +5,6 @@ operation runs along an axis of length three. For the contour of a spot this red
 10 to 1.2 us.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

@@ -17,8 +17,6 @@ exponential stays because one Laguerre rule is exact enough for it, and because 
 measured with it.
 """
 
-from __future__ import annotations
-
 from operator import itemgetter
 from typing import NamedTuple
 

@@ -13,8 +13,6 @@ other two are interpolated from its neighbours. A response curve, if the camera 
 on dn / full scale.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The commands `scene init`, `scene schema`, `scene check` and `render`."""
 
-from __future__ import annotations
-
 import json
 import shlex
 from pathlib import Path

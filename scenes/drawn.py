@@ -4,8 +4,6 @@ A frame is a camera image of wall * (light + ambient), partly hidden by instrume
 ellipse is the contour on which the light, without the wall's texture, is half of its peak.
 """
 
-from __future__ import annotations
-
 import functools
 import math
 from collections.abc import Callable
@@ -42,7 +40,7 @@ class Truth:
     semi_minor: float
     angle: float = 0.0
 
-    def moved(self, dx: float, dy: float) -> Truth:
+    def moved(self, dx: float, dy: float) -> "Truth":
         """The same ellipse, shifted."""
         return replace(self, x=self.x + dx, y=self.y + dy)
 

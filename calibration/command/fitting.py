@@ -3,8 +3,6 @@
 It may be recorded for the viewer rerun: frames, spots, distances by fit and robot, residuals.
 """
 
-from __future__ import annotations
-
 import hashlib
 import importlib.metadata
 import json
@@ -42,7 +40,7 @@ from formats.spots import Spot
 from formats.whole_files import require_space, written_whole
 
 
-def record_fit(target: str, fit: Fit) -> None:
+def record_fit(target: str, fit: "Fit") -> None:
     """Record the frames of a fit, one recording after the other on the timeline `frame`."""
     fitted, recordings, calibration = fit.fitted, fit.recordings, fit.calibration
     name = ", ".join(recording.name for recording in recordings)

@@ -1,7 +1,5 @@
 """Lenses from which a fit to pixels starts: those whose spots look like the recorded ones."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from operator import itemgetter

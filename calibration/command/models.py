@@ -1,7 +1,5 @@
 """Fits to spots: the cone, and the models of the paper."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

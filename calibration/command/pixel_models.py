@@ -1,7 +1,5 @@
 """Models image and lens of `eyespot fit`, fitted to every pixel of one stack."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal

@@ -1,7 +1,5 @@
 """The page of a fit: parameters and residuals."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

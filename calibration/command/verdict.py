@@ -5,8 +5,6 @@ verdicts. It is good; or good with too wide standard errors; or good with a stat
 effect its standard errors contain; or not good. Only the last writes no calibration.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ exposures, the robot's poses and the microscope's file. From the scene it reads 
 data sheet, the wall's kind, the medium and the instrument's sizes. It does not read the labels.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

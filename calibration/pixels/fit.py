@@ -1,7 +1,5 @@
 """Fit of a beam, its brightness and its pose to all pixels of a withdrawal, whatever the wall."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -5,8 +5,6 @@ is evaluated on tiles of cells that a frame's beam can reach, so that one compil
 frames and no time is spent on the dark.
 """
 
-from __future__ import annotations
-
 import functools
 import itertools
 import math
@@ -222,7 +220,7 @@ class Cells(NamedTuple):
     tiles: int
 
     @classmethod
-    def over(cls, shape: tuple[int, int], side: int, *, beyond: bool = False) -> Cells:
+    def over(cls, shape: tuple[int, int], side: int, *, beyond: bool = False) -> "Cells":
         """Cells over a whole image of height x width, and one tile beyond it on each side."""
         tiles = math.ceil(max(shape) / (side * TILE)) + 2 * beyond
         top, left = ((length - tiles * TILE * side) // 2 for length in shape)
@@ -312,7 +310,7 @@ class Light:
         self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
         self._last: tuple[Any, list[FrameLight]] = None, []
 
-    def view(self, values: Mapping[str, float]) -> _WallView:
+    def view(self, values: Mapping[str, float]) -> "_WallView":
         """The wall as the microscope sees it."""
         return self._view(values["scale"], values["eye_radius"])
 
@@ -397,7 +395,7 @@ class Light:
         number: int,
         pose: Float[np.ndarray, "6"],
         turn: Float[np.ndarray, "6 8"],
-        view: _WallView,
+        view: "_WallView",
         source: CellBeam,
         emitted: float,
         slopes: bool,
@@ -439,7 +437,7 @@ class Light:
     def _shine(
         self,
         values: Mapping[str, float],
-        view: _WallView,
+        view: "_WallView",
         source: CellBeam,
         beam: BeamFrame,
         slopes: bool,

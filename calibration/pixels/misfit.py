@@ -18,8 +18,6 @@ covariance $A_g = \sum_{i \in g} J_i J_i^T$. Hence two uses:
   of the frame, because a wall's texture has the same place in all frames.
 """
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterable

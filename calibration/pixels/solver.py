@@ -16,8 +16,6 @@ The cells' weights are of the camera's noise, and of an error in proportion to t
 texture within cells makes. It is as large as makes chi squared what it should be.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -84,7 +82,7 @@ class Point:
     values: dict[str, float]
     states: Float[np.ndarray, "frames 7"]
 
-    def halfway(self, other: Point) -> Point:
+    def halfway(self, other: "Point") -> "Point":
         """The point in the middle of the two."""
         values = {name: 0.5 * (own + other.values[name]) for name, own in self.values.items()}
         return Point(values, 0.5 * (self.states + other.states))

@@ -1,7 +1,5 @@
 """Fit of the exact geometry to measured ellipses, with nuisances per trial (see `cone_trials`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 

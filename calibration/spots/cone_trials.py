@@ -9,8 +9,6 @@ from the tool's axis (`boresight`, two). An eighth is the part by which the came
 the spot's size at the trial's place (`size`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -194,7 +192,7 @@ class TrialGroup(eqx.Module):
         boresight_sigma: float,
         size_sigmas: Sequence[float],
         outline_sigmas: Sequence[float],
-    ) -> TrialGroup:
+    ) -> "TrialGroup":
         """The trials on one kind of wall."""
         numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
         trials = [of_all_kinds[n] for n in numbers]

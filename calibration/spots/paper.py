@@ -17,8 +17,6 @@ model is linear except for the products $\delta k\,\mathbf{s}$, so the fit uses 
 tilt.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple

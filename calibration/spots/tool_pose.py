@@ -1,7 +1,5 @@
 """The pose of a tool with one or several cones of light, from all spots together."""
 
-from __future__ import annotations
-
 import math
 from functools import partial
 from operator import itemgetter

@@ -7,8 +7,6 @@ lens's pupil, lines of sight about each pixel's own; and the reflexes of a lamp 
 the path, Purkinje's images.
 """
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -138,7 +136,7 @@ class PathCamera(Camera):
         visible = t2 <= jnp.minimum(self.widest, self.pupil) ** 2
         return jnp.where(visible, series(self.passing, self.place(t2)), 0.0)
 
-    def on_sensor_of(self, other: PathCamera) -> PathCamera:
+    def on_sensor_of(self, other: "PathCamera") -> "PathCamera":
         """This camera with the sensor of another: a line of sight's aim decides on its pixel.
 
         Colours share a sensor, but not delta.

@@ -4,8 +4,6 @@ Both are read from files, those of the package and those of a user. An eye's fil
 asphericities, thicknesses and indices, with their source.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 

@@ -3,8 +3,6 @@
 Lines of sight through a path are smooth, so others take them as Chebyshev series.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import equinox as eqx

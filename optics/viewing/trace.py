@@ -4,8 +4,6 @@ Surfaces are conics of revolution about the microscope's axis, by depth below th
 Media have one index, or the index gradient of a crystalline lens.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import equinox as eqx
@@ -40,7 +38,7 @@ class Conic(eqx.Module):
         self.curvature = jnp.asarray(curvature, float)
         self.asphericity = jnp.asarray(asphericity, float)
 
-    def reversed(self) -> Conic:
+    def reversed(self) -> "Conic":
         """The same surface for light that comes back: depths count upwards."""
         return Conic(depth=-self.depth, curvature=-self.curvature, asphericity=self.asphericity)
 
@@ -99,7 +97,7 @@ class Medium(eqx.Module):
         self.index = jnp.asarray(index, float)
         self.gradient = None if gradient is None else jnp.asarray(gradient, float)
 
-    def reversed(self, thickness: ScalarLike) -> Medium:
+    def reversed(self, thickness: ScalarLike) -> "Medium":
         """The same medium for light that comes back from a surface `thickness` mm behind."""
         if self.gradient is None:
             return self

@@ -5,8 +5,6 @@ The light through a patch of the wall is an integral around its border (see `Len
 its cells. The light that leaves one cell enters the other: no light is lost or counted twice.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple, Protocol
 
 import jax
@@ -50,7 +48,7 @@ class CellBeam(Protocol):
     ) -> Float[Array, "..."]:
         """Light between each side and the axis, per unit power, counted about the axis."""
 
-    def changed(self, by: Float[Array, "p"]) -> CellBeam:
+    def changed(self, by: Float[Array, "p"]) -> "CellBeam":
         """The beam with its own parameters changed, each in its unit."""
 
 

@@ -13,8 +13,6 @@ over that of the cone. A part outside adds its angle about the axis, over a whol
 with the axis holds that share of the cone.
 """
 
-from __future__ import annotations
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -36,11 +34,11 @@ class UniformCone(eqx.Module):
     apex_offset: Float[Array, ""]
 
     @classmethod
-    def of(cls, half_angle: float, apex_offset: float) -> UniformCone:
+    def of(cls, half_angle: float, apex_offset: float) -> "UniformCone":
         """A cone by its half-angle, rad, and apex offset, mm."""
         return cls(jnp.asarray(half_angle), jnp.asarray(apex_offset))
 
-    def changed(self, by: Float[Array, "2"]) -> UniformCone:
+    def changed(self, by: Float[Array, "2"]) -> "UniformCone":
         """The cone with another half-angle (rad) and apex offset (mm)."""
         return UniformCone(self.half_angle + by[0], self.apex_offset + by[1])
 

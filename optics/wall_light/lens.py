@@ -15,8 +15,6 @@ denser at edges of the light, as in `optics.irradiance_table`: in its focal plan
 sharp image of its core.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -157,11 +155,11 @@ class LensTable(eqx.Module):
         swept = optics.dot(jnp.cross(axis, lateral), step)
         return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
 
-    def changed(self, by: Float[Array, "p"]) -> LensTable:
+    def changed(self, by: Float[Array, "p"]) -> "LensTable":
         """The table with the lens's parameters changed."""
         return eqx.tree_at(lambda table: table.moved, self, self.moved + by)
 
-    def parts(self) -> list[LensTable]:
+    def parts(self) -> list["LensTable"]:
         """The table without its derivatives, and its derivatives, as tables of their own."""
         shares = [self.transmitted_value, *self.transmitted_slopes]
         return [
@@ -198,7 +196,7 @@ class LensTable(eqx.Module):
         return {name: np.asarray(part) for name, part in (own | self.grid._asdict()).items()}
 
     @classmethod
-    def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> LensTable:
+    def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> "LensTable":
         """A table from its `arrays`."""
         arrays = {name: jnp.asarray(part) for name, part in kept.items()}
         grid = Grid(*(arrays.pop(name) for name in Grid._fields))
@@ -322,8 +320,8 @@ def lens_samples(
     halvings: int,
     finest: float,
     coarse: bool = False,
-    near: LensSamples | None = None,
-) -> LensSamples:
+    near: "LensSamples | None" = None,
+) -> "LensSamples":
     """Sample the light of a lens and its derivatives with respect to the free parameters.
 
     Quadrature gives all samples of a first grid. Then each grid has cells of half the size, and
@@ -390,7 +388,7 @@ def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any
 
 
 def _first_order(
-    near: LensSamples | None, at: Array, halvings: int
+    near: "LensSamples | None", at: Array, halvings: int
 ) -> tuple[Float[np.ndarray, "p+1 rows columns"], Bool[np.ndarray, "rows columns"]]:
     """The light of a lens near a known one, and where it has changed too much for this."""
     if near is None:

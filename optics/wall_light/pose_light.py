@@ -1,7 +1,5 @@
 """Light on a lattice of cells by a beam whose pose is sought, compiled for the rig."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, NamedTuple
 

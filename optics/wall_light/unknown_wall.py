@@ -10,8 +10,6 @@ what is known of the blur,
 $$ F = J^T (K + N)^{-1} J + P, \qquad \sigma_d^2 = (F^{-1})_{dd}. $$
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from typing import NamedTuple

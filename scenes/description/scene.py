@@ -3,8 +3,6 @@
 The table [unrest] comes first: what else does not keep still while the tip moves.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
@@ -173,7 +171,7 @@ class Scene(SceneTable):
         return {**content, "phantom": {**phantom, **retina}, "microscope": microscope}
 
     @model_validator(mode="after")
-    def _looks_through_what_it_can(self) -> Scene:
+    def _looks_through_what_it_can(self) -> "Scene":
         viewing, height = self.viewing, self.microscope.pinhole_height_mm
         distortion, lit = self.microscope.distortion, self.microscope.light
         if not viewing.through_an_eye:
@@ -206,7 +204,7 @@ class Scene(SceneTable):
         return self
 
     @model_validator(mode="after")
-    def _is_possible(self) -> Scene:
+    def _is_possible(self) -> "Scene":
         phantom, microscope, tool = self.phantom, self.microscope, self.second_tool
         r, c, height = phantom.radius_mm, self.spot.eccentricity_mm, microscope.pinhole_height_mm
         is_sphere = phantom.kind == "eyeball" and not phantom.stretched

@@ -1,7 +1,5 @@
 """Scene files (TOML): reading, changing, writing, the commented template and the JSON schema."""
 
-from __future__ import annotations
-
 import difflib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

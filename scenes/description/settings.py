@@ -1,7 +1,5 @@
 """The tables of a scene file, each key with its unit, range and default."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Literal
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -210,7 +208,7 @@ class CameraSettings(SceneTable):
         return self.read_noise_e**2 + 1 / (12 * self.system_gain**2)
 
     @model_validator(mode="after")
-    def _is_possible(self) -> CameraSettings:
+    def _is_possible(self) -> "CameraSettings":
         if self.black_level_dn >= self.full_scale_dn:
             raise InputError(
                 f"CameraSettings(black_level_dn=...) must lie below full scale; got black_level_dn="

@@ -1,7 +1,5 @@
 """The command `eyespot doctor`: checks this machine and explains how to fix problems."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

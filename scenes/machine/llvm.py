@@ -6,8 +6,6 @@ each file and reports its version; Dr.Jit gets only a version that is new enough
 and 18 have not been tried and count as too old.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -4,8 +4,6 @@ As a script, it checks whether a variant, the main one by default, renders (exit
 that fails may abort its process.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from types import ModuleType

@@ -4,8 +4,6 @@ Import after `load_mitsuba`. A stretched eyeball is a mesh, because Mitsuba's sp
 stretched.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -12,8 +12,6 @@ reflection begins. If photons were drawn on both sides of that edge, some would 
 lens changes; the derivative of their power is unbounded there, and its variance does not converge.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Noise-free images of a scene, for any pose of the tip."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -63,7 +61,7 @@ class Images:
             self._reach = reach.Reach(world, self.mitsuba_scene, wall=self._still[1])
 
     @property
-    def by_colour(self) -> list[Images]:
+    def by_colour(self) -> list["Images"]:
         """Images for each set of lines of sight: these alone."""
         return [self]
 

@@ -3,8 +3,6 @@
 Import after `load_mitsuba`. Pixels and places within pixels lie on a regular grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager

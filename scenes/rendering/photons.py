@@ -4,8 +4,6 @@ It checks the vector-irradiance table independently: both share only the numbers
 Import after `load_mitsuba`.
 """
 
-from __future__ import annotations
-
 import math
 
 import drjit as dr

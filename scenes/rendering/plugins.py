@@ -4,8 +4,6 @@ The microscope is a pinhole, alone or behind a viewing path. Import after `load_
 base classes exist only once a variant is set.
 """
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -3,8 +3,6 @@
 Import after `load_mitsuba`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """Linear frames of a scene: sharp ones, and the mean over an exposure (motion blur)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -39,7 +37,7 @@ class FineWall(NamedTuple):
     window: ImageWindow
     factor: int
 
-    def part(self, window: ImageWindow) -> FineWall:
+    def part(self, window: ImageWindow) -> "FineWall":
         """The same in a part of the window."""
         rows = slice(*(self.factor * (row - self.window.top) for row in window[:2]))
         columns = slice(*(self.factor * (column - self.window.left) for column in window[2:]))

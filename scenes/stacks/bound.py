@@ -1,7 +1,5 @@
 """The Cramér-Rao bound of the ellipse in an image."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 

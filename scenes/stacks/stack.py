@@ -1,7 +1,5 @@
 """Stacks rendered to disk, one image in memory, and a preview."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -18,8 +18,6 @@ disc lies right of the pole (nasal), the fovea left of it (temporal) and slightl
 Every other number is an assumption, chosen so that a surgeon finds the picture realistic.
 """
 
-from __future__ import annotations
-
 import heapq
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Pictures on the wall: drawn, photographed or random; and how far light spreads in it."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Labels of a frame, its exposure, and the calibration of a scene's own beam."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

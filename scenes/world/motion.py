@@ -1,7 +1,5 @@
 """Position of the tip over time, and the clocks of camera and robot."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path

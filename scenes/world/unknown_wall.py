@@ -3,8 +3,6 @@
 `scenes.stacks.bound` is the bound of an image whose wall is known.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
