@@ -1,5 +1,7 @@
 """The parts of a scene at rest, as `optics` objects: wall, position of [spot], microscope."""
 
+from __future__ import annotations
+
 import math
 from functools import cached_property
 from typing import NamedTuple

@@ -1,5 +1,7 @@
 """World: derives the wall, microscope, light, motion and truth of a scene, each once."""
 
+from __future__ import annotations
+
 import functools
 import hashlib
 import math
@@ -217,13 +219,13 @@ class World(SceneGeometry):
         return truth
 
     @cached_property
-    def colours(self) -> tuple["World", ...]:
+    def colours(self) -> tuple[World, ...]:
         """This world as red, green and blue see it, if [viewing] gives each its lines of sight."""
         if not self.scene.viewing.through_an_eye or self.scene.viewing.colours == "green":
             return (self,)
         return self._seen_in(0), self, self._seen_in(2)
 
-    def _seen_in(self, channel: int) -> "World":
+    def _seen_in(self, channel: int) -> World:
         """The same world with the microscope of another colour, on the same sensor."""
         assert isinstance(self.microscope, PathCamera)
         other = World(self.scene)
