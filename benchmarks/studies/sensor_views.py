@@ -4,6 +4,8 @@ All of them know the instrument's axis (from the robot), the wall's shape and th
 give the same quantity: d, the distance from the tip to the wall along the axis.
 """
 
+from __future__ import annotations
+
 import math
 from enum import StrEnum
 from typing import Any, NamedTuple

@@ -6,6 +6,8 @@ DIR/table_one_scan.csv      each lens at the threshold and range that come neare
     lenses/, stacks/        rendered lenses and frames
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -53,7 +53,7 @@ def test_the_help_of_a_command_is_its_docstring(words):
     assert first_line in " ".join(listed.split())
 
 
-@pytest.mark.parametrize("words", ["study eccentricity", "validate", "fit"])
+@pytest.mark.parametrize("words", WORDS)
 def test_the_help_needs_no_library_that_computes(words):
     # In this process everything is loaded; in a new one the libraries are stood in for.
     assert run_process(*words.split(), "--help") == run(*words.split(), "--help")
