@@ -13,15 +13,7 @@ from jaxtyping import Float
 
 import optics
 from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
-from calibration.pixels.light import (
-    CAP,
-    CLEAR,
-    ENCLOSED,
-    NEAREST_MM,
-    STATES,
-    Cells,
-    LinearLensLight,
-)
+from calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
 from calibration.solvers import covariance_and_lost, propagated
@@ -347,7 +339,7 @@ class _FitRun(NamedTuple):
         failed, of_table = self._settled(solver)
         if failed is None and "core_radius" in self.names:
             of_table = self._from_wider_core(solver, of_table)
-        if failed is None and set(CAP) <= set(self.names):
+        if failed is None:
             of_table = self._with_cut_light(solver, of_table)
         return _result(solver, failed, of_table)
 
@@ -423,8 +415,7 @@ class _FitRun(NamedTuple):
         Beside the core's edge derivatives are those of the cut, so a rim that the frames do not
         show would seem known, and a fit can end there although wider rims explain them better.
         """
-        core, rim = (solver.point.values[name] for name in ("core_radius", "aperture_radius"))
-        if rim > 1.00001 * CLEAR * core:
+        if not solver.is_at_bound(solver.point.values):
             return of_table
         solver.least_rim = ENCLOSED
         return self._again(solver, {}, of_table, gain=_SAME_COST)

@@ -366,16 +366,21 @@ class BeamSolver:
             own |= zip(CAP, (sag, rim), strict=True)
         return self.point.values | own
 
+    def is_at_bound(self, values: Mapping[str, float]) -> bool:
+        """Whether the rim of a free cap is the least that it may be."""
+        if not self._shapes_cap:
+            return False
+        return values["aperture_radius"] <= (1.0 + 1e-9) * self.least_rim * values["core_radius"]
+
     def _within_bound(self, found: NormalEquations, values: dict[str, float]) -> NormalEquations:
-        """The equations of a step that keeps the rim at the core's edge, where it would go inside.
+        """The equations of a step that keeps the rim at its bound, where it would go inside.
 
         A step then changes the chord only as curvature and core demand it.
         """
-        if not self._shapes_cap:
+        if not self.is_at_bound(values):
             return found
         at = self.names.index("aperture_radius")
-        encloses = values["aperture_radius"] > (1.0 + 1e-9) * self.least_rim * values["core_radius"]
-        if encloses or found.gradient[at] <= 0.0:
+        if found.gradient[at] <= 0.0:
             return found
         rim = self.by_coordinates(values)[at]
         along = np.eye(len(found.gradient))
