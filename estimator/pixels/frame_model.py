@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import cholesky, null_space, solve_triangular
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.optimize import minimize
 from scipy.special import logsumexp
@@ -270,22 +270,18 @@ def texture_of(
         slopes: derivatives of the model by what was fitted to these residuals.
     """
     chosen = np.flatnonzero(weight > 0)
-    kernels = _kernels(count, side_mm)[:, chosen[:, None], chosen]
-    noise = np.diag(1.0 / weight[chosen])
-    # Derivatives that are zero or sums of others would make the determinant zero.
-    fitted, sizes, _ = np.linalg.svd(slopes[:, chosen].T, full_matrices=False)
-    both = np.column_stack([fitted[:, sizes > _RANK * sizes[0]], residual[chosen]])
+    # What the fit leaves: its own directions say nothing of the texture.
+    left = null_space(slopes[:, chosen], rcond=_RANK).T
+    kernels = left @ _kernels(count, side_mm)[:, chosen[:, None], chosen] @ left.T
+    noise, data = (left / weight[chosen]) @ left.T, left @ residual[chosen]
     precision = np.linalg.inv(_ANY**2 + _ALIKE**2 * np.eye(len(kernels)))
 
     def deviance(off: Float[np.ndarray, "parts"]) -> float:
         """-2 log of the probability of variances, by their logarithms over the usual ones."""
         covariance = np.tensordot(np.square(_USUAL) * np.exp(off), kernels, axes=1) + noise
         factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
-        white = solve_triangular(factor, both, lower=True, check_finite=False)
-        # The last column is what the fit leaves of the residual.
-        sizes = np.log(np.abs(np.diag(np.linalg.qr(white, mode="r"))))
-        determinants = np.sum(np.log(np.diag(factor))) + np.sum(sizes[:-1])
-        return float(2.0 * determinants + np.exp(2.0 * sizes[-1]) + off @ precision @ off)
+        white = solve_triangular(factor, data, lower=True, check_finite=False)
+        return float(2.0 * np.sum(np.log(np.diag(factor))) + white @ white + off @ precision @ off)
 
     parts = np.eye(len(kernels))
     start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=deviance)
