@@ -27,7 +27,7 @@ import numpy as np
 import tomli_w
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, ScalarLike
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
@@ -499,7 +499,7 @@ def _means_within(
     """
     x = np.linspace(0.0, 1.0, samples.shape[-1])
     rings = 2.0 * x * samples
-    parts = np.diff(CubicSpline(x, rings, axis=-1).antiderivative()(x), axis=-1)
+    parts = np.diff(make_interp_spline(x, rings, axis=-1).antiderivative()(x), axis=-1)
     doubt = np.abs(parts - 0.5 * (rings[..., 1:] + rings[..., :-1]) * x[1]) + 1e-300
     rest = transmitted[:, None, None] / np.pi - parts.sum(axis=-1, keepdims=True)
     parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
@@ -510,7 +510,8 @@ def _halved(samples: Float[np.ndarray, "p n m"]) -> Float[np.ndarray, "p 2n-1 2m
     """Samples of a cubic spline through the given ones, at half their spacing."""
     for axis in (1, 2):
         count = samples.shape[axis]
-        samples = CubicSpline(np.arange(count), samples, axis=axis)(np.arange(2 * count - 1) / 2)
+        halves = np.arange(2 * count - 1) / 2
+        samples = make_interp_spline(np.arange(count), samples, axis=axis)(halves)
     return samples
 
 
