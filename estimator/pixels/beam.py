@@ -10,13 +10,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from scipy.fft import dct
 from scipy.special import j1
 
 from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from formats.camera import USUAL_CUT
 from formats.microscope import MicroscopeFile
+from optics.instrument import BareFibre
 from optics.wall_light.cells import Lattice
 from optics.wall_light.pose_light import (
     BeamFrame,
@@ -133,6 +134,11 @@ _PARTS = 2
 _NARROW = 0.25
 """Variance of a blur, in squares of a part's side, from which light spreads from part to part: then
 an edge reaches over two of them, and where in one it lies does not matter."""
+_TOOL = BareFibre(fibre_radius=0.25, fibre_length=6.0)
+"""Of most instruments the fibre is as thin or thinner."""
+_SPARSE, _BESIDE_TOOL_PX = 8, 12.0
+"""Pixels between those of which it is asked whether the instrument hides them, and a margin about
+it: as many, and the error of a tip where a fit starts."""
 _LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
 _WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
@@ -208,6 +214,22 @@ class BeamLight:
     def pose(self, tip: np.ndarray, axis: np.ndarray) -> BeamFrame | None:
         """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
         return beam_at_wall(self.wall, tip, axis)
+
+    @functools.cached_property
+    def _sparse(self) -> tuple[np.ndarray, np.ndarray]:
+        """Wall points and lines of sight of every few pixels of the image, h x w x 3."""
+        u, v = np.meshgrid(*(np.arange(0.0, n + _SPARSE, _SPARSE) for n in 2.0 * self._middle_px))
+        pixels = np.stack([u, v], axis=-1)
+        point, _ = self.wall_points(pixels.reshape(-1, 2))
+        return point.reshape(*u.shape, 3), np.asarray(self.camera.ray(pixels)[1])
+
+    def hidden(self, pose: BeamFrame) -> Bool[np.ndarray, "h w"]:
+        """Pixels of the image in which the instrument hides the wall, or nearly does."""
+        point, sight = self._sparse
+        margin = _BESIDE_TOOL_PX * self.scale_mm_px
+        hides = _TOOL.hides(point, sight, tip=pose.tip, axis=pose.axis, margin=margin)
+        width, height = (2.0 * self._middle_px).astype(int)
+        return np.repeat(np.repeat(hides, _SPARSE, 0), _SPARSE, 1)[:height, :width]
 
     def wall_points(self, pixels: Float[np.ndarray, "n 2"]) -> tuple[np.ndarray, np.ndarray]:
         """Wall points that pixels see, and the inward normals there, (n, 3)."""

@@ -319,6 +319,7 @@ def explained_alone(
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
     # Again with this wall's texture, in the channels in which it has the least.
     usable = picture.usable & ~window.pixels(outliers(best), picture.usable.shape)
+    usable &= ~beam.hidden(best.newest.pose)
     picture = replace(picture, usable=usable)
     clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
@@ -407,8 +408,11 @@ def explained_with(
     start = _start(hypothesis.solution.newest, solver, cells(motion), point, own, observation.sweep)
     if start is None:
         return None
+    shown = observation.picture.usable & ~solver.beam.hidden(start.pose)
+    observation = observation._replace(picture=replace(observation.picture, usable=shown))
     start = replace(
         start,
+        cells=cells(motion),
         shift_sigma=math.hypot(_STAYS_PX + hypothesis.shake_px, math.sqrt(2.0) * shake_px),
         # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
         robot=None if hypothesis.drifted(0.0) else observation.robot,
