@@ -136,7 +136,7 @@ _NARROW = 0.25
 an edge reaches over two of them, and where in one it lies does not matter."""
 _TOOL = BareFibre(fibre_radius=0.25, fibre_length=6.0)
 """Of most instruments the fibre is as thin or thinner."""
-_SPARSE, _BESIDE_TOOL_PX = 8, 12.0
+_SPARSE, _BESIDE_TOOL_PX = 4, 6.0
 """Pixels between those of which it is asked whether the instrument hides them, and a margin about
 it: as many, and the error of a tip where a fit starts."""
 _LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
@@ -217,8 +217,9 @@ class BeamLight:
 
     @functools.cached_property
     def _sparse(self) -> tuple[np.ndarray, np.ndarray]:
-        """Wall points and lines of sight of every few pixels of the image, h x w x 3."""
-        u, v = np.meshgrid(*(np.arange(0.0, n + _SPARSE, _SPARSE) for n in 2.0 * self._middle_px))
+        """Wall points and lines of sight of blocks of pixels, h x w x 3."""
+        middle = 0.5 * (_SPARSE - 1)
+        u, v = np.meshgrid(*(np.arange(middle, n + _SPARSE, _SPARSE) for n in 2 * self._middle_px))
         pixels = np.stack([u, v], axis=-1)
         point, _ = self.wall_points(pixels.reshape(-1, 2))
         return point.reshape(*u.shape, 3), np.asarray(self.camera.ray(pixels)[1])

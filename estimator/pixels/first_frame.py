@@ -67,6 +67,16 @@ def reach_px(spot: Outline, *, sharp: bool) -> float:
     return REACH[sharp] * spot.semi_major_px + beside
 
 
+def shown(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> FramePixels:
+    """A picture without what the instrument hides, which a map would take for the wall's texture.
+
+    What hides light with a sharp edge was found by its darkness.
+    """
+    if beam.sharp:
+        return picture
+    return replace(picture, usable=picture.usable & ~beam.hidden(pose))
+
+
 _UNDECIDED = 16.0
 """Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
 _SAME = 3.0  # standard deviations within which two poses are one
@@ -319,8 +329,7 @@ def explained_alone(
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
     # Again with this wall's texture, in the channels in which it has the least.
     usable = picture.usable & ~window.pixels(outliers(best), picture.usable.shape)
-    usable &= ~beam.hidden(best.newest.pose)
-    picture = replace(picture, usable=usable)
+    picture = shown(replace(picture, usable=usable), beam, best.newest.pose)
     clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
@@ -408,8 +417,8 @@ def explained_with(
     start = _start(hypothesis.solution.newest, solver, cells(motion), point, own, observation.sweep)
     if start is None:
         return None
-    shown = observation.picture.usable & ~solver.beam.hidden(start.pose)
-    observation = observation._replace(picture=replace(observation.picture, usable=shown))
+    picture = shown(observation.picture, solver.beam, start.pose)
+    observation = observation._replace(picture=picture)
     start = replace(
         start,
         cells=cells(motion),
