@@ -100,14 +100,16 @@ def robust_step(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Least-squares step through the offsets that belong to one ellipse.
 
-    Trimming starts from the start mask. If it keeps less than `Trimming.MOST` of the edges, random
-    samples of five offsets (RANSAC, Fischler and Bolles 1981; fixed seed) vote for another start.
+    Trimming starts from the start mask. If it keeps less than `Trimming.MOST` of the edges, it
+    starts again from each quarter of the ring: what hides a part of a spot spares some of them. Of
+    these fits, the one with the most edges near it is taken.
 
     Args:
         offsets: (n,) radial offsets of the edges.
         seen: (n,) whether there is an edge.
         start: (n,) edges that are assumed to belong.
         tolerance: error of an offset that always belongs, in units of the radius.
+        limit: error from which none does.
 
     Returns:
         The step and the mask of the offsets that belong; None with fewer than 8 of them.
@@ -115,27 +117,15 @@ def robust_step(
     plain = _trimmed(design, offsets, seen, start & seen, tolerance, limit)
     if plain is not None and np.count_nonzero(plain[1]) > Trimming.MOST * np.count_nonzero(seen):
         return plain
-    candidates = np.flatnonzero(seen)
-    if candidates.size < Trimming.POSITIONS:
-        return plain
-    chosen = candidates[(_SAMPLES * candidates.size) // Trimming.POSITIONS]
-    steps = np.linalg.solve(design[chosen] + _JITTER, offsets[chosen][..., None])[..., 0]
-    errors = np.abs(design[candidates] @ steps.T - offsets[candidates, None])
-    plausible = np.abs(steps).max(axis=1) < Refine.LARGEST_STEP
-    votes = (errors < 2 * tolerance).sum(axis=0) * plausible
-    best = int(np.argmax(votes))
-    elected = np.zeros(seen.size, bool)
-    elected[candidates] = errors[:, best] < 2 * tolerance
-    voted = _trimmed(design, offsets, seen, elected, tolerance, limit)
-    if voted is None or (plain is not None and plain[1].sum() >= voted[1].sum()):
-        return plain
-    return voted
+    right, below = design[:, 0] > 0, design[:, 1] > 0
+    quarters = (right & below, right & ~below, ~right & below, ~right & ~below)
+    others = [_trimmed(design, offsets, seen, q & seen, tolerance, limit) for q in quarters]
+    fits = [plain, *(fit for fit in others if fit and np.abs(fit[0]).max() < Refine.LARGEST_STEP)]
 
+    def near(fit: tuple[np.ndarray, np.ndarray]) -> int:
+        return np.count_nonzero(seen & (np.abs(offsets - design @ fit[0]) < 2 * tolerance))
 
-_SAMPLES = np.stack(
-    [np.random.default_rng(k).permutation(Trimming.POSITIONS)[:5] for k in range(Trimming.SAMPLES)]
-)
-_JITTER = 1e-9 * np.eye(5)
+    return max(filter(None, fits), key=near, default=None)
 
 
 def _trimmed(

@@ -236,8 +236,6 @@ class Trimming:
     """Robust fit of an ellipse to offsets (`ellipse`)."""
 
     MOST = 0.6  # of the edges that the plain fit must keep: no other ellipse has as many
-    SAMPLES = 96  # of five edges (derived: if half of them belong, 95 % have a pure one)
-    POSITIONS = 32  # places round the contour, apart, that a sample's edges are drawn from
     BELONGS = 3.5  # standard deviations (derived: 0.05 % of normal errors are larger)
     THIRD = 0.4307  # standard deviations that a third of normal errors stay below (derived)
 

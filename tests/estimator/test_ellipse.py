@@ -56,7 +56,7 @@ def test_a_step_moves_the_edge_as_the_design_says():
         np.testing.assert_allclose(moved, _DESIGN @ step, atol=2e-7)
 
 
-def test_random_samples_take_over_where_trimming_starts_from_another_ellipse():
+def test_a_quarter_of_the_ring_takes_over_where_trimming_starts_from_another_ellipse():
     step, other = np.array([0.05, 0.02, 0.0, 0.03, -0.01]), np.array([0.0, 0.0, -0.3, -0.3, 0.0])
     first = np.arange(_ANGLES.size) < 70  # 36 %
     offsets = np.where(first, _DESIGN @ other, _DESIGN @ step)

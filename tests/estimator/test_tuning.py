@@ -39,5 +39,3 @@ def test_no_other_module_of_the_detector_has_a_constant_of_its_own(path):
 def test_what_is_said_to_be_derived_is():
     # A third of normal errors lies within so many standard deviations on either side.
     assert pytest.approx(NormalDist().inv_cdf(2 / 3), abs=1e-4) == Trimming.THIRD
-    # One sample of five edges, half of which belong, is pure with a probability of 1/32.
-    assert 1 - (31 / 32) ** Trimming.SAMPLES > 0.95
