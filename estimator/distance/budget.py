@@ -262,11 +262,7 @@ class Budgets:
             return None
         middle = int(np.argmin(np.abs(distances - mean)))
         slopes = slopes_of(
-            self._eye,
-            axis=axes[middle],
-            point=points[middle],
-            distance=distances[middle],
-            by_area=self._by_area,
+            self._eye, at_px=at, size_px=size, axis=axes[middle], by_area=self._by_area
         )
         # How fast the distance changes while the tip moves over a wall at rest, mm/s.
         velocity = np.array(motion.velocity_mm_s)

@@ -58,63 +58,55 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
 _STEP = 1e-6  # of the differences, relative
 
 
-def _viewed_cone(microscope: MicroscopeFile, values: Mapping[str, float]) -> dict[str, Any]:
-    """Wall, camera and cone, as `optics.distance_by_area` takes them."""
-    view = calibrated_view(microscope, values)
-    own = values.get("half_angle")
-    return {
-        "surface": view.wall(),
-        "camera": view.ideal_microscope(),
-        # Arrays: for plain numbers JAX would compile every time.
-        "half_angle": np.array(math.atan(1 / values["k"]) if own is None else own),
-        "apex_offset": np.array(values["b"]),
-    }
-
-
 class AreaDistances:
     """Finds distances by area in a microscope's undistorted image. Loads JAX; compiles once."""
 
     def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
-        values = dict(calibration.values)
-        self._seen = _viewed_cone(microscope, values)
-        self._covariance = calibration.covariance
-        # The same with each calibrated value a step larger, for the derivatives.
-        self._steps = np.array([_STEP * max(abs(value), 1e-3) for value in values.values()])
-        self._varied = [
-            _viewed_cone(microscope, values | {name: values[name] + step})
-            if self._covariance[row, row] > 0
-            else self._seen
-            for row, (name, step) in enumerate(zip(values, self._steps, strict=True))
-        ]
+        self._calibration, self._microscope = calibration, microscope
         # Compile now, so that the first image of a rig does not wait.
-        x, y = microscope.principal_point_px
-        self._distance(self._seen, np.array([x, y, 60.0, 50.0]), np.array([0.0, 0.0, -1.0]))
+        ellipse = np.array([*microscope.principal_point_px, 60.0, 50.0])
+        self._distance(ellipse, np.array([0.0, 0.0, -1.0]), calibration.values)
 
     def of(self, spot: Spot, *, axis: np.ndarray, axis_sigma_rad: float) -> Range:
-        """The distance of a spot, see `Ranger.distance`."""
-        ellipse = np.array([spot.x_px, spot.y_px, spot.semi_major_px, spot.semi_minor_px])
-        distance = self._distance(self._seen, ellipse, axis)
-        steps = _STEP * np.maximum(np.abs(ellipse), 1.0)
-        by_spot = [self._distance(self._seen, ellipse + row, axis) for row in np.diag(steps)]
-        across = np.linalg.svd(axis[None])[2][1:]
-        turned = [axis + _STEP * side for side in across]
-        by_axis = [self._distance(self._seen, ellipse, a / np.linalg.norm(a)) for a in turned]
-        by_value = [self._distance(seen, ellipse, axis) for seen in self._varied]
-        of_spot = (np.array(by_spot) - distance) / steps
-        of_value = (np.array(by_value) - distance) / self._steps
-        of_axis = (np.array(by_axis) - distance) / _STEP
-        variance = of_spot @ spot.covariance[:4, :4] @ of_spot
-        variance += of_value @ self._covariance @ of_value
-        variance += axis_sigma_rad**2 * (of_axis @ of_axis)
-        return Range(distance_mm=distance, sigma_mm=math.sqrt(variance))
+        """The distance of a spot, see `Ranger.distance`; its sigma propagated by differences."""
+        from scipy.linalg import block_diag
 
-    def _distance(self, seen: dict[str, Any], ellipse: np.ndarray, axis: np.ndarray) -> float:
+        names = list(self._calibration.values)
+        across = np.linalg.svd(axis[None])[2][1:]
+        ellipse, turns, values = spot.ellipse[:4], (0.0, 0.0), self._calibration.values.values()
+        given = np.array([*ellipse, *turns, *values])
+        least = np.repeat([1.0, 1e-3], [6, len(names)])
+        steps = _STEP * np.maximum(np.abs(given), least)
+        distance, *varied = (
+            self._distance(
+                row[:4], axis + row[4:6] @ across, dict(zip(names, row[6:], strict=True))
+            )
+            for row in given + np.vstack([np.zeros(given.size), np.diag(steps)])
+        )
+        slopes = (np.array(varied) - distance) / steps
+        of_axis = axis_sigma_rad**2 * np.eye(2)
+        covariance = block_diag(spot.covariance[:4, :4], of_axis, self._calibration.covariance)
+        return Range(distance_mm=distance, sigma_mm=math.sqrt(slopes @ covariance @ slopes))
+
+    def _distance(
+        self, ellipse: np.ndarray, axis: np.ndarray, values: Mapping[str, float]
+    ) -> float:
         import optics
 
-        x, y, major, minor = ellipse
+        view = calibrated_view(self._microscope, values)
+        own = values.get("half_angle")
+        # Arrays: for plain numbers JAX would compile every time.
         array: Any = np.array
-        measured = optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0))
-        return float(optics.distance_by_area(measured, axis=array(axis), **seen))
+        x, y, major, minor = ellipse
+        found = optics.distance_by_area(
+            optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0)),
+            view.wall(),
+            view.ideal_microscope(),
+            axis=array(axis / np.linalg.norm(axis)),
+            half_angle=array(math.atan(1 / values["k"]) if own is None else own),
+            apex_offset=array(values["b"]),
+        )
+        return float(found)
 
 
 UNKNOWN_SIGMA_PX = 0.5

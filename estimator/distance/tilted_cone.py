@@ -203,39 +203,22 @@ class Slopes(NamedTuple):
 
 
 def slopes_of(
-    eye: ConeView, *, axis: np.ndarray, point: np.ndarray, distance: float, by_area: bool
+    eye: ConeView, *, at_px: np.ndarray, size_px: float, axis: np.ndarray, by_area: bool
 ) -> Slopes:
-    """Derivatives of `distance_of`, from those of the spot's size at the distance found.
-
-    The size e depends on the distance d and on each quantity q, so that at a measured size
-    dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen. Axis and point O are (3,), mm.
-    """
-    given = np.array([np.ravel(value)[0] for value in eye[:5]], float)
+    """Derivatives of `distance_of` at one spot, by differences; at_px is (2,), axis (3,)."""
+    of_eye = np.array([np.ravel(value)[0] for value in eye[:5]], float)
+    given = np.array([size_px, *at_px, 0.0, 0.0, *of_eye])
     steps = _STEP * np.maximum(np.abs(given), _LEAST)
-    # Rows: as it is, farther, x, y, two turns of the axis, then each quantity of the eye.
-    count = 6 + given.size
-    grid = np.tile(given, (count, 1))
-    grid[6:] += np.diag(steps)
-    axes, distances = np.tile(axis, (count, 1)), np.full(count, distance)
-    distances[1] += _STEP
-    first, second = np.linalg.svd(axis[None])[2][1:]
-    for row, side in ((4, first), (5, second)):
-        axes[row] = (axis + _STEP * side) / math.hypot(1.0, _STEP)
-    depth = 1 - eye.inverse_working_distance * (point[2] + eye.eye_radius)
-    pixel = np.tile(np.array([point[0], -point[1]]) / (eye.scale * depth), (count, 1))
-    pixel[2, 0] += 1.0
-    pixel[3, 1] += 1.0
-    quantities: Any = dict(zip(eye._fields, grid.T, strict=False))  # all but the normal
-    varied = eye._replace(**quantities)
-    seen = spot_image(varied, spot=varied.wall_point(pixel), axis=axes, distance=distances)
-    size = seen.size(by_area=by_area)
-    change = size - size[0]
-    per_px = float(_STEP / change[1])
-    moved = -per_px * change
-    return Slopes(
-        size=per_px,
-        x=float(moved[2]),
-        y=float(moved[3]),
-        tilt=math.hypot(moved[4], moved[5]) / _STEP,
-        of=dict(zip(quantities, (moved[6:] / steps).tolist(), strict=True)),
+    varied = given + np.vstack([np.zeros(given.size), np.diag(steps)])
+    axes = axis + varied[:, 3:5] @ np.linalg.svd(axis[None])[2][1:]
+    quantities: Any = dict(zip(eye._fields, varied.T[5:], strict=False))  # all but the normal
+    distance, _ = distance_of(
+        eye._replace(**quantities),
+        at_px=varied[:, 1:3],
+        size_px=varied[:, 0],
+        axis=axes / np.linalg.norm(axes, axis=1, keepdims=True),
+        by_area=by_area,
     )
+    size, x, y, first, second, *slopes = ((distance[1:] - distance[0]) / steps).tolist()
+    of = dict(zip(quantities, slopes, strict=True))
+    return Slopes(size=size, x=x, y=y, tilt=math.hypot(first, second), of=of)
