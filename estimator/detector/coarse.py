@@ -35,12 +35,9 @@ def channel_for(
     """
     values = window.of(frame, stride)
     planes = [values] if values.ndim == 2 else cv2.split(values)
-    shown = mask.view(bool)
     clips, saturated = [], []
     for number, plane in enumerate(planes):
-        clip = full_scale
-        if _may_be_clipped(plane[shown]):
-            clip = min(clip_level(*_part(frame, window, stride, mask, number)), full_scale)
+        clip = min(clip_level(*_part(frame, window, stride, mask, number)), full_scale)
         _, full = cv2.threshold(plane, clip * (1 - 1e-6), 1, cv2.THRESH_BINARY)
         clips.append(clip)
         saturated.append(cv2.mean(full, mask)[0])
@@ -57,19 +54,6 @@ def channel_for(
     if len(unspoilt) < len(usable) or peaks[brightest] > Channel.BRIGHTER * grey:
         channel = brightest
     return channel, tuple(clips), (*saturated, max(saturated))
-
-
-def _may_be_clipped(bright: np.ndarray) -> bool:
-    """Whether as many pixels have a region's largest value, but for hot ones, as the next three.
-
-    The whole region is looked at only if these few pixels allow it: noise has fewer at its end.
-    """
-    seen = np.sort(bright)
-    level = seen[-1 - int(Channel.HOT * seen.size)]
-    first, end = np.searchsorted(seen, level), np.searchsorted(seen, level, side="right")
-    most = int(end - first + 2.0 * math.sqrt(end - first))
-    beside = seen[max(first - 3 * most - 1, 0) : first]
-    return bool(end - first > 1 and not np.any(beside[most:] == beside[:-most]))
 
 
 def _part(

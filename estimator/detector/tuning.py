@@ -51,7 +51,6 @@ class Channel:
     SATURATED = 0.02  # fraction of a spot's pixels at full scale that changes its half level
     BRIGHTER = 1.2  # over grey: its weaker texture outweighs its noise, as red's on retinas
     FAINTEST = 0.1  # over the brightest channel: a fainter one does not replace grey
-    HOT = 0.005  # fraction of a region's pixels that may be hot, or written over
 
 
 class Capture:
