@@ -123,7 +123,7 @@ def robust_step(
     fits = [plain, *(fit for fit in others if fit and np.abs(fit[0]).max() < Refine.LARGEST_STEP)]
 
     def near(fit: tuple[np.ndarray, np.ndarray]) -> int:
-        return np.count_nonzero(seen & (np.abs(offsets - design @ fit[0]) < 2 * tolerance))
+        return int(np.sum(seen & (np.abs(offsets - design @ fit[0]) < 2 * tolerance)))
 
     return max(filter(None, fits), key=near, default=None)
 
@@ -266,13 +266,8 @@ def ring_variance(values: np.ndarray, harmonics: slice) -> float:
     Neighbouring rays share pixels and texture, so their plain scatter underestimates the error of a
     mean over the ring; the spectrum at long wavelengths does not.
     """
-    return ring_variances(values, harmonics)[0]
-
-
-def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
-    """`ring_variance` of several ranges of harmonics."""
-    parts = [values @ _waves(some.start, some.stop) for some in harmonics]
-    return [float(part @ part) * 2 / part.size for part in parts]
+    part = values @ _waves(harmonics.start, harmonics.stop)
+    return float(part @ part) * 2 / part.size
 
 
 def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
@@ -288,7 +283,7 @@ def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
         The share of texture in the variance of the long waves; and the power, which so few waves
         leave open by half a power, as much as walls differ: the mean of the frame's and the walls'.
     """
-    longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
+    longer, shorter = (ring_variance(values, part) for part in (long, Refine.NEXT_WAVES_BROAD))
     ratio = math.log(octaves_middle(Refine.NEXT_WAVES_BROAD) / octaves_middle(long))
     seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
     share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)
