@@ -17,7 +17,7 @@ from calibration.recordings import withdrawal
 from calibration.spots.cone_trials import Prior
 from estimator.sources.opening import open_source
 from formats.camera import CameraNoise, CameraSheet, Response
-from formats.inputs import InputError, shortened, validated
+from formats.inputs import InputError, in_file, shortened, validated
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.stack import Stack
 from optics.instrument import BareFibre
@@ -69,7 +69,9 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
             poses that are no withdrawal or do not cover all frames.
     """
     microscope = read_microscope(stack.folder / "microscope.json")
-    noise = noise_of(stack.described("scene.camera", dict), microscope.response)
+    camera = stack.described("scene.camera", dict)
+    with in_file(stack.folder / "stack.toml"):
+        noise = noise_of(camera, microscope.response)
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])

@@ -518,6 +518,16 @@ def test_cameras_of_dependent_pixels_are_refused():
         noise_of(camera.model_dump(), Response())
 
 
+def test_a_damaged_camera_in_a_stacks_scene_is_refused_with_the_files_name(tmp_path):
+    stack = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"
+    folder = shutil.copytree(stack, tmp_path / "stack")
+    file = folder / "stack.toml"
+    file.write_text(file.read_text().replace("bit_depth = 8", "bit_depth = 80"))
+    with pytest.raises(ValueError, match="bit_depth must be at most 16; got 80") as error:
+        read_footage(read_stack(folder))
+    assert str(error.value).startswith(f"{file}: ")
+
+
 @pytest.fixture(scope="module")
 def stack(tmp_path_factory) -> Stack:
     return render_stack(scene(), tmp_path_factory.mktemp("image") / "stack")
