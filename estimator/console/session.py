@@ -390,7 +390,8 @@ def svg_of(view: View, microscope: MicroscopeFile | None) -> str:
     parts = []
     distance = view.reading.range
     if microscope and not microscope.viewing_path and distance and distance.poses:
-        x, y = tip_px(distance.poses[0].tip_mm, microscope) + 0.5
+        x, y = np.asarray(microscope.pinhole().project(distance.poses[0].tip_mm)).tolist()
+        x, y = (value + 0.5 for value in (camera.distorted(x, y) if camera else (x, y)))
         parts.append(
             f'<path d="M{x - 7:.1f} {y - 7:.1f}l14 14m0 -14l-14 14" stroke="#ff5ecb"'
             ' stroke-width="2" vector-effect="non-scaling-stroke"/>'
@@ -414,24 +415,3 @@ def svg_of(view: View, microscope: MicroscopeFile | None) -> str:
             ' stroke-width="1.5" vector-effect="non-scaling-stroke"/>'
         )
     return "".join(parts)
-
-
-def tip_px(tip_mm: np.ndarray, microscope: MicroscopeFile) -> np.ndarray:
-    r"""Where a point appears in the frame.
-
-    $u = u_0 + X / s$ and $v = v_0 - Y / s$ with the scale $s = \delta (1 - \kappa (Z + r))$ at the
-    point's height.
-
-    Args:
-        tip_mm: (X, Y, Z) in the eye frame, (3,).
-        microscope: a pinhole or telecentric, without a viewing path.
-
-    Returns:
-        (u, v), px, (2,).
-    """
-    x, y, z = tip_mm
-    height = z + microscope.eye_radius_mm
-    scale = microscope.scale_mm_px * (1 - microscope.inverse_working_distance * height)
-    point = np.array(microscope.principal_point_px) + np.array([x, -y]) / scale
-    camera = microscope.camera()
-    return point if camera is None else camera.all_distorted(point[None])[0]

@@ -23,8 +23,10 @@ import pytest
 
 from estimator import Frame, Source
 from estimator.console.guide import Guide, Stage, exposure_advice
-from estimator.console.session import Session, tip_px
+from estimator.console.session import Session, View, svg_of
+from estimator.distance.range import Range, TipPose
 from estimator.run.options import Options
+from estimator.run.reader import Reading
 from estimator.sources.opening import open_source
 from formats.calibration import read_calibration
 from formats.camera import Response
@@ -275,10 +277,23 @@ def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height
         "distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n"
     )
     microscope = read_microscope(file, pinhole_height_mm=pinhole_height_mm, eye_radius_mm=11.5)
-    tip = np.array([0.4, -0.7, -8.0])
-    expected = microscope.pinhole().project(tip)
-    # JAX's single precision would be 1e-5 px of 200 px.
-    np.testing.assert_allclose(tip_px(tip, microscope), expected, atol=1e-3)
+    tip = TipPose(tip_mm=np.array([0.4, -0.7, -8.0]), axis=np.array([0, 0, -1.0]), distance_mm=3.0)
+    found = Range(distance_mm=3.0, sigma_mm=0.1, poses=(tip,))
+    view = View(
+        version=0,
+        number=0,
+        frame=Frame(index=0, image=disc(30)),
+        reading=Reading("pixels", NoSpot(Reason.NONE_FOUND), found),
+        expected_px=None,
+        arrived_s=0.0,
+    )
+    cross = re.search(r'M([0-9.]+) ([0-9.]+)l14 14m0 -14l-14 14"', svg_of(view, microscope))
+    assert cross is not None
+    # The tip is 3.5 mm above the pole. A cross is 14 px wide, and pixels begin at their corner.
+    scale = 0.0134 * (1 - 3.5 / (pinhole_height_mm + 11.5))
+    seen = [float(corner) + 7 - 0.5 for corner in cross.groups()]
+    # The drawing has a tenth of a pixel.
+    assert seen == pytest.approx([159.5 + 0.4 / scale, 119.5 + 0.7 / scale], abs=0.06)
 
 
 @pytest.fixture(scope="module")
