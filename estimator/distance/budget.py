@@ -15,7 +15,7 @@ import numpy as np
 from estimator.detector import tuning
 from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
-from estimator.distance.tilted_cone import ConeView, Slopes, distance_of, slopes_of
+from estimator.distance.tilted_cone import ConeView, distance_of, slopes_of
 from formats.calibration import BEAM, QUANTITIES
 from formats.spots import Spot
 from formats.stated import Stated
@@ -262,7 +262,11 @@ class Budgets:
             return None
         middle = int(np.argmin(np.abs(distances - mean)))
         slopes = slopes_of(
-            self._eye, at_px=at, size_px=size, axis=axes[middle], by_area=self._by_area
+            self._eye,
+            axis=axes[middle],
+            point=points[middle],
+            distance=distances[middle],
+            by_area=self._by_area,
         )
         # How fast the distance changes while the tip moves over a wall at rest, mm/s.
         velocity = np.array(motion.velocity_mm_s)
@@ -274,7 +278,7 @@ class Budgets:
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
         exact = self._ranger.model in ("exact", "area")
         unknown = self._through_path and not exact
-        turned = slopes.tilt if known and self._ranger.model != "exact" else 0.0
+        turned = slopes["tilt"] if known and self._ranger.model != "exact" else 0.0
         parts = self._parts(spot, found, slopes, spread, known=known)
         return Budget(
             reading_mm=found.distance_mm,
@@ -303,7 +307,7 @@ class Budgets:
         return axes, np.full(len(axes), 1 / len(axes))
 
     def _parts(
-        self, spot: Spot, found: Range, slopes: Slopes, spread: float, *, known: bool
+        self, spot: Spot, found: Range, slopes: dict[str, float], spread: float, *, known: bool
     ) -> list[Part]:
         stated, model = self._stated, self._ranger.model
         parts = [self._of_image(spot, found, slopes), self._of_calibration(slopes)]
@@ -311,7 +315,7 @@ class Budgets:
         # The model exact weighs the axis against the ellipse: it is in the image's part.
         if model != "exact" and known:
             sigma = stated.axis_sigma_deg
-            moved, source = slopes.tilt * math.radians(sigma), "the beam's axis"
+            moved, source = slopes["tilt"] * math.radians(sigma), "the beam's axis"
             parts.append(Part(Cause.TILT, moved, math.inf, source, sigma, "deg"))
         elif model != "exact":
             low, high = stated.incidence_deg
@@ -319,31 +323,31 @@ class Budgets:
             parts.append(Part(Cause.TILT, spread, math.inf, source, (high - low) / 2, "deg"))
         if "eye_radius" not in values and self._eye.normal is None:
             sigma = stated.eye_radius_sigma_mm
-            moved = abs(slopes.of["eye_radius"]) * sigma
+            moved = abs(slopes["eye_radius"]) * sigma
             parts.append(Part(Cause.EYE_RADIUS, moved, source_sigma=sigma, unit="mm"))
         parts.append(self._of_viewing(found, slopes, spot))
-        moved = abs(slopes.of["b"]) * stated.touch_sigma_mm
+        moved = abs(slopes["b"]) * stated.touch_sigma_mm
         parts.append(Part(Cause.TOUCH, moved, source_sigma=stated.touch_sigma_mm, unit="mm"))
         return parts
 
-    def _of_image(self, spot: Spot, found: Range, slopes: Slopes) -> Part:
+    def _of_image(self, spot: Spot, found: Range, slopes: dict[str, float]) -> Part:
         if self._ranger.model == "exact":
             sigma = found.sigma_image_mm
         else:
-            by_axes = np.array([0.0, slopes.size])
+            by_axes = np.array([0.0, slopes["size"]])
             if self._by_area:
                 axes = np.array([spot.semi_major_px, spot.semi_minor_px])
-                by_axes = slopes.size * math.sqrt(axes.prod()) / 2 / axes
-            gradient = np.array([slopes.x, slopes.y, *by_axes])
+                by_axes = slopes["size"] * math.sqrt(axes.prod()) / 2 / axes
+            gradient = np.array([slopes["x"], slopes["y"], *by_axes])
             sigma = math.sqrt(gradient @ spot.covariance[:4, :4] @ gradient)
         return Part(Cause.IMAGE, sigma, _freedom(spot))
 
-    def _of_calibration(self, slopes: Slopes) -> Part:
+    def _of_calibration(self, slopes: dict[str, float]) -> Part:
         calibration = self._ranger.calibration
         k = float(self._eye.k[0])
         # dk/d(half_angle) = -1/sin^2; a boresight's error turns the axis, one way or the other.
-        of = slopes.of | {"half_angle": -(1 + k * k) * slopes.of["k"]}
-        boresight = 0.0 if self._ranger.model == "exact" else slopes.tilt / math.sqrt(2)
+        of = slopes | {"half_angle": -(1 + k * k) * slopes["k"]}
+        boresight = 0.0 if self._ranger.model == "exact" else slopes["tilt"] / math.sqrt(2)
         of |= dict.fromkeys(BEAM, boresight)
         gradient = np.array([of.get(name, 0.0) for name in calibration.values])
         variance = float(gradient @ calibration.covariance @ gradient)
@@ -358,12 +362,12 @@ class Budgets:
             QUANTITIES[names[most]].unit.removeprefix("1") or "",
         )
 
-    def _of_viewing(self, found: Range, slopes: Slopes, spot: Spot) -> Part:
+    def _of_viewing(self, found: Range, slopes: dict[str, float], spot: Spot) -> Part:
         stated = self._stated
         sigma = stated.inverse_working_distance_sigma
         if "inverse_working_distance" in self._ranger.calibration.values:
             sigma = 0.0
-        of_pinhole = slopes.of["inverse_working_distance"] * sigma
+        of_pinhole = slopes["inverse_working_distance"] * sigma
         at = np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
         c = float(np.hypot(*self._eye.wall_point(at)[0, :2]))
         apart = found.distance_mm - float(self._eye.b[0])

@@ -1,5 +1,6 @@
 """Distance and pose by a cone: the camera's view, the ellipse's area, tip and axis."""
 
+import functools
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -63,24 +64,22 @@ class AreaDistances:
 
     def __init__(self, calibration: Calibration, microscope: MicroscopeFile) -> None:
         self._calibration, self._microscope = calibration, microscope
+        # Each frame asks for the same values: the calibrated ones, and each of them a step larger.
+        self._seen = functools.cache(self._seen_with)
         # Compile now, so that the first image of a rig does not wait.
         ellipse = np.array([*microscope.principal_point_px, 60.0, 50.0])
-        self._distance(ellipse, np.array([0.0, 0.0, -1.0]), calibration.values)
+        self._distance(ellipse, np.array([0.0, 0.0, -1.0]), [*calibration.values.values()])
 
     def of(self, spot: Spot, *, axis: np.ndarray, axis_sigma_rad: float) -> Range:
         """The distance of a spot, see `Ranger.distance`; its sigma propagated by differences."""
         from scipy.linalg import block_diag
 
-        names = list(self._calibration.values)
         across = np.linalg.svd(axis[None])[2][1:]
         ellipse, turns, values = spot.ellipse[:4], (0.0, 0.0), self._calibration.values.values()
         given = np.array([*ellipse, *turns, *values])
-        least = np.repeat([1.0, 1e-3], [6, len(names)])
-        steps = _STEP * np.maximum(np.abs(given), least)
+        steps = _STEP * np.maximum(np.abs(given), np.repeat([1.0, 1e-3], [6, len(values)]))
         distance, *varied = (
-            self._distance(
-                row[:4], axis + row[4:6] @ across, dict(zip(names, row[6:], strict=True))
-            )
+            self._distance(row[:4], axis + row[4:6] @ across, row[6:].tolist())
             for row in given + np.vstack([np.zeros(given.size), np.diag(steps)])
         )
         slopes = (np.array(varied) - distance) / steps
@@ -88,25 +87,26 @@ class AreaDistances:
         covariance = block_diag(spot.covariance[:4, :4], of_axis, self._calibration.covariance)
         return Range(distance_mm=distance, sigma_mm=math.sqrt(slopes @ covariance @ slopes))
 
-    def _distance(
-        self, ellipse: np.ndarray, axis: np.ndarray, values: Mapping[str, float]
-    ) -> float:
+    def _distance(self, ellipse: np.ndarray, axis: np.ndarray, values: list[float]) -> float:
         import optics
 
-        view = calibrated_view(self._microscope, values)
-        own = values.get("half_angle")
         # Arrays: for plain numbers JAX would compile every time.
         array: Any = np.array
         x, y, major, minor = ellipse
-        found = optics.distance_by_area(
-            optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0)),
-            view.wall(),
-            view.ideal_microscope(),
-            axis=array(axis / np.linalg.norm(axis)),
-            half_angle=array(math.atan(1 / values["k"]) if own is None else own),
-            apex_offset=array(values["b"]),
-        )
-        return float(found)
+        measured = optics.Ellipse(array([x, y]), array(major), array(minor), array(0.0))
+        unit = array(axis / np.linalg.norm(axis))
+        return float(optics.distance_by_area(measured, axis=unit, **self._seen(*values)))
+
+    def _seen_with(self, *values: float) -> dict[str, Any]:
+        """Wall, camera and cone with calibrated values, as `optics.distance_by_area` takes them."""
+        named = dict(zip(self._calibration.values, values, strict=True))
+        view, own = calibrated_view(self._microscope, named), named.get("half_angle")
+        return {
+            "surface": view.wall(),
+            "camera": view.ideal_microscope(),
+            "half_angle": np.array(math.atan(1 / named["k"]) if own is None else own),
+            "apex_offset": np.array(named["b"]),
+        }
 
 
 UNKNOWN_SIGMA_PX = 0.5

@@ -186,39 +186,31 @@ _STEP = 1e-5  # of the differences, relative
 _LEAST = 0.1  # of a quantity near zero, mm and 1/mm
 
 
-class Slopes(NamedTuple):
-    """Derivatives of the distance, mm.
-
-    Attributes:
-        size, x, y: by the size of the spot and its place, per px.
-        tilt: by the beam's axis, per rad: the root of the squares across it.
-        of: by the quantities of `ConeView`, per their unit.
-    """
-
-    size: float
-    x: float
-    y: float
-    tilt: float
-    of: dict[str, float]
-
-
 def slopes_of(
-    eye: ConeView, *, at_px: np.ndarray, size_px: float, axis: np.ndarray, by_area: bool
-) -> Slopes:
-    """Derivatives of `distance_of` at one spot, by differences; at_px is (2,), axis (3,)."""
-    of_eye = np.array([np.ravel(value)[0] for value in eye[:5]], float)
-    given = np.array([size_px, *at_px, 0.0, 0.0, *of_eye])
+    eye: ConeView, *, axis: np.ndarray, point: np.ndarray, distance: float, by_area: bool
+) -> dict[str, float]:
+    """Derivatives of `distance_of`, from those of the spot's size at the distance found.
+
+    The size e depends on the distance d and on each quantity q, so that at a measured size
+    dd/dq = -(de/dq)/(de/dd). The spot stays where it is seen. Axis and point O are (3,), mm.
+
+    Returns:
+        By `size`, `x` and `y` of the spot, mm/px; by `tilt` of the axis, mm/rad: the root of the
+        squares across it; and by the quantities of `ConeView`, mm per their unit.
+    """
+    depth = 1 - eye.inverse_working_distance * (point[2] + eye.eye_radius)
+    at_px = np.array([point[0], -point[1]]) / (eye.scale * depth)
+    given = np.array([distance, *at_px, 0.0, 0.0, *(np.ravel(value)[0] for value in eye[:5])])
     steps = _STEP * np.maximum(np.abs(given), _LEAST)
     varied = given + np.vstack([np.zeros(given.size), np.diag(steps)])
     axes = axis + varied[:, 3:5] @ np.linalg.svd(axis[None])[2][1:]
+    axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     quantities: Any = dict(zip(eye._fields, varied.T[5:], strict=False))  # all but the normal
-    distance, _ = distance_of(
-        eye._replace(**quantities),
-        at_px=varied[:, 1:3],
-        size_px=varied[:, 0],
-        axis=axes / np.linalg.norm(axes, axis=1, keepdims=True),
-        by_area=by_area,
-    )
-    size, x, y, first, second, *slopes = ((distance[1:] - distance[0]) / steps).tolist()
-    of = dict(zip(quantities, slopes, strict=True))
-    return Slopes(size=size, x=x, y=y, tilt=math.hypot(first, second), of=of)
+    seen = eye._replace(**quantities)
+    spot = seen.wall_point(varied[:, 1:3])
+    image = spot_image(seen, spot=spot, axis=axes, distance=varied[:, 0])
+    size = image.size(by_area=by_area)
+    by_distance, *others = ((size[1:] - size[0]) / steps).tolist()
+    x, y, first, second, *of_eye = (-slope / by_distance for slope in others)
+    of_spot = {"size": 1 / by_distance, "x": x, "y": y, "tilt": math.hypot(first, second)}
+    return of_spot | dict(zip(quantities, of_eye, strict=True))
