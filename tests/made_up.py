@@ -1,15 +1,21 @@
 """Spots, calibrations and microscopes made up for tests: what a test does not name is plain."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from formats.calibration import Calibration
+from formats.camera import CameraNoise, CameraSheet, Response
 from formats.microscope import MicroscopeFile
 from formats.spots import Spot
+
+if TYPE_CHECKING:
+    from calibration.pixels.data import Footage
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
@@ -98,3 +104,32 @@ def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> P
     path = folder / "microscope.json"
     path.write_text(json.dumps({"schema": 1} | microscope_content(*size_px, **keys)))
     return path
+
+
+def a_footage(**changed: Any) -> Footage:
+    """A disc on a plane in three frames of 48 x 48 pixels, none of which is usable."""
+    from calibration.pixels.data import BareFibre, Footage  # late, as it loads JAX
+
+    sheet = CameraSheet(full_well_e=5000.0, read_noise_e=10.0, black_level_dn=0.0, bit_depth=8)
+    v, u = np.mgrid[:48, :48] - 23.5
+    given: dict[str, Any] = {
+        "light": np.stack([np.where(np.hypot(u, v) < 8, 0.5, 0.01).astype(np.float32)] * 3),
+        "clear": np.zeros((3, 48, 48), bool),
+        "exposure_s": np.full(3, 0.01),
+        "readings": np.array([1.0, 2.0, 3.0]),
+        "motion": np.array([0.0, 0.0, -1.0]),
+        "axis": np.array([0.0, 0.0, -1.0]),
+        "noise": CameraNoise(sheet, Response()),
+        "microscope": a_microscope(
+            width_px=48,
+            height_px=48,
+            scale_mm_px=0.04,
+            principal_point_px=(23.5, 23.5),
+            pinhole_height_mm=200.0,
+        ),
+        "instrument": BareFibre(0.25, 6.0),
+        "in_view": False,
+        "kind": "plane",
+        "medium_index": 1.0,
+    }
+    return Footage(**given | changed)

@@ -26,6 +26,7 @@ from tests.photon_fits import (
     binomial_limits,
     coverage,
     departures,
+    fitted,
     inside,
     known,
     random_recording,
@@ -63,6 +64,33 @@ def test_a_rim_that_no_light_shows_stays_around_the_core(rim, sag):
     for name, true in (truth | {"aperture_radius": drop.aperture}).items():
         value, sigma = fit.parameters[name]
         assert abs(value - true) < 3 * sigma, name
+
+
+@pytest.mark.slow  # half a minute to compile, to count photons and to fit
+def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
+    drop = Drop(core=0.25, aperture=0.30, sag=0.07, rim=0.04, aperture_na=0.15)
+    askew = Recording(drop=drop, beam_off=(math.radians(1.2), math.radians(1.6)))
+    fit, _ = fitted(askew, seed=2)
+    assert fit.converged
+    truth = {
+        "sag": drop.sag,
+        "numerical_aperture": drop.aperture_na,
+        "sensitivity": askew.sensitivity,
+    }
+    for name, true in truth.items():
+        value, sigma = fit.parameters[name]
+        print(f"{name}: {value:.6g} +- {sigma:.2g}, z {(value - true) / sigma:+.2f}")
+        # Three parameters at 3.3 standard errors: a false alarm in 300 seeds; this one is fixed.
+        assert abs(value - true) < 3.3 * sigma, name
+        # The misfit that finite photons cause does not make the test empty.
+        assert sigma < 0.01 * true, name
+    angles = [fit.parameters[f"boresight{end}"] for end in ("", "_sideways")]
+    found = math.hypot(*(value for value, _ in angles))
+    sigma = max(error for _, error in angles)
+    # `Recording.beam_off` are tangents along two perpendiculars.
+    true = math.atan(math.hypot(*askew.beam_off))
+    print(f"boresight: {found:.6g} rad, z {(found - true) / sigma:+.2f}")
+    assert abs(found - true) < 3.3 * sigma
 
 
 @pytest.mark.slow  # an hour or more on two cores

@@ -1,6 +1,5 @@
 """The pixel fit on a wall that spreads light: its image is a spread disc, its fit finds L."""
 
-import dataclasses
 import math
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +17,7 @@ from calibration.spots.cone_trials import Prior
 from formats.stack import Stack
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
-from tests.calibration.test_few_pixels import saturated_footage
+from tests.made_up import a_footage, a_microscope
 from tests.spread_disc import lit_by_disc, radii
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -46,13 +45,16 @@ def scene(**tables: Any) -> Scene:
 
 def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) -> np.ndarray:
     """Irradiance of a plane 3 mm before the tip, square to the beam, rows x columns of cells."""
-    known = saturated_footage()
-    file = dataclasses.replace(
-        known.microscope, scale_mm_px=0.015, principal_point_px=(47.5, 47.5), pinhole_height_mm=11.5
+    microscope = a_microscope(
+        width_px=48, height_px=48, scale_mm_px=0.015, principal_point_px=(47.5, 47.5)
     )
     down = np.array([0.0, 0.0, -1.0])
-    footage = dataclasses.replace(
-        known, microscope=file, readings=np.zeros(1), exposure_s=np.ones(1), motion=down, axis=down
+    footage = a_footage(
+        microscope=microscope,
+        readings=np.zeros(1),
+        exposure_s=np.ones(1),
+        motion=down,
+        axis=down,
     )
     lens: Any = None
     if table is not None:

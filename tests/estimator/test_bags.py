@@ -450,11 +450,3 @@ def test_a_bad_file_of_poses_is_refused_with_its_line(tmp_path, text, words):
     with pytest.raises(ValueError, match=words) as caught:
         read_poses(path)
     assert "poses.csv" in str(caught.value)
-
-
-def test_the_age_of_the_pose_stands_beside_every_frame(tmp_path):
-    path = write_ours(tmp_path / "rig.bag")
-    tracking = track_source(open_source(path), new_reader(), poses=read_poses(path))
-    # Poses at -12.5 ms + 5 ms k: 2.5 ms before every frame at a multiple of 100 ms.
-    for record in tracking.records:
-        assert record.pose_age_s == pytest.approx(0.0025, abs=2 * CLOCK_S)

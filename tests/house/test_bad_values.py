@@ -58,19 +58,6 @@ def test_a_motion_without_an_end_is_refused_before_memory_is_taken(changes, word
     assert frame_count(load_scene(None)) == 61
 
 
-@pytest.mark.parametrize("line", ["5", "null", "[]", '"x"'])
-def test_a_label_line_that_is_no_object_is_refused(tmp_path, line):
-    shutil.copytree(OLD / "small-v1" / "train" / "0000", tmp_path, dirs_exist_ok=True)
-    (tmp_path / "metadata.jsonl").write_text(f"{line}\n")
-    with pytest.raises(InputError, match="line 1: not a JSON object"):
-        read_stack(tmp_path)
-    shutil.copyfile(OLD / "small-v1" / "train" / "0000" / "metadata.jsonl", tmp_path / "x")
-    (tmp_path / "x").rename(tmp_path / "metadata.jsonl")
-    (tmp_path / "manifest.json").write_text(line)
-    with pytest.raises(InputError, match=r"manifest\.json: not a JSON object"):
-        read_stack(tmp_path).verify()
-
-
 def test_a_key_with_line_breaks_is_shown_in_one_line(tmp_path):
     shutil.copytree(OLD / "small-v1" / "train" / "0000", tmp_path, dirs_exist_ok=True)
     (tmp_path / "metadata.jsonl").write_text('{"a\\n\\nb": 1}\n')

@@ -8,7 +8,6 @@ import pytest
 from scipy.optimize import least_squares
 
 import scenes
-from formats.stack import FrameLabels
 from scenes.camera import light_information
 from scenes.description.settings import CameraSettings, SceneError
 from scenes.stacks.bound import Affine, ellipse_information, ellipse_motion
@@ -206,9 +205,6 @@ def test_a_restless_view_moves_the_ellipses_but_not_their_derivatives():
     assert abs(drifting[2].x - still[2].x) > 1
     # Differences of ellipses that are rounded after a shift.
     np.testing.assert_allclose(by_drifting_tip, by_tip, atol=1e-6)
-
-
-Bounded = dict[int, tuple[FrameLabels, ...]]
 
 
 @pytest.fixture(scope="module")
