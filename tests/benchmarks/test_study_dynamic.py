@@ -22,7 +22,6 @@ from benchmarks.studies.dynamic import (
     speed_at,
 )
 from formats.poses import Pose, PoseTrack
-from scenes import SceneError
 from scenes.world.world import World
 from tests.made_up import a_microscope
 
@@ -130,11 +129,6 @@ def test_a_frozen_twin_differs_in_nothing_but_the_length_of_its_exposures():
         assert much > 1000 * trial.moving.exposures.sensitivity_mm2_sr_mj
         same = scenes.changed(trial.frozen, {"exposures.sensitivity_mm2_sr_mj": 30.0})
         assert same == trial.moving
-
-
-def test_a_plane_is_refused(tmp_path):
-    with pytest.raises(SceneError, match=r"phantom\.kind=eyeball"):
-        dynamic.dynamic(out=tmp_path / "run", changes=("phantom.kind=plane",))
 
 
 # At rest.

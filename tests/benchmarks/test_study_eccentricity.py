@@ -1,27 +1,22 @@
 """The study of eccentricity: its chain is the eye's, its shares are Shapley's, its limits known."""
 
 import itertools
-import json
 import math
-import shlex
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
 
 import optics
 import scenes
 from benchmarks import model_error
 from benchmarks.model_error import MODEL_ERROR, Geometry
 from benchmarks.paper import coalitions, shapley_values
-from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
 from benchmarks.studies import eccentricity, error_causes
 from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
 from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
-from benchmarks.study import Study
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -293,101 +288,6 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
     assert rows.error_mm[0] == pytest.approx(row.error_mm[0], abs=1e-6)
     # d has six figures, the others six decimals.
     assert (rows.error_mm - (rows.estimate_mm - rows.d_mm)).abs().max() < 1e-5
-
-
-# The frame of all studies.
-
-
-LIMIT = pd.DataFrame({"model": ["exact"], "c_mm": [math.nan]})
-
-
-def small_report(_: None) -> Report:
-    figure = Figure()
-    figure.subplots().plot([0, 1])
-    return Report(
-        title="Is z_F < 3 & fine?",
-        lead="A test.",
-        claims=[
-            Claim(name="topic", sentence=f"{0.7:.2f} of {1.0:g} < 2.", value=0.7, high=1.0),
-            Claim(name="other", sentence=f"At {math.nan:.1f} mm."),
-        ],
-        sections=[
-            Section(
-                "Section",
-                "A paragraph.",
-                Table(
-                    pd.DataFrame({"z": [1.23456], "name": ["first"]}),
-                    {"z": Column("z_F, mm"), "name": Column("name")},
-                    "A table.",
-                ),
-                Picture("line", figure, "A line.", data="limits.csv"),
-            )
-        ],
-        data={"limits.csv": LIMIT},
-    )
-
-
-def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
-    study = Study(
-        "eccentricity",
-        out=tmp_path / "a run",
-        changes=("spot.incidence_deg=20",),
-        quick=True,
-        seed=4,
-        options={"geometries": 512},
-        defaults=("source.kind=cone",),
-    )
-    with study.timed("a step"):
-        pass
-    study.publish(small_report, None)
-    html = (study.folder / "report.html").read_text(encoding="utf-8")
-    command = (
-        "eyespot study eccentricity --set spot.incidence_deg=20 --geometries 512 --seed 4 --out "
-        f"'{tmp_path / 'a run'}' --quick"
-    )
-    assert shlex.split(study.command) == shlex.split(command)
-    assert study.command.replace("'", "&#39;") in html
-    assert "Is z<sub>F</sub> &lt; 3 &amp; fine?" in html
-    assert ">1.235<" in html
-    again = scenes.load_scene(study.folder / "scene.toml")
-    assert (again.source.kind, again.spot.incidence_deg, again.seed) == ("cone", 20.0, 4)
-    summary = json.loads((study.folder / "summary.json").read_text())
-    assert summary["command"] == study.command
-    first, second = summary["found"]
-    assert (first["text"], first["holds"]) == ("0.70 of 1 < 2.", True)
-    assert (second["text"], second["holds"], second["value"]) == ("At – mm.", None, None)
-
-
-def test_a_folder_takes_the_same_request_again_and_refuses_another(tmp_path):
-    Study("pose", out=tmp_path / "run", seed=1)
-    Study("pose", out=tmp_path / "run", seed=1)
-    with pytest.raises(ValueError, match=r"'study': 'pose' instead of 'static'"):
-        Study("static", out=tmp_path / "run", seed=1)
-    with pytest.raises(ValueError, match="other settings"):
-        Study("pose", out=tmp_path / "run", seed=2)
-
-
-def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
-    file = tmp_path / "scene.toml"
-    file.write_text('schema = 1\n[source]\nkind = "lens"\n')
-    given = Study("pose", out=tmp_path / "a", scene=file, defaults=("source.kind=cone",))
-    bare = Study("pose", out=tmp_path / "b", defaults=("source.kind=cone",))
-    changed = Study(
-        "pose",
-        out=tmp_path / "c",
-        changes=("source.kind=lens",),
-        defaults=("source.kind=cone",),
-    )
-    kinds = [study.scene.source.kind for study in (given, bare, changed)]
-    assert kinds == ["lens", "cone", "lens"]
-
-
-def test_a_scene_without_an_eyeball_is_refused_before_a_folder_is_made(tmp_path):
-    with pytest.raises(scenes.SceneError, match=r"eyeball of 10 mm.*Set phantom\.kind=eyeball"):
-        eccentricity.eccentricity(
-            out=tmp_path / "run", changes=("phantom.kind=plane",), geometries=512
-        )
-    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.slow

@@ -180,19 +180,6 @@ def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
     assert motion.at(motion.moments).tip[4] == pytest.approx(np.asarray(every[1].pose.tip))
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        (("source.kind=lens",), r"Set source\.kind=cone"),
-        (("source.kind=cone", "phantom.kind=plane"), r"Set phantom\.kind=eyeball"),
-    ],
-)
-def test_a_scene_whose_spots_have_no_such_pose_is_refused(tmp_path, changes, message):
-    with pytest.raises(scenes.SceneError, match=message):
-        pose.pose(out=tmp_path / "run", changes=changes)
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.slow
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
     errors = pose.pose(out=tmp_path / "run", quick=True)

@@ -144,15 +144,6 @@ def test_light_moves_the_contact_radius_by_far_less_than_the_papers_trials_diffe
     assert light.contact_radius_change_px.abs().max() < np.ptp(trials) / 3
 
 
-def test_a_scene_that_table_one_cannot_be_asked_of_is_refused(tmp_path):
-    for change, word in (("source.kind=cone", "source.kind"), ("motion.start_mm=1", "contact")):
-        with pytest.raises(ValueError, match=word):
-            table_one.table_one(out=tmp_path / "out", changes=(change,))
-    with pytest.raises(ValueError, match="withdraws"):
-        static.static(out=tmp_path / "out", changes=("motion.start_mm=1",))
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("study", [static.static, table_one.table_one])
 def test_a_quick_study_writes_its_report(study, tmp_path):

@@ -42,8 +42,7 @@ def everything(folder: Path) -> dict[str, tuple[int, str]]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("made", ["file", "folder"])
-def test_what_exists_is_refused_before_the_work_and_left_as_it_is(kind, made, tmp_path):
+def test_what_exists_is_refused_before_the_work_and_left_as_it_is(kind, tmp_path):
     make(kind, tmp_path / "out")
     before = everything(tmp_path)
     with pytest.raises(InputError, match="out already exists"), written_whole(tmp_path / "out"):
@@ -118,9 +117,7 @@ def test_a_link_in_place_of_what_is_unfinished_is_not_followed(tmp_path):
     assert (tmp_path / "mine" / "thesis").exists()
 
 
-def test_only_what_a_killed_writer_left_is_swept(
-    tmp_path,
-):
+def test_only_what_a_killed_writer_left_is_swept(tmp_path):
     killed = """
 import os
 from pathlib import Path
