@@ -4,27 +4,25 @@
     python -m tests.photon_fits departures FILE         light that the model does not know
     python -m tests.photon_fits examples FILE           one lens in three larger stacks
 
-Each fit is a line of JSON in FILE. A run that was killed goes on where it ended; the table at the
-end is that of all lines.
+FILE is one of `tests.fit_files`; the table at the end is that of all its lines.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy import stats
+import pandas as pd
 
 from calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
 from calibration.pixels.fit import ImageFit, fit_image
-from formats.inputs import InputError
+from tests.fit_files import collected, summary
 from tests.photon_frames import footage_of, photographed, widened
 from tests.photon_stacks import Recording
 from tests.photons import Drop
@@ -166,94 +164,18 @@ def result(recording: Recording, seed: int) -> dict[str, Any]:
     }
 
 
-def collected(
-    file: Path, recordings: Iterable[tuple[str, Callable[[], Recording]]]
-) -> dict[str, dict[str, Any]]:
-    """Results by name: those in the file, and those of other recordings, which it then has too."""
-    lines = file.read_text().splitlines() if file.exists() else []
-    done = {row.pop("name"): row for row in map(json.loads, lines)}
-    names = []
-    for number, (name, recording) in enumerate(recordings):
-        names.append(name)
-        if name in done:
-            continue
-        try:
-            done[name] = result(recording(), number)
-        except InputError as error:  # a stack without a spot, or a start that cannot be
-            done[name] = {"good": False, "said": str(error)}
-        with file.open("a") as appended:
-            appended.write(json.dumps({"name": name, **done[name]}) + "\n")
-    return {name: done[name] for name in names}
-
-
-def coverage(file: Path, fits: int) -> dict[str, dict[str, Any]]:
-    """Fits of random lenses."""
-
-    def drawn(seed: int) -> Callable[[], Recording]:
-        return lambda: random_recording(seed)
-
-    return collected(file, ((str(seed), drawn(seed)) for seed in range(fits)))
-
-
-def known(file: Path, recordings: dict[str, Recording]) -> dict[str, dict[str, Any]]:
-    """Fits of these recordings."""
-
-    def as_is(recording: Recording) -> Callable[[], Recording]:
-        return lambda: recording
-
-    return collected(file, ((name, as_is(own)) for name, own in recordings.items()))
-
-
-def inside(rows: Iterable[dict[str, Any]], name: str, sigmas: float) -> tuple[int, int]:
-    """Number of fits with an error below some standard errors, and the number of all with one."""
-    z = [abs(row[name][0] / row[name][1]) for row in rows if name in row]
-    return sum(value < sigmas for value in z), len(z)
-
-
-def binomial_limits(total: int, share: float) -> tuple[int, int]:
-    """Numbers between which a binomial one lies in 99 % of all cases."""
-    low, high = stats.binom.ppf([0.005, 0.995], total, share)
-    return int(low), int(high)
-
-
-def main() -> None:
-    """Run the program that the module's docstring describes."""
-    kind, file = sys.argv[1], Path(sys.argv[2])
-    if kind != "coverage":
-        recordings = {"departures": departures, "examples": examples}[kind]()
-        for name, row in known(file, recordings).items():
-            print(_line(name, row))
-        return
-    rows = coverage(file, int(sys.argv[3]) if len(sys.argv) > 3 else 200)
-    for name, row in rows.items():
-        print(_line(name, row))
-    accepted = [row for row in rows.values() if row["good"]]
-    print(f"{len(accepted)} of {len(rows)} fits were accepted.")
-    for title, own in (("accepted", accepted), ("all", list(rows.values()))):
-        for name in PARAMETERS:
-            for sigmas in (1.0, 1.96, 3.0):
-                count, total = inside(own, name, sigmas)
-                low, high = binomial_limits(total, math.erf(sigmas / math.sqrt(2)))
-                print(
-                    f"{name}: |z| < {sigmas}: {count} of {total} {title} "
-                    f"({low} to {high} are expected)"
-                )
-
-
-def _line(name: str, row: dict[str, Any]) -> str:
-    if "chi_squared" not in row:
-        return f"{name}: {row['said']}"
-    errors = ", ".join(
-        f"{own} {100 * row[own][0]:+.3f} ± {100 * row[own][1]:.3f} % "
-        f"({row[own][0] / row[own][1]:+.1f})"
-        for own in PARAMETERS
+def results(kind: str, file: Path, fits: int = 200) -> pd.DataFrame:
+    """Fits of random lenses, of light that the model does not know, or of examples."""
+    recordings = (
+        {str(seed): random_recording(seed) for seed in range(fits)}
+        if kind == "coverage"
+        else {"departures": departures, "examples": examples}[kind]()
     )
-    return (
-        f"{name}: {'good' if row['good'] else 'NOT GOOD'}, {errors}, "
-        f"chi²/n {row['chi_squared']:.3f}, misfit {100 * row['misfit']:.2f} %, "
-        f"F {row['inflation']:.1f}, {row['seconds']:.0f} s; {row['said']}"
-    )
+    numbered = enumerate(recordings.items())
+    return collected(file, {name: partial(result, own, number) for number, (name, own) in numbered})
 
 
 if __name__ == "__main__":
-    main()
+    found = results(sys.argv[1], Path(sys.argv[2]), *map(int, sys.argv[3:]))
+    print(found.to_string())
+    print(summary(found, PARAMETERS))

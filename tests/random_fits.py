@@ -3,19 +3,19 @@
     python -m tests.random_fits lenses FILE [FIRST LAST]   lenses over textured walls, then read
     python -m tests.random_fits cones FILE [FIRST LAST]    clean withdrawals of ideal cones
 
-Each fit is a line of JSON in FILE. A run that was killed goes on where it ended, several runs may
-share FILE, and the table at the end is of all its lines. VARIANT in the environment is Mitsuba's.
+FILE is one of `tests.fit_files`; several runs may share it, and the table at the end is of all its
+lines. VARIANT in the environment is Mitsuba's.
 """
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 import eyespot
 import optics
 from calibration.spots.cone_trials import BORESIGHT_SIGMA
-from formats.inputs import InputError
+from tests.fit_files import collected, summary
 
 LEAN, TOUCH_MM = math.radians(1.0), 0.02
 """Standard deviations of what a fit assumes about the robot's directions and the touch."""
@@ -159,46 +159,22 @@ KINDS: dict[str, Callable[[int, Path], dict[str, Any]]] = {"lenses": lens, "cone
 
 
 def results(file: Path, kind: str, seeds: range) -> pd.DataFrame:
-    """Fits by seed: those in the file, and the missing ones, which it then has too."""
-    done = pd.read_json(file, lines=True) if file.exists() else pd.DataFrame({"seed": []})
-    for seed in seeds:
-        if seed in set(done.seed):
-            continue
+    """Fits by seed."""
+
+    def fit(seed: int) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
-            try:
-                row = KINDS[kind](seed, Path(folder))
-            except InputError as error:  # a scene that is impossible, or a fit that cannot begin
-                row = {"good": False, "said": str(error), "seconds": math.nan}
-        with file.open("a") as appended:
-            appended.write(json.dumps({"seed": seed, **row}) + "\n")
-    return pd.read_json(file, lines=True)
+            return KINDS[kind](seed, Path(folder))
 
-
-def summary(rows: pd.DataFrame) -> str:
-    """Counts of what was accepted, and shares of errors within 1, 1.96, 3 and 4 sigma."""
-    good = rows[rows.good.astype(bool)]
-    lines = [f"{len(good)} of {len(rows)} accepted; median {rows.seconds.median():.0f} s a fit."]
-    names = ("sag", "numerical_aperture", "half_angle", "b", "distances")
-    for name in (name for name in names if name in good):
-        pairs = np.concatenate(
-            [np.array(pair, float).reshape(-1, 2) for pair in good[name].dropna()]
-        )
-        z = np.abs(pairs[:, 0] / pairs[:, 1])
-        z = z[np.isfinite(z)]
-        shares = ", ".join(f"{np.mean(z < n):.1%} within {n:g}" for n in (1, 1.96, 3, 4, 5))
-        lines.append(f"{name}: {z.size} errors, {shares} sigma; largest {z.max():.1f}")
-    if good.over_bound.notna().any():
-        over = good.over_bound.quantile([0.5, 0.9]).to_list()
-        lines.append("sigma over its bound: median {:.2f}, nine in ten below {:.2f}".format(*over))
-    if "distances" in good:
-        off = [np.array(pair, float)[:, 0] for pair in good.distances.dropna()]
-        rms = [np.sqrt(np.nanmean(np.square(errors))) for errors in off]
-        lines.append(f"distances: median of the lenses' RMS {1e3 * np.median(rms):.1f} um")
-    for _, row in rows[~rows.good.astype(bool)].iterrows():
-        lines.append(f"refused {row.seed}: {' '.join(str(row.said).split())}")
-    return "\n".join(lines)
+    return collected(file, {str(seed): partial(fit, seed) for seed in seeds})
 
 
 if __name__ == "__main__":
     kind, file, *limits = sys.argv[1:]
-    print(summary(results(Path(file), kind, range(*map(int, limits or ("0", "100"))))))
+    found = results(Path(file), kind, range(*map(int, limits or ("0", "100"))))
+    print(summary(found, ("sag", "numerical_aperture", "half_angle", "b", "distances")))
+    over = found.over_bound[found.good.astype(bool)].quantile([0.5, 0.9]).to_list()
+    print("sigma over its bound: median {:.2f}, nine in ten below {:.2f}".format(*over))
+    if "distances" in found:
+        off = [np.array(pairs, float)[:, 0] for pairs in found.distances.dropna()]
+        rms = [np.sqrt(np.nanmean(np.square(errors))) for errors in off]
+        print(f"distances: median of the lenses' RMS {1e3 * np.median(rms):.1f} um")

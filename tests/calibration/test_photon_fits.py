@@ -13,39 +13,30 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy import ndimage
+from scipy import ndimage, stats
 
 import calibration
 import optics
 from calibration.pixels.fit import fit_image
 from formats.calibration import read_calibration
+from tests import photon_fits
 from tests.command_line import call
+from tests.fit_files import pulls
 from tests.lens_quadrature import irradiance
-from tests.photon_fits import (
-    PARAMETERS,
-    binomial_limits,
-    coverage,
-    departures,
-    fitted,
-    inside,
-    known,
-    random_recording,
-)
+from tests.photon_fits import PARAMETERS, fitted, random_recording
 from tests.photon_frames import View, footage_of, photographed, write_photons
 from tests.photon_stacks import INDEX, Recording, half_maximum, poses
 from tests.photons import Drop
 
-FITS = 200
-
 
 @pytest.fixture
 def results(request):
-    """File of finished fits, new for every version of the code that is tested."""
+    """Fits of a kind; their file is new for every version of the code that is tested."""
     packages = (Path(module.__file__ or "").parent for module in (calibration, optics))
     files = [Path(__file__), *sorted(path for root in packages for path in root.rglob("*.py"))]
     version = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
     folder = request.config.cache.mkdir("photon_fits")
-    return lambda name: folder / f"{name}-{version}.jsonl"
+    return lambda kind: photon_fits.results(kind, folder / f"{kind}-{version}.jsonl")
 
 
 @pytest.mark.slow
@@ -95,25 +86,25 @@ def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
 
 @pytest.mark.slow  # an hour or more on two cores
 def test_intervals_contain_the_lens_as_often_as_they_say(results):
-    rows = coverage(results("coverage"), FITS)
-    accepted = [row for row in rows.values() if row["good"]]
-    assert len(accepted) > 0.9 * FITS
+    rows = results("coverage")
+    accepted = rows[rows.good.astype(bool)]
+    assert len(accepted) > 0.9 * len(rows)
     for name in PARAMETERS:
+        z = pulls(accepted, name)
         for sigmas in (1.0, 1.959964):
-            count, total = inside(accepted, name, sigmas)
-            low, high = binomial_limits(total, math.erf(sigmas / math.sqrt(2)))
-            assert low <= count <= high, f"{name}: {count} of {total} within {sigmas} sigma"
-        count, total = inside(accepted, name, 3.0)
-        assert count >= 0.99 * total, f"{name}: {count} of {total} within 3 sigma"
+            # A binomial number lies between these in 99 % of all cases.
+            share = math.erf(sigmas / math.sqrt(2))
+            low, high = stats.binom.ppf([0.005, 0.995], z.size, share)
+            assert low <= np.sum(z < sigmas) <= high, f"{name}, {sigmas} sigma"
+        assert np.mean(z < 3.0) >= 0.99, name
 
 
 @pytest.mark.slow  # half an hour on two cores
 def test_light_that_the_model_does_not_know_is_refused_or_contained_in_sigma(results):
-    for name, row in known(results("departures"), departures()).items():
-        for parameter in PARAMETERS:
-            error, sigma = row[parameter]
-            # Twice: the noise, whose own share of the error is as large if nothing is enlarged.
-            assert not row["good"] or abs(error) < 2 * sigma, f"{name}: {row['said']}"
+    rows = results("departures")
+    for parameter in PARAMETERS:
+        # Twice: the noise, whose own share of the error is as large if nothing is enlarged.
+        assert pulls(rows[rows.good.astype(bool)], parameter).max() < 2, parameter
 
 
 @pytest.mark.slow  # a minute of it to compile
