@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import resource
 import signal
 import subprocess
 import time
@@ -20,7 +21,7 @@ from estimator.run import reader as reader_module
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
 from scenes.drawn import Drawing, Truth, frame_of
-from tests.command_line import EYESPOT, Called, printed, run, run_python
+from tests.command_line import EYESPOT, Called, printed, run
 from tests.drawn_recording import SHAPE, assert_same, new_reader, write_folder
 
 
@@ -49,16 +50,14 @@ def whole(images):
     return [(k, "spot", spot.x_px) for k, spot in enumerate(spots)]
 
 
-def with_room(frames: Path, *options: str | Path, largest_file: int = 2**30) -> Called:
+def with_room(frames: Path, *options: str | Path, largest_file: int) -> Called:
     """Run `eyespot track`, for which no file may grow beyond a size: then writing fails."""
-    code = f"""
-import resource, sys
-import eyespot
-resource.setrlimit(resource.RLIMIT_FSIZE, ({largest_file},) * 2)
-sys.argv = {["eyespot", "track", *map(str, (frames, *options))]!r}
-eyespot.main()
-"""
-    return run_python(code)
+    usual = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, usual[1]))
+    try:
+        return run("track", frames, *options)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, usual)
 
 
 def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
@@ -139,13 +138,13 @@ def test_a_killed_run_leaves_whole_lines_and_the_next_says_where(tmp_path, frame
     before = partial.read_bytes()
     assert before.endswith(b"\n")
     assert lines_of(partial)[:8] == whole
-    refused = with_room(frames, "--out", out)
+    refused = run("track", frames, "--out", out)
     assert refused.exit_code == 2
     assert f"{partial} exists" in refused.stderr
     assert "remove it" in refused.stderr
     assert partial.read_bytes() == before
     partial.unlink()
-    assert with_room(frames, "--out", out).exit_code == 0
+    assert run("track", frames, "--out", out).exit_code == 0
     assert lines_of(out) == whole
 
 

@@ -80,7 +80,9 @@ def test_a_robot_that_is_wrong_by_half_of_its_motion_does_not_pull_the_pose(pape
 
 
 def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
-    other = cone_stack(tmp_path / "other", phantom=PAPER | {"texture_seed": 9})
+    # Of the other wall, the third frame of the same withdrawal is looked at.
+    motion = FOUR | {"travel_mm": 0.36, "frames": 3}
+    other = cone_stack(tmp_path / "other", phantom=PAPER | {"texture_seed": 9}, motion=motion)
     reader = reader_in(paper_stack, tmp_path, eye_from_robot=None)
     assert reader.mode == "pixels"
     frames = [list(open_source(one.folder)) for one in (paper_stack, other)]
