@@ -321,25 +321,33 @@ def test_a_run_without_a_lens_is_reported_without_it(tmp_path):
     assert any(claim.name == "the ideal cone is returned" for claim in made.claims)
 
 
-def find(findings: ValidateFindings, start: str) -> Claim:
+def claims_of(findings: ValidateFindings) -> list[Claim]:
+    return list(claims(findings))
+
+
+def find(made: list[Claim], start: str) -> Claim:
     """The claim whose name begins so."""
-    (found,) = (claim for claim in claims(findings) if claim.name.startswith(start))
+    (found,) = (claim for claim in made if claim.name.startswith(start))
     return found
 
 
-def missed(findings: ValidateFindings, name: str) -> set[str]:
+def missed(made: list[Claim], name: str) -> set[str]:
     """The criteria of Table I that a source does not meet."""
-    start = f"Table I by the {name}, "
-    found = {c.name.removeprefix(start): c for c in claims(findings) if c.name.startswith(start)}
-    assert set(Criterion) <= found.keys()
-    return {criterion for criterion in Criterion if not found[criterion].holds}
+    found = {claim.name: claim.holds for claim in made}
+    return {one for one in Criterion if not found[f"Table I by the {name}, {one}"]}
+
+
+@pytest.fixture(scope="module")
+def usual():
+    """The claims of a run like the paper's."""
+    return claims_of(paper_like_run())
 
 
 LENS, CONE = "lens paper-candidate", "ideal cone"
 
 
-def test_a_run_like_the_paper_reproduces_table_one():
-    assert missed(paper_like_run(), LENS) == missed(paper_like_run(), CONE) == set()
+def test_a_run_like_the_paper_reproduces_table_one(usual):
+    assert missed(usual, LENS) == missed(usual, CONE) == set()
 
 
 @pytest.mark.parametrize(
@@ -355,8 +363,9 @@ def test_a_run_like_the_paper_reproduces_table_one():
 def test_table_one_is_not_reproduced_where_one_criterion_is_missed(trial, values, criterion):
     findings = paper_like_run()
     change(findings.planes, trial, **values)
-    assert missed(findings, LENS) == {criterion}
-    assert missed(findings, CONE) == set()
+    made = claims_of(findings)
+    assert missed(made, LENS) == {criterion}
+    assert missed(made, CONE) == set()
 
 
 def bent(findings: ValidateFindings, source: str, axis_px: Callable[[float, int], float]) -> None:
@@ -384,15 +393,15 @@ def test_the_part_of_the_range_that_reproduces_table_one_is_found():
     assert 4.0 <= high <= 4.5
 
 
-def test_half_maximum_verdict_follows_the_labels():
+def test_half_maximum_verdict_follows_the_labels(usual):
     findings = paper_like_run()
     name = "the lens's half-maximum radius grows with distance"
-    assert find(findings, name).holds
+    assert find(usual, name).holds
     spots = findings.spots
     of_trial = (spots.trial == "lens-plane-1") & (spots.way == SUBPIXEL.name)
     sizes = spots.half_max_semi_minor_px[of_trial & (spots.frame == 2)]
     spots.loc[of_trial & (spots.frame == 4), "half_max_semi_minor_px"] = sizes.to_numpy()
-    found = find(findings, name)
+    found = find(claims_of(findings), name)
     assert found.holds is False
     # Contact is at 0.144 mm and frames are 0.75 mm apart: frames 2 to 4 share a radius.
     assert "over 1.50 mm: from 1.64 to 3.14 mm" in found.text
@@ -405,28 +414,28 @@ def test_ambiguous_range_of_a_waist_is_where_its_mirror_is_in_reach():
     assert validate.ambiguous_range(d, 0.25 + 0.05 * d) is None
 
 
-def test_small_plane_claim_holds_only_within_the_acceptable_error():
+def test_small_plane_claim_holds_only_within_the_acceptable_error(usual):
     findings = paper_like_run()
-    name = "small_plane, z_F = 11.5 mm"
-    found = find(findings, name)
+    found = find(usual, "small_plane, z_F = 11.5 mm")
     assert found.holds is False
     assert "reaches the acceptable 0.5 mm at c = 5.0 mm" in found.text
     smaller = findings.analytic.assign(error_mm=0.1 * findings.analytic.error_mm)
     # A tenth of 0.5 (7 / 2.5)² is 0.39 mm.
+    made = claims_of(replace(findings, analytic=smaller))
     for height in ("11.5", "200"):
-        found = find(replace(findings, analytic=smaller), f"small_plane, z_F = {height} mm")
+        found = find(made, f"small_plane, z_F = {height} mm")
         assert found.holds
         assert "reaches the acceptable 0.5 mm at c = – mm" in found.text
 
 
-def test_a_model_beyond_the_limit_fails_with_its_pinhole_only():
+def test_a_model_beyond_the_limit_fails_with_its_pinhole_only(usual):
     findings = paper_like_run()
     wrong = findings.rendered.copy()
     wrong.loc[(wrong.model == "stereographic") & (wrong.z_f_mm == 200.0), "error_mm"] = -0.7
     name = "stereographic on rendered spots, z_F = {} mm"
     for height in ("11.5", "200"):
-        assert find(findings, name.format(height)).holds
-    changed = replace(findings, rendered=wrong)
+        assert find(usual, name.format(height)).holds
+    changed = claims_of(replace(findings, rendered=wrong))
     assert find(changed, name.format("11.5")).holds
     found = find(changed, name.format("200"))
     assert (found.holds, found.value) == (False, 0.7)
@@ -434,10 +443,9 @@ def test_a_model_beyond_the_limit_fails_with_its_pinhole_only():
         assert find(changed, f"{model} on rendered spots, z_F = 200 mm").holds
 
 
-def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi():
+def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi(usual):
     findings = paper_like_run()
-    found = find(findings, "a fitted c is smaller than the true c")
-    assert found.holds
+    assert find(usual, "a fitted c is smaller than the true c").holds
     best = findings.spheres[findings.spheres.way == SUBPIXEL.name]
     # For a pinhole on the sphere cos(phi') = (1 + cos(phi)) / 2.
     cosines = (1 + np.sqrt(1 - (best.c_true_mm / 11.5) ** 2)) / 2
@@ -450,14 +458,14 @@ def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi():
 def test_fitted_eccentricity_claim_follows_the_fits():
     findings = paper_like_run()
     change(findings.spheres, "sphere 1", c_fitted_mm=6.0)
-    found = find(findings, "a fitted c is smaller than the true c")
+    found = find(claims_of(findings), "a fitted c is smaller than the true c")
     assert found.holds is False
     assert found.text.startswith("11 of 12 fits give a smaller c than the true one")
 
 
-def test_a_way_that_sees_nothing_is_counted():
+def test_a_way_that_sees_nothing_is_counted(usual):
     # 12 trials of 9 frames in three ways and 24 of 4 in one, less the blind third.
-    found = find(paper_like_run(), "frames used")
+    found = find(usual, "frames used")
     assert found.text.startswith("The fits use 312 of 420 measurements.")
     ways = "; ".join(way.name for way in (LITERAL, LITERAL_METERED, SUBPIXEL))
     assert f"({ways}): 108, 0, 204 of 108, 108, 204." in found.text
