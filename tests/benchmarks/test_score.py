@@ -25,7 +25,6 @@ from estimator import Source, track_whole_source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call, printed
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
-from tests.pixel_stacks import calibration_in, cone_stack
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -333,23 +332,6 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(drawn, tmp
     records = read_set_spots(tmp_path / "theirs.csv", stacks_of(stack), images.index)
     assert counts_in(scored(images, records)).found == 4
     assert min(images.index) == "frames/000000.png"
-
-
-def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path):
-    motion = {"start_mm": 2.0, "travel_mm": 0.18, "frames": 2, "speed_mm_s": 1.0}
-    stack = cone_stack(tmp_path / "stack", motion=motion).folder
-    rmse = []
-    for given in ([], ["--calibration", calibration_in(tmp_path)]):
-        out = tmp_path / f"score{len(given)}"
-        printed("score", stack, "--mode", "pixels", *given, "--out", out)
-        rows = pd.read_csv(out / "score.csv")
-        (total,) = rows_of(where(rows, condition="all", quantity="distance_mm"))
-        assert total.n == 2
-        rmse.append(total.rmse)
-    # The file's beam is that of the scene, known to 1e-6. On printed paper one frame of a cone is
-    # known to 3 to 6 um; four times that is a wrong pose.
-    assert rmse[0] == pytest.approx(rmse[1], rel=0.2)
-    assert rmse[0] < 0.02
 
 
 def test_names_that_the_set_does_not_hold_are_told_in_one_message(drawn, images, tmp_path):

@@ -10,8 +10,10 @@ import math
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
+from benchmarks.reporting import rows_of, where
 from estimator import SubpixelSettings, TrackState, measure
 from estimator.distance.range import WallMemory
 from estimator.pixels import tracker
@@ -22,6 +24,7 @@ from estimator.sources.opening import open_source
 from formats.inputs import InputError
 from formats.poses import PoseTrack, read_poses
 from formats.spots import NoSpot, Reason
+from tests.command_line import printed
 from tests.lookalikes import LOOKALIKES
 from tests.pixel_stacks import assert_posed, calibration_in, cone_stack, reader_in, readings_of
 
@@ -356,6 +359,22 @@ def test_an_image_of_another_wall_is_noticed_and_left_out(retina_stack, tmp_path
     found, chi_squared = with_reference(retina_stack, tmp_path, 8)
     assert found.wall is WallMemory.DROPPED
     assert chi_squared < 21
+
+
+def test_the_mode_pixels_is_scored_with_the_stack_s_beam_or_a_calibration(tmp_path):
+    stack = cone_stack(tmp_path / "stack", motion=TWO).folder
+    rmse = []
+    for given in ([], ["--calibration", calibration_in(tmp_path)]):
+        out = tmp_path / f"score{len(given)}"
+        printed("score", stack, "--mode", "pixels", *given, "--out", out)
+        rows = pd.read_csv(out / "score.csv")
+        (total,) = rows_of(where(rows, condition="all", quantity="distance_mm"))
+        assert total.n == 2
+        rmse.append(total.rmse)
+    # The file's beam is that of the scene, known to 1e-6. On printed paper one frame of a cone is
+    # known to 3 to 6 um; four times that is a wrong pose.
+    assert rmse[0] == pytest.approx(rmse[1], rel=0.2)
+    assert rmse[0] < 0.02
 
 
 def test_options_that_make_no_sense_are_refused(paper_stack, tmp_path):
