@@ -1,7 +1,6 @@
 """Calibration files: what is written is read again, and what no fit can give is refused."""
 
 import json
-import math
 
 import numpy as np
 import pytest
@@ -101,14 +100,11 @@ def put(*keys, value):
     ("change", "told"),
     [
         (put("schema", value=0), r"schema is 0; this eyespot .* reads 1 to 2\. Fit again"),
-        (put("schema", value=3), r"schema is 3; this eyespot .* reads 1 to 2\. Install a newer"),
         (put("model", value="sphere"), r"model must be one of planar.*'sphere'"),
         (put("parameters", "q", value={"value": 1, "unit": "1", "sigma": 0}), "q is unknown"),
         (put("parameters", "k", "unit", value="mm"), r"k must be in '1'; got unit 'mm'\. Convert"),
-        (put("parameters", "b", "unit", value="furlong"), "b must be in 'mm'; got unit 'furlong'"),
         (put("parameters", "k", "value", value=-20.0), r"k must lie in \(0, 1e\+06\) 1; got -20"),
         (put("parameters", "k", "value", value="20"), r"k\.value must be a finite number"),
-        (put("parameters", "b", "value", value=math.inf), r"b\.value must be a finite number"),
         (put("parameters", "b", "sigma", value=-0.07), r"b\.sigma must be at least 0; got -0\.07"),
         (put("parameters", "b", "sigma", value=0.01), "sigma of b is 0.01, but the covariance"),
         (put("parameters", "b", value=3.0), r"parameters\.b must be an object; got 3"),
@@ -152,7 +148,6 @@ def test_what_is_no_calibration_file_is_refused(tmp_path, content):
     [
         ({"values": {"half_angle": 0.0, "b": -5.0}}, r"half_angle must lie in \(0, 1.5708\) rad"),
         ({"values": {"half_angle": np.pi / 2, "b": -5.0}}, r"half_angle must lie in \(0, 1.5708\)"),
-        ({"values": {"half_angle": 20.0, "b": -5.0}}, "half_angle.*got 20"),
         ({"values": {"k": 20.0, "half_angle": 0.05}}, "either k or half_angle"),
         ({"values": {"b": -5.0, "scale": 0.0067}}, "either k or half_angle"),
         ({"values": {"k": 20.0, "scale": 0.0067}}, "missing b"),

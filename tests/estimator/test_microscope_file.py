@@ -190,7 +190,6 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
     ("changed", "told"),
     [
         ({"schema": 0}, "schema is 0; this eyespot .* reads 1. Restore"),
-        ({"schema": 2}, "schema is 2; this eyespot .* reads 1. Install a newer"),
         ({"width_px": "wide"}, "width_px must be a finite number; got 'wide'"),
         ({"width_px": 0}, "width_px must be at least 1"),
         ({"scale_mm_px": -1}, "scale_mm_px must be positive"),
