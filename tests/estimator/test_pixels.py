@@ -13,7 +13,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import eyespot
 from benchmarks.reporting import rows_of, where
+from benchmarks.sets.read import true_beam
 from estimator import SubpixelSettings, TrackState, measure
 from estimator.distance.range import WallMemory
 from estimator.pixels import tracker
@@ -21,6 +23,7 @@ from estimator.pixels.beam import BeamLight
 from estimator.pixels.tracker import PixelRanger
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
+from formats.calibration import write_calibration
 from formats.inputs import InputError
 from formats.poses import PoseTrack, read_poses
 from formats.spots import NoSpot, Reason
@@ -146,6 +149,36 @@ def test_a_vessel_that_comes_into_the_light_is_not_another_wall(tmp_path):
 
 
 HAND = {"kind": "hand", "distance_mm": 2.0, "duration_s": 0.4, "top_speed_mm_s": 2.0, "seed": 3}
+
+
+def test_what_the_instrument_hid_at_first_misleads_no_later_frame(tmp_path):
+    # In the first frames the instrument hides up to 30 % of the spot. Taken for the wall's texture,
+    # it made chi squared 1.8 to 2.1 from the fifth frame on, and poses wrong.
+    stack = cone_stack(
+        tmp_path / "stack",
+        seed=15728707,
+        phantom=PAPER | {"texture_seed": 15728707},
+        instrument={"visible": True},
+        source={"kind": "lens"},
+        spot={
+            "eccentricity_mm": 0.231,
+            "azimuth_deg": 148.9,
+            "incidence_deg": 18.07,
+            "incidence_azimuth_deg": 125.6,
+        },
+        microscope={"pinhole_height_mm": 200.0, **LARGE},
+        motion={"start_mm": 0.967, "travel_mm": 1.8, "frames": 8},
+        exposures={"kinds": ["metered"], "sensitivity_mm2_sr_mj": 2000.0},
+    )
+    assert stack.labels[0].visible_fraction < 0.75
+    beam = tmp_path / "beam.json"
+    write_calibration(beam, true_beam(stack))
+    spots = eyespot.track(stack.folder, calibration=beam, mode="pixels")
+    off = spots["distance_mm"].to_numpy() - [labels.d_mm for labels in stack.labels]
+    # Of eight honest errors one in 2,000 sets has a larger one.
+    assert np.abs(off / spots["sigma_distance_mm"]).max() < 4.0
+    # Of some 4,000 cells it scatters by 0.02; a vessel's sharp sides may add 0.1.
+    assert spots["chi_squared"].max() < 1.2
 
 
 def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
