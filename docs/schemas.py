@@ -109,7 +109,7 @@ KINDS = (
         "Plan (JSON)",
         "Predictions of an experiment. `eyespot preregister` writes it, `eyespot adjudicate` reads "
         "it.",
-        models=("benchmarks.predictions.plan:Plan",),
+        models=("benchmarks.predictions:Plan",),
     ),
     FileKind(
         "spec",

@@ -35,8 +35,8 @@ COMMANDS = {
         "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
         "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
         "benchmarks.sets.score.command:score": "Compare spots with the labels of a set.",
-        "benchmarks.predictions.command:preregister": "Predict an experiment before it is done.",
-        "benchmarks.predictions.command:adjudicate": "Say which predictions of a plan held.",
+        "benchmarks.predictions:preregister": "Predict an experiment before it is done.",
+        "benchmarks.predictions:adjudicate": "Say which predictions of a plan held.",
         "scenes.machine.doctor:doctor": "Check this machine; explain what is missing.",
     },
     "scene": {

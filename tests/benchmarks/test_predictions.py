@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.predictions.plan import (
+from benchmarks.predictions import (
     SURE,
     Judgement,
     Plan,
     judged,
-    measured_as_planned,
     predicted,
     read_plan,
 )
@@ -54,7 +53,7 @@ def verdict(plan: Plan, folder: Path, values: dict[str, float]) -> Judgement:
     """Render the scene with other values, and compare it with the plan."""
     # Another texture and other noise than in the rehearsal.
     render_stack(changed(SCENE, {"seed": 3, "phantom.texture_seed": 3} | values), folder / "stack")
-    return judged(plan, measured_as_planned(plan, str(folder / "stack")))
+    return judged(plan, str(folder / "stack"))
 
 
 def test_the_planned_scene_itself_keeps_every_prediction(plan, tmp_path):

@@ -1,24 +1,30 @@
-"""Plans of experiments: how one is made from a scene, its file, and how a recording compares."""
+"""`eyespot preregister` and `adjudicate`: what an experiment will measure, and what came true.
+
+A plan is made from a scene before the experiment. A recording is compared with it afterwards.
+"""
 
 import hashlib
 import json
 import math
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from cyclopts import Parameter
 from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
+from benchmarks.reporting import rows_of
 from benchmarks.sets.read import plain_spot
 from benchmarks.sets.spec import scene_value
 from estimator import Ranger, Source, open_source, track_source
-from estimator.run.options import Options
+from estimator.run.options import OUT, Options
+from estimator.run.progress_bar import progress
 from formats.calibration import read_calibration
 from formats.inputs import (
     InputError,
@@ -32,8 +38,10 @@ from formats.inputs import (
 from formats.microscope import read_microscope
 from formats.poses import PoseTrack, read_poses
 from formats.spots import Spot
-from scenes import Scene, World, changed, render_stack, scene_toml
-from scenes.world.motion import kinematics
+from formats.whole_files import refuse_existing, write_text
+from scenes import Scene, World, changed, load_scene, render_stack, scene_toml
+from scenes.commands import Changes, SceneFile
+from scenes.world.motion import frame_count, kinematics
 
 SCHEMA = 1
 HISTORY = {1: "the first format"}
@@ -116,7 +124,7 @@ def _sha256(content: dict[str, Any]) -> str:  # in whatever order and layout it 
 _SIGMAS = [f"sigma_{name}" for name in QUANTITIES[:ELLIPSE]]
 
 
-def _travelled(times: Any, positions: Any, at: np.ndarray | pd.Series) -> np.ndarray:
+def _travelled(times: Any, positions: Any, at: Any) -> np.ndarray:
     """How far the tip is from its first position at some times, mm; NaN outside of its own."""
     far = np.linalg.norm(positions - positions[0], axis=1)
     return np.interp(at, times, far, left=np.nan, right=np.nan)
@@ -146,38 +154,6 @@ def _observed(source: Source, options: Options, poses: PoseTrack | None = None) 
     return seen.astype(dict.fromkeys(numbers, float))
 
 
-def measured_as_planned(
-    plan: Plan,
-    source: str,
-    *,
-    poses: Path | None = None,
-    eye_from_robot: str = "0,0,0,1",
-    microscope: Path | None = None,
-    start_s: float = 0.0,
-) -> pd.DataFrame:
-    """Measure a recording of a planned experiment with the plan's calibration, on its clock.
-
-    The arguments are those of `eyespot adjudicate`; the result is as of `_observed`.
-
-    Raises:
-        InputError: a file is wrong, or the source cannot be measured or has no times.
-    """
-    is_stack = (Path(source) / "stack.toml").is_file()
-    frames = open_source(source, exposure=plan.exposure if is_stack else None)
-    own = Path(source) / "kinematics.csv"
-    file = poses or (own if own.is_file() else None)
-    with tempfile.TemporaryDirectory() as folder:
-        beam, view = Path(folder) / "calibration.json", Path(folder) / "microscope.json"
-        view.write_text(json.dumps(plan.microscope), encoding="utf-8")
-        options: dict[str, Any] = {"microscope": microscope or frames.microscope_file or view}
-        if plan.calibration is not None:
-            beam.write_text(json.dumps(plan.calibration), encoding="utf-8")
-            options |= {"mode": "subpixel", "calibration": beam, "model": plan.model}
-            options |= {"eye_from_robot": eye_from_robot} if file else {}
-        seen = _observed(frames, Options.of(options), read_poses(file) if file else None)
-    return seen.assign(time_s=seen.time_s - start_s)
-
-
 # A plan from a scene, stated uncertainties of its keys, and a rehearsal.
 
 _LEAST_ROBOT_MM = 1e-5  # what a file rounds poses to
@@ -189,7 +165,6 @@ def predicted(
     *,
     calibration: Path | None = None,
     model: str | None = None,
-    progress: Callable[[], None] = lambda: None,
 ) -> Plan:
     """The plan of an experiment, with the arguments of `eyespot preregister`.
 
@@ -205,7 +180,8 @@ def predicted(
     stated = {key: _stated(scene, key, sigma) for key, sigma in uncertain.items()}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "rehearsal"
-        render_stack(scene, folder, progress=progress)
+        with progress("Rehearsing", total=frame_count(scene)) as advance:
+            render_stack(scene, folder, progress=advance)
         file = folder / "microscope.json"
         microscope, view = json.loads(file.read_text()), read_microscope(file)
         rehearsal = open_source(str(folder), exposure=kind)
@@ -287,8 +263,8 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
         at = ranger.microscope.principal_point_px
         beams = np.asarray(world.truth.beam.axis)
         for row, angle, beam in zip(found, np.asarray(ellipse.angle), beams, strict=True):
-            x, y, major, minor = (row[:ELLIPSE] + np.array([*at, 0.0, 0.0])).tolist()
-            spot = plain_spot(x, y, major, minor, float(angle), np.eye(5))
+            x, y = row[:2] + at
+            spot = plain_spot(x, y, row[2], row[3], angle, np.eye(5))
             row[ELLIPSE] = ranger.distance(spot, axis=beam).distance_mm
     # The robot reports its poses; the jitter of its clock is noise.
     still = changed(world.scene, {"clocks.kinematics_jitter_s": 0.0})
@@ -324,8 +300,35 @@ class Judgement(NamedTuple):
     no_spot: Counter[str]
 
 
-def judged(plan: Plan, seen: pd.DataFrame) -> Judgement:
-    """Compare `measured_as_planned` with the plan; InputError if no frame has one of its times."""
+def judged(
+    plan: Plan,
+    source: str,
+    *,
+    poses: Path | None = None,
+    eye_from_robot: str = "0,0,0,1",
+    microscope: Path | None = None,
+    start_s: float = 0.0,
+) -> Judgement:
+    """Measure a recording with the plan's calibration, and compare; arguments of `adjudicate`.
+
+    Raises:
+        InputError: a file is wrong, the source cannot be measured, or no frame has one of the
+            plan's times.
+    """
+    is_stack = (Path(source) / "stack.toml").is_file()
+    frames = open_source(source, exposure=plan.exposure if is_stack else None)
+    own = Path(source) / "kinematics.csv"
+    file = poses or (own if own.is_file() else None)
+    with tempfile.TemporaryDirectory() as folder:
+        beam, view = Path(folder) / "calibration.json", Path(folder) / "microscope.json"
+        view.write_text(json.dumps(plan.microscope), encoding="utf-8")
+        options: dict[str, Any] = {"microscope": microscope or frames.microscope_file or view}
+        if plan.calibration is not None:
+            beam.write_text(json.dumps(plan.calibration), encoding="utf-8")
+            options |= {"mode": "subpixel", "calibration": beam, "model": plan.model}
+            options |= {"eye_from_robot": eye_from_robot} if file else {}
+        seen = _observed(frames, Options.of(options), read_poses(file) if file else None)
+    seen["time_s"] -= start_s
     # A frame that is jittered beyond the plan's ends is still its first or last.
     step = float(np.median(np.diff(plan.times_s))) if len(plan.times_s) > 1 else math.inf
     inside = seen.time_s.between(plan.times_s[0] - step / 2, plan.times_s[-1] + step / 2)
@@ -393,3 +396,113 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
     names = ["key", "stated", "stated_sigma", "found", "found_sigma", "pull", "contradicts"]
     causes = pd.DataFrame(rows, columns=names)
     return causes.sort_values("pull", key=lambda pull: -pull.abs(), kind="stable"), misfit
+
+
+# The commands.
+
+_POOR = 10.0
+"""Times the noise. A wall's texture moves spots by some times their noise, another lens by more."""
+
+
+def preregister(
+    scene: SceneFile,
+    /,
+    *,
+    out: Annotated[Path, OUT],
+    uncertain: Annotated[tuple[str, ...], Parameter(metavar="KEY=SIGMA", show_default=False)] = (),
+    changes: Changes = (),
+    calibration: Path | None = None,
+    model: str | None = None,
+) -> None:
+    """Write down what an experiment will measure, with intervals, before it is done.
+
+    The SHA-256 that is printed proves later that the plan was not changed: publish it.
+
+    Args:
+        out: Plan to write (JSON); must not exist.
+        uncertain: Standard uncertainty of a number in the scene, for example phantom.radius_mm=0.2.
+            Repeatable.
+        calibration: Calibration file with which distances will be read.
+        model: Distance model (default: the calibration file's).
+    """
+    refuse_existing(out)
+    if model is not None and calibration is None:
+        raise InputError("model has no effect without calibration. Give both, or neither.")
+    settings, sigmas = load_scene(scene, changes), {}
+    for text in uncertain:
+        key, _, sigma = (part.strip() for part in text.partition("="))
+        try:
+            sigmas[key] = float(sigma)
+        except ValueError:
+            raise InputError(
+                f"--uncertain must be KEY=SIGMA, such as phantom.radius_mm=0.2; got {text!r}."
+            ) from None
+    plan = predicted(settings, sigmas, calibration=calibration, model=model)
+    write_text(out, plan.model_dump_json(by_alias=True) + "\n")
+    print(f"Wrote {out}: {len(plan.times_s)} frames.\nSHA-256 {plan.sha256}")
+
+
+def adjudicate(
+    plan: Path,
+    source: str,
+    /,
+    *,
+    poses: Path | None = None,
+    eye_from_robot: Annotated[
+        str, Parameter(metavar="QX,QY,QZ,QW", allow_leading_hyphen=True)
+    ] = "0,0,0,1",
+    microscope: Path | None = None,
+    start_s: Annotated[float, Parameter("--begin")] = 0.0,
+    as_json: Annotated[bool, Parameter("--json")] = False,
+) -> None:
+    """Say which predictions of a plan held, and what explains those that did not.
+
+    Args:
+        plan: File of `eyespot preregister`.
+        source: Stack, folder of images, TIFF, video, or ROS bag.
+        poses: Robot poses (CSV or ROS bag), on the clock of SOURCE (default: the stack's).
+        eye_from_robot: Rotation from the poses' frame to the eye's, for the models exact and area.
+        microscope: Microscope file of SOURCE (default: the stack's).
+        start_s: Time in SOURCE at which the planned motion begins.
+        as_json: Print the result as one JSON object, and nothing else.
+    """
+    agreed, given = read_plan(plan), {"poses": poses, "microscope": microscope}
+    found = judged(agreed, source, **given, eye_from_robot=eye_from_robot, start_s=start_s)
+    if as_json:
+        content = {
+            "plan_sha256": agreed.sha256,
+            "held": found.hits,
+            "predictions": found.predictions,
+            "quantities": found.tallies.to_dict("records"),
+            "keys": found.causes.to_dict("records"),
+            "misfit": found.misfit,
+            "no_spot": dict(found.no_spot),
+        }
+        print(json.dumps(content))
+        return
+    print(f"Plan {plan}, SHA-256 {agreed.sha256}")
+    names = {"hits": "held", "misses": "missed", "unmeasured": "of these not measured"}
+    table = found.tallies.rename(columns=names | {"rms": "RMS deviation, σ"})
+    print(table.to_string(index=False, float_format="{:.2f}".format))
+    share = 100 * found.hits / found.predictions
+    print(f"{found.hits} of {found.predictions} predictions held ({share:.1f} %).")
+    wrong = found.causes[found.causes.contradicts]
+    for cause in rows_of(wrong):
+        print(
+            f"Contradicted: {cause.key} was stated as {cause.stated:.6g} ± "
+            f"{cause.stated_sigma:.2g}; the recording says {cause.found:.6g} ± "
+            f"{cause.found_sigma:.2g}, {abs(cause.pull):.1f} σ apart."
+        )
+    if len(wrong) > 1:
+        print("If one of these is corrected, the others may agree. Begin with the first.")
+    if found.misfit > _POOR:
+        best = "With the best values of all keys" if len(wrong) else "Whatever the stated keys are,"
+        print(
+            f"{best} {found.misfit:.0f} times the noise remains: the plan is linear in its keys, "
+            "or something differs that it takes as certain."
+        )
+    elif wrong.empty:
+        print("Nothing that was stated is contradicted.")
+    if found.no_spot:
+        reasons = ", ".join(f"{n} {reason}" for reason, n in found.no_spot.most_common())
+        print(f"Frames without a spot: {reasons}.")
