@@ -19,8 +19,8 @@ from cyclopts import App, Parameter
 
 HOME = Path(__file__).resolve().parents[1]
 HEAVY = (
-    *("cv2", "equinox", "jax", "jaxtyping", "lineax", "matplotlib", "optimistix", "pandas"),
-    *("plotly", "scipy"),
+    *("cv2", "dask", "distributed", "equinox", "jax", "jaxtyping", "lineax", "matplotlib"),
+    *("optimistix", "pandas", "plotly", "scipy", "skimage"),
 )
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
@@ -50,9 +50,11 @@ COMMANDS = {
         "benchmarks.sets.commands:push": "Upload a complete set to the Hugging Face Hub.",
     },
     "rivals": {
-        "benchmarks.rivals.command:run": "Measure the images of a set with all entries.",
-        "benchmarks.rivals.command:tune": "Choose the free constants of the entries.",
-        "benchmarks.rivals.command:train": "Train the learned estimator, and calibrate it.",
+        "benchmarks.rivals.running:run": "Measure the images of a set with all entries.",
+        "benchmarks.rivals.running:tune": "Choose the free constants of the entries.",
+        "benchmarks.rivals.learned.training:train": (
+            "Train the learned estimator, and calibrate it."
+        ),
     },
     "study": {
         "benchmarks.studies.static:static": "The paper's Tables I and II, many times.",

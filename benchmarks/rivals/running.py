@@ -1,4 +1,4 @@
-"""Runs entries over the stacks of a set: their answers as spots files, and their times.
+"""`eyespot rivals run` and `tune`: entries over the stacks of a set, and their constants.
 
 OUT/ENTRY/SPLIT/STACK.csv has the spots of a stack; of several exposures, STACK.EXPOSURE.csv.
 OUT/ENTRY/entry.json has name, command, versions, constants, and the processor time per frame.
@@ -15,9 +15,11 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from cyclopts import Parameter
+from cyclopts.types import PositiveInt
 from distributed import Client
 
 from benchmarks.paper import VISIBLE_ENOUGH
@@ -28,6 +30,7 @@ from benchmarks.sets.make import cores, local_workers
 from benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
 from benchmarks.study import versions, write_json
 from estimator import Frame, Ranger, open_source
+from estimator.run.options import OUT
 from estimator.run.progress_bar import progress
 from formats.inputs import InputError, in_file, read_text
 from formats.manifest import fingerprint
@@ -42,22 +45,38 @@ Answers = tuple[str, str, list[SpotRecord], list[float]]
 """The answers of an entry on an exposure of a stack: the two's names, records, and times (s)."""
 
 
-def run_entries(
+Names = Annotated[
+    tuple[str, ...],
+    Parameter(
+        "--entry",
+        help="Name of an entry; may be repeated (default: all entries).",
+        show_default=False,
+    ),
+]
+
+
+def run(
     folder: Path,
-    out: Path,
+    /,
     *,
-    names: Sequence[str],
-    splits: Sequence[str],
+    out: Annotated[Path, OUT],
+    names: Names = (),
+    splits: Annotated[tuple[str, ...], Parameter("--split", show_default=False)] = (),
     constants: Path | None = None,
     weights: Path | None = None,
-    workers: int | None = None,
+    workers: PositiveInt | None = None,
 ) -> None:
-    """Measure a set with each entry that can run here, and write what each found.
+    """Measure the images of a set with all entries: other software, a network, our modes.
 
-    The arguments are those of `eyespot rivals run`.
+    `eyespot score SET --entries OUT` then ranks them.
 
-    Raises:
-        InputError: the input is invalid, or `out` exists.
+    Args:
+        folder: Labelled set.
+        out: Folder of the entries; it is new.
+        splits: Split to measure; may be repeated (default: all splits).
+        constants: File of `rivals tune` (default: eyespot's own).
+        weights: File of `rivals train` (default: eyespot's own).
+        workers: Worker processes on this machine (default: one per core).
     """
     entries = chosen(names)
     stacks = [entry for entry in stacks_of(folder) if not splits or entry.split in splits]
@@ -198,26 +217,33 @@ _KEPT_STACKS = 32  # whose frames a worker keeps in memory: at 20 frames of 640 
 
 
 def tune(
-    folder: Path, out: Path, *, names: Sequence[str], every: int, workers: int | None = None
+    folder: Path,
+    /,
+    *,
+    out: Annotated[Path, OUT],
+    names: Names = (),
+    every: PositiveInt = 1,
+    workers: PositiveInt | None = None,
 ) -> None:
-    """Choose the constants on one of every so many stacks, and write them with their costs.
+    """Choose the free constants of the entries on the split train of a set.
 
-    Entries without free constants, or that cannot run, are skipped.
-
-    Raises:
-        InputError: the set has no split train.
+    Args:
+        folder: Labelled set.
+        out: New JSON file.
+        every: Use one stack of so many.
+        workers: Worker processes on this machine (default: one per core).
     """
     stacks = [entry for entry in stacks_of(folder) if entry.split == "train"][::every]
     if not stacks:
         raise InputError(f"{folder} has no split train. Constants are chosen on nothing else.")
-    names = [name for name in chosen(names) if KINDS[name].grid and not unavailable(name)]
+    able = [name for name in chosen(names) if KINDS[name].grid and not unavailable(name)]
     found: dict[str, Any] = {}
     with (
         written_whole(out) as partial,
         local_workers(workers or cores()) as client,
-        progress("Tuning", total=len(names)) as advance,
+        progress("Tuning", total=len(able)) as advance,
     ):
-        for name in names:
+        for name in able:
             found[name] = _chosen(name, stacks, client)
             advance(note=f"{name} {found[name]['cost_px']:.2f} px")
         manifest = folder / "manifest.json"

@@ -16,7 +16,7 @@ from benchmarks.rivals import running
 from benchmarks.rivals.entries import KINDS, Entry
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.running import read_constants, run_entries, tune
+from benchmarks.rivals.running import read_constants, run, tune
 from benchmarks.sets.read import plain_spot, stacks_of
 from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import read_set_spots
@@ -116,7 +116,7 @@ def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first():
 def run_on(folder: Path, out: Path, split: str) -> None:
     constants = out.with_name("constants.json")
     constants.write_text('{"entries": {"opencv-relative": {"constants": {"level": 0.5}}}}')
-    run_entries(folder, out, names=ALONE, splits=[split], constants=constants, workers=1)
+    run(folder, out=out, names=ALONE, splits=(split,), constants=constants, workers=1)
 
 
 @pytest.mark.usefixtures("worker_here")
@@ -152,7 +152,7 @@ def test_tuning_sees_the_split_train_only_and_finds_the_better_level(drawn, tmp_
     folder = shutil.copytree(drawn, tmp_path / "set")
     for image in (folder / "adverse").rglob("*.png"):
         image.unlink()
-    tune(folder, tmp_path / "c.json", names=["opencv-relative"], every=1, workers=1)
+    tune(folder, out=tmp_path / "c.json", names=("opencv-relative",), every=1, workers=1)
     found = json.loads((tmp_path / "c.json").read_text())
     assert found["stacks"] == ["train/a", "train/b"]
     # Drawn edges are symmetric: their half maximum is the middle between dark and bright.

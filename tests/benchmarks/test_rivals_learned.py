@@ -23,7 +23,7 @@ from benchmarks.rivals.learned.network import (
     ellipse_of,
     targets_of,
 )
-from benchmarks.rivals.learned.training import WINDOWS, Samples, read_curve, train
+from benchmarks.rivals.learned.training import WINDOWS, Samples, read_curve, trained
 from benchmarks.sets.spec import load_spec, named_specs, plan
 from formats.microscope import read_microscope
 from scenes import Scene, render_stack
@@ -122,7 +122,7 @@ def test_a_training_that_was_stopped_ends_with_the_same_bits(tmp_path):
 
     def weights(out: Path, show: Any = lambda epoch: None) -> list[np.ndarray]:
         out.mkdir(exist_ok=True)
-        network = train(samples, others, out, epochs=3, seed=5, show=show)
+        network = trained(samples, others, out, epochs=3, seed=5, show=show)
         return [np.asarray(leaf) for leaf in jax.tree.leaves(network) if hasattr(leaf, "shape")]
 
     def stop(epoch: dict[str, float]) -> None:

@@ -1,4 +1,4 @@
-"""Trains the network on a set, resumable after every epoch, with a curve of its losses.
+"""`eyespot rivals train`: the network on a set, resumable after every epoch, with its losses.
 
 An epoch shows each frame of the split `train` once, in a random order and in one of its windows,
 and empty windows of a quarter of the frames. All that is random follows from the seed and the
@@ -13,7 +13,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 import pandas as pd
+from cyclopts.types import NonNegativeInt, PositiveInt
 
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.learned.network import (
@@ -41,6 +42,7 @@ from benchmarks.rivals.learned.network import (
 )
 from benchmarks.sets.read import SetStack, read_set
 from benchmarks.study import claim, versions, write_json
+from estimator.run.options import OUT
 from estimator.run.progress_bar import progress
 from formats.inputs import InputError
 from formats.manifest import MANIFEST
@@ -63,7 +65,7 @@ the split `validation`, the RMS error of the logarithm of the spot's mean radius
 of its windows that is rightly called empty or not."""
 
 
-def train(
+def trained(
     samples: "Samples",
     validation: "Samples",
     out: Path,
@@ -242,11 +244,23 @@ SCHEMA = 1
 _LIBRARIES = ("equinox", "jax", "optax", "opencv-python-headless")
 
 
-def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
-    """Train, or go on with a training that was stopped, and write weights.eqx and weights.json.
+def train(
+    folder: Path,
+    /,
+    *,
+    out: Annotated[Path, OUT],
+    epochs: PositiveInt = 40,
+    seed: NonNegativeInt = 0,
+) -> None:
+    """Train the learned estimator on the split train, and calibrate it on validation.
 
-    Raises:
-        InputError: the set is incomplete or lacks a split, or `out` holds another training.
+    If a run was stopped, the same command continues it after its last epoch.
+
+    Args:
+        folder: Labelled set.
+        out: Folder of the weights; a training that it holds is continued.
+        epochs: Number of epochs, along which the learning rate falls to 0.
+        seed: Random seed.
     """
     labelled = read_set(folder)
     manifest = folder / MANIFEST
@@ -278,7 +292,7 @@ def make_weights(folder: Path, out: Path, *, epochs: int, seed: int) -> None:
                 losses = f"loss {epoch['train']:.3f}, validation {epoch['validation']:.3f}"
                 advance(note=f"{losses}, size {100 * epoch['size_error']:.2f} %")
 
-            network = train(samples, validation, out, epochs=epochs, seed=seed, show=show)
+            network = trained(samples, validation, out, epochs=epochs, seed=seed, show=show)
     trust, found = judged(network, splits["validation"])
     with written_whole(out / "weights.eqx", replace=True) as partial:
         eqx.tree_serialise_leaves(partial, network)
