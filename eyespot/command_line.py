@@ -34,7 +34,7 @@ COMMANDS = {
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
         "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
         "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
-        "benchmarks.sets.score.command:score": "Compare spots with the labels of a set.",
+        "benchmarks.sets.score.pages:score": "Compare spots with the labels of a set.",
         "benchmarks.predictions:preregister": "Predict an experiment before it is done.",
         "benchmarks.predictions:adjudicate": "Say which predictions of a plan held.",
         "scenes.machine.doctor:doctor": "Check this machine; explain what is missing.",
@@ -45,9 +45,9 @@ COMMANDS = {
         "scenes.commands:check": "Check whether a scene file can be rendered.",
     },
     "dataset": {
-        "benchmarks.sets.commands:make": "Render a labelled set.",
-        "benchmarks.sets.commands:verify": "List every file that is missing or changed.",
-        "benchmarks.sets.commands:push": "Upload a complete set to the Hugging Face Hub.",
+        "benchmarks.sets.make:make": "Render a labelled set.",
+        "benchmarks.sets.read:verify": "List every file that is missing or changed.",
+        "benchmarks.sets.make:push": "Upload a complete set to the Hugging Face Hub.",
     },
     "rivals": {
         "benchmarks.rivals.running:run": "Measure the images of a set with all entries.",

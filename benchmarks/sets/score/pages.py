@@ -1,47 +1,36 @@
-"""A run of `eyespot score`: its tables on the terminal, its page, and the files that it writes."""
+"""`eyespot score`: its tables on the terminal, its page, and the files that it writes."""
 
 import math
 import shlex
 import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import matplotlib
 import numpy as np
 import pandas as pd
+from cyclopts import Parameter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from benchmarks import reporting as page
 from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.sets.read import Mode, stacks_of
-from benchmarks.sets.score.judging import (
-    ALL,
-    MAIN,
-    Against,
-    Outcome,
-    Score,
-    images_of,
-    score,
-    standings,
-)
-from benchmarks.sets.score.spots import (
-    ScoredEstimator,
-    entries_in,
-    entry_of,
-    read_set_spots,
-    sample_folder,
-    track_set,
-)
+from benchmarks.sets.score import judging
+from benchmarks.sets.score import spots as spots_of_set
+from benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
+from benchmarks.sets.score.spots import ScoredEstimator, sample_folder
 from benchmarks.study import versions, write_json
+from estimator.run.options import OUT
 from estimator.run.progress_bar import progress, say
-from formats.calibration import Calibration, read_calibration
+from formats.calibration import read_calibration
 from formats.inputs import InputError, in_figure, in_utf8
 from formats.manifest import fingerprint
-from formats.spots import SpotRecord, write_spots
+from formats.spots import write_spots
 from formats.whole_files import require_space, written_whole
 
 # Tables on the terminal, as wide as they need to be.
@@ -154,7 +143,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
     claims, sections, ranks = [], [], []
     data: dict[str, pd.DataFrame | None] = {}
     for quantity, (title, unit, form) in _QUANTITIES.items():
-        ranked = standings(result.judged, quantity)
+        ranked = judging.standings(result.judged, quantity)
         if ranked.empty:
             continue
         ranked = ranked.merge(made, on="entry")
@@ -299,23 +288,61 @@ def run(
         mode = "auto"
     modes: tuple[Mode, ...] = ("literal", "subpixel")
     modes = modes if mode == "both" else (mode,) if mode else ()
-    given = [entry_of(path) for path in spots_files] + (entries_in(entries) if entries else [])
+    given = [spots_of_set.entry_of(path) for path in spots_files]
+    given += spots_of_set.entries_in(entries) if entries else []
     names = Counter([*(entry.name for entry in given), *modes])
     if twice := [name for name, count in names.items() if count > 1]:
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
     if calibration is not None and mode not in ("auto", "pixels"):
         raise InputError("calibration has no effect without --mode auto or pixels. Give both.")
     beam = None if calibration is None else read_calibration(calibration)
-    if out is None:
-        return _scored(folder, given, modes, beam, unrelated, against, split)[0]
-    with written_whole(out) as whole:
-        whole.mkdir()
-        require_space(out, _LEAST_BYTES)
-        result, measured, found = _scored(folder, given, modes, beam, unrelated, against, split)
+    with nullcontext() if out is None else written_whole(out) as whole:
+        if out is not None and whole is not None:
+            whole.mkdir()
+            require_space(out, _LEAST_BYTES)
+        stacks = stacks_of(folder)
+        chosen = [entry for entry in stacks if split in (None, entry.split)]
+        if not chosen:
+            known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
+            raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
+        images = judging.images_of(stacks)
+        spots = {
+            entry.name: spots_of_set.read_set_spots(entry.spots, stacks, images.index)
+            for entry in given
+            if entry.spots
+        }
+        found = {entry.name: entry for entry in given}
+        scored = images if split is None else images[images.split == split]
+        # A path on this machine means nothing to others.
+        is_sample = folder.resolve() == sample_folder().resolve()
+        name = "--sample" if is_sample else in_utf8(folder.resolve().name)
+        with progress("Tracking", total=len(scored) * len(modes)) as advance:
+            for own in modes:
+                begin = time.perf_counter()
+                measured = spots_of_set.track_set(
+                    *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
+                )
+                passed = time.perf_counter() - begin
+                if whole is not None:
+                    write_spots(whole / f"{own}.csv", measured)
+                spots[own] = {record.file_name: record for record in measured}
+                found[own] = ScoredEstimator(
+                    name=own,
+                    command=f"eyespot score {name} --mode {own}",
+                    versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
+                    ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
+                )
+        kept = {
+            name: {image: record for image, record in records.items() if image in scored.index}
+            for name, records in spots.items()
+        }
+        if empty := [name for name, records in kept.items() if not records]:
+            raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
+        result = judging.score(scored, kept, against=against)
+        if out is None or whole is None:
+            return result
         write_json(whole / "score.json", _summary(result, folder))
         result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
-        for name, records in measured.items():
-            write_spots(whole / f"{name}.csv", records)
         words = ["eyespot", "score", folder, *spots_files]
         options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
         options |= {"out": out}
@@ -335,56 +362,6 @@ def run(
     return result
 
 
-def _scored(
-    folder: Path,
-    given: Sequence[ScoredEstimator],
-    modes: Sequence[Mode],
-    beam: Calibration | None,
-    unrelated: bool | None,
-    against: Against,
-    split: str | None,
-) -> tuple[Score, dict[str, list[SpotRecord]], dict[str, ScoredEstimator]]:
-    """Measure and score; returns also the measured spots by mode, and all entries."""
-    stacks = stacks_of(folder)
-    chosen = [entry for entry in stacks if split in (None, entry.split)]
-    if not chosen:
-        known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
-        raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
-    images = images_of(stacks)
-    spots = {
-        entry.name: read_set_spots(entry.spots, stacks, images.index)
-        for entry in given
-        if entry.spots
-    }
-    measured: dict[str, list[SpotRecord]] = {}
-    found = {entry.name: entry for entry in given}
-    scored = images if split is None else images[images.split == split]
-    # A path on this machine means nothing to others.
-    is_sample = folder.resolve() == sample_folder().resolve()
-    name = "--sample" if is_sample else in_utf8(folder.resolve().name)
-    with progress("Tracking", total=len(scored) * len(modes)) as advance:
-        for own in modes:
-            begin = time.perf_counter()
-            measured[own] = track_set(
-                *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
-            )
-            passed = time.perf_counter() - begin
-            spots[own] = {record.file_name: record for record in measured[own]}
-            found[own] = ScoredEstimator(
-                name=own,
-                command=f"eyespot score {name} --mode {own}",
-                versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
-                ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
-            )
-    kept = {
-        name: {image: record for image, record in records.items() if image in scored.index}
-        for name, records in spots.items()
-    }
-    if empty := [name for name, records in kept.items() if not records]:
-        raise InputError(f"{empty[0]} has no spots of the split {split}. Give another --split.")
-    return score(scored, kept, against=against), measured, found
-
-
 def _summary(result: Score, folder: Path) -> dict[str, object]:
     """Content of score.json; score.csv has the errors."""
     manifest = folder / "manifest.json"
@@ -402,3 +379,65 @@ def _summary(result: Score, folder: Path) -> dict[str, object]:
         "left_out": result.left_out,
         "versions": versions(),
     }
+
+
+# The command.
+
+
+def score(
+    folder: Path | None = None,
+    spots: tuple[Path, ...] = (),
+    /,
+    *,
+    entries: Path | None = None,
+    mode: Literal["auto", "literal", "subpixel", "pixels", "both"] | None = None,
+    calibration: Path | None = None,
+    sample: bool = False,
+    unrelated: Annotated[bool | None, Parameter(negative="--sequence")] = None,
+    against: Literal["half_max", "cone"] = "half_max",
+    split: str | None = None,
+    out: Annotated[Path | None, OUT] = None,
+    as_json: Annotated[bool, Parameter("--json")] = False,
+) -> None:
+    """Compare an estimator's spots with the labels of a set.
+
+    Args:
+        folder: Labelled set or stack; not needed with --sample.
+        spots: Spots files with image names relative to the set, or folders with SPLIT/STACK.csv.
+        entries: Folder of a leaderboard. Every spots file, and every folder with spots files, is an
+            entry; see docs/leaderboard.md.
+        mode: Also measure the images with our estimator, and score its spots; both: literal and
+            subpixel; auto: as `eyespot track` (default: auto if no spots are given).
+        calibration: The beam of the modes auto and pixels, from `eyespot fit` (default: each
+            stack's true one).
+        sample: Score on the small set that comes with eyespot.
+        unrelated: Let --mode measure each image alone (default: if most true spots of a stack lie
+            too far from the one before to be followed).
+        against: True ellipse to compare with: the half-maximum contour, or the edge of the cone.
+        split: Score only this split, such as test (default: all that have spots).
+        out: Folder for the page report.html, tables and figures; it must not exist yet.
+        as_json: Print the rows of score.csv as JSON.
+    """
+    if sample:
+        # The first argument is then a spots file, too.
+        spots, folder = (*([folder] if folder else []), *spots), sample_folder()
+    if folder is None:
+        raise InputError("FOLDER is missing: the set or stack to score on. Or give --sample.")
+    result = run(
+        folder,
+        spots,
+        entries=entries,
+        mode=mode,
+        calibration=calibration,
+        unrelated=unrelated,
+        against=against,
+        split=split,
+        out=out,
+    )
+    if as_json:
+        print(result.table.to_json(orient="records", double_precision=15))
+        return
+    for title, table in tables(result).items():
+        print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
+    if any((of.reason == "ambiguous").any() for of in result.judged.values()):
+        print("After a jump a spot is ambiguous; --unrelated measures each image by itself.")
