@@ -1,4 +1,4 @@
-"""Renders the missing stacks of a set on Dask workers, then completes the set.
+"""`eyespot dataset make` and `push`: renders the missing stacks of a set on Dask workers.
 
 The unit of work is a stack, which appears under its name when it is complete. So a stopped run can
 be continued with the same spec and folder; also an unfinished stack is continued
@@ -13,6 +13,7 @@ import json
 import logging
 import multiprocessing
 import os
+import re
 import signal
 import tempfile
 import threading
@@ -21,10 +22,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from multiprocessing import resource_tracker
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import dask
+from cyclopts import Parameter
+from cyclopts.types import PositiveInt
 from distributed import Client, LocalCluster, Worker, WorkerPlugin, as_completed
+from rich.filesize import decimal
 
 import scenes
 from benchmarks.sets import card
@@ -37,13 +41,15 @@ from benchmarks.sets.read import (
     verify_set,
     write_set_manifest,
 )
-from benchmarks.sets.spec import PlannedStack, SetSpec, plan
+from benchmarks.sets.spec import PlannedStack, SetSpec, load_spec, plan
+from estimator.run.options import OUT
+from estimator.run.progress_bar import duration, say
 from estimator.run.progress_bar import progress as bar
-from estimator.run.progress_bar import say
 from formats.inputs import InputError, in_file, object_in, read_text, shortened
 from formats.manifest import MANIFEST
 from formats.stack import StackWriter
 from formats.whole_files import BeingWrittenError, require_space, sweep, write_text
+from scenes.commands import Changes
 
 # What a worker does: it renders one stack.
 
@@ -245,16 +251,21 @@ def _trial(scene: scenes.Scene, *, images: int) -> tuple[int, float, float, floa
 # Uploads a set to a repository of the Hugging Face Hub.
 
 
-def push_set(
-    folder: Path, repository: str, *, private: bool = False, endpoint: str | None = None
-) -> str:
-    """Upload a complete set to OWNER/NAME as one commit, and return the commit's address.
+def push(
+    folder: Path,
+    repository: Annotated[str, Parameter(name="OWNER/NAME")],
+    /,
+    *,
+    private: bool = False,
+    endpoint: str | None = None,
+) -> None:
+    """Upload a complete set to the Hugging Face Hub.
 
-    The repository is created if missing. Files that are there and unchanged are not sent again.
-
-    Raises:
-        SetError: the set is incomplete or changed.
-        InputError: huggingface_hub is not installed, or the Hub refuses or cannot be reached.
+    Args:
+        folder: Folder of the set.
+        repository: Dataset repository; created if missing.
+        private: Make a new repository private.
+        endpoint: Address of another Hub (default: huggingface.co).
     """
     try:
         importlib.import_module("huggingface_hub.errors")
@@ -286,7 +297,7 @@ def push_set(
             f"the Hub did not take {folder} as {repository}: {said[:300]}. Check the name, the "
             "network, and the access token with write permission (`hf auth login`, or HF_TOKEN)."
         ) from error
-    return str(commit.commit_url)
+    print(f"Wrote {commit.commit_url}.")
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
@@ -444,3 +455,70 @@ def _alone_in(folder: Path) -> Iterator[None]:
 
 def _folder(out: Path, stack: PlannedStack | SetStack) -> Path:
     return out / stack.split / stack.name
+
+
+# The command.
+
+
+def make(
+    spec: str,
+    /,
+    *,
+    out: Annotated[Path | None, OUT] = None,
+    workers: PositiveInt | None = None,
+    scheduler: str | None = None,
+    shard: Annotated[str | None, Parameter(metavar="I/N")] = None,
+    changes: Changes = (),
+    dry_run: bool = False,
+) -> None:
+    """Render a labelled set: splits of stacks, a data card and a manifest.
+
+    If a run was stopped, the same command continues it.
+
+    Args:
+        spec: Spec file (TOML), or a named set: static-v2, eccentricity-v2, dynamic-v2, adverse-v2,
+            eye-v2, or static-v1, eccentricity-v1, dynamic-v1, adverse-v1.
+        out: Folder of the set; not needed with --dry-run.
+        workers: Worker processes on this machine (default: one per core).
+        scheduler: Address of a Dask scheduler whose workers render the set; see docs/datasets.md.
+        shard: Render only part I of N, for job arrays on a cluster.
+        dry_run: Print the number of frames, size and time; render nothing.
+    """
+    settings, part, parts = load_spec(spec, changes), 1, 1
+    if shard is not None:
+        match = re.fullmatch(r"(\d+)/(\d+)", shard)
+        part, parts = map(int, match.groups()) if match else (0, 0)
+        if not 1 <= part <= parts:
+            raise InputError(f"--shard must be I/N, with I from 1 to N; got {shard!r}.")
+    with in_file(shortened(spec)[1:-1]):
+        planned = (plan(settings, scenes.check_scene) if dry_run else plan(settings))[
+            part - 1 :: parts
+        ]
+    if scheduler is not None and workers is not None:
+        raise InputError(
+            "--workers starts processes on this machine, but --scheduler has its own workers. Give "
+            "only one of them."
+        )
+    count = workers or cores()
+    if dry_run:
+        found = estimate(planned)
+        processor, wall = duration(found.processor_s), duration(found.processor_s / count)
+        print(
+            f"{found.images:,} images in {found.stacks:,} stacks, "
+            f"{decimal(round(found.size_bytes))}, about {processor} of processor time, {wall} with "
+            f"{count} workers on one core each. Estimated from {found.tried} images."
+        )
+        return
+    if out is None:
+        raise InputError("--out DIR is missing: the folder for the set.")
+    hired = (
+        running_scheduler(scheduler)
+        if scheduler is not None
+        else local_workers(count, first_core=(part - 1) * count)
+    )
+    labelled = make_set(settings, out, workers=hired, shard=(part, parts))
+    if labelled.missing:
+        print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
+    else:
+        print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")
+        print(f"Next: eyespot score {out} --mode subpixel")

@@ -352,3 +352,12 @@ def _listed(folder: Path, problems: Sequence[str]) -> str:
     more = len(problems) - _NAMED
     lines = [f"{folder}: {problem}" for problem in problems[:_NAMED]]
     return "\n".join(lines + ([f"{folder}: and {more} more"] if more > 0 else []))
+
+
+def verify(folder: Path, /) -> None:
+    """Verify a set: list every file that is missing or changed.
+
+    Args:
+        folder: Folder of the set.
+    """
+    print(f"{folder}: complete, {verify_set(folder)} files match the manifest.")

@@ -3,7 +3,7 @@
 import huggingface_hub.constants
 import pytest
 
-from benchmarks.sets.make import push_set
+from benchmarks.sets.make import push
 from benchmarks.sets.read import SetError, verify_set
 from benchmarks.sets.score.spots import sample_folder
 from formats.inputs import InputError
@@ -39,7 +39,7 @@ def test_the_set_arrives_whole(hub, tmp_path):
 def test_a_refused_token_or_name_is_one_message_with_the_remedy(hub, monkeypatch, token, name):
     monkeypatch.setenv("HF_TOKEN", token)
     with pytest.raises(InputError, match=rf"did not take .* as {name}.*hf auth login"):
-        push_set(sample_folder(), name, endpoint=hub.address)
+        push(sample_folder(), name, endpoint=hub.address)
     assert not hub.files
 
 
@@ -48,10 +48,10 @@ def test_a_hub_that_cannot_be_reached_is_one_message(monkeypatch):
     with stand_in(TOKEN) as server:
         address = server.address
     with pytest.raises(InputError, match="did not take"):
-        push_set(sample_folder(), "a-lab/sample", endpoint=address)
+        push(sample_folder(), "a-lab/sample", endpoint=address)
 
 
 def test_what_is_no_complete_set_is_not_sent(hub, tmp_path):
     with pytest.raises(SetError, match="not a labelled set"):
-        push_set(tmp_path, "a-lab/sample", endpoint=hub.address)
+        push(tmp_path, "a-lab/sample", endpoint=hub.address)
     assert not hub.files
