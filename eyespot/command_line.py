@@ -19,8 +19,8 @@ from cyclopts import App, Parameter
 
 HOME = Path(__file__).resolve().parents[1]
 HEAVY = (
-    *("cv2", "dask", "distributed", "equinox", "jax", "jaxtyping", "lineax", "matplotlib"),
-    *("optimistix", "pandas", "plotly", "scipy", "skimage"),
+    *("cv2", "dask", "distributed", "drjit", "equinox", "jax", "jaxtyping", "lineax"),
+    *("matplotlib", "mitsuba", "optimistix", "pandas", "plotly", "scipy", "skimage"),
 )
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
