@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from benchmarks.paper import VISIBLE_ENOUGH
+from benchmarks.paper import ELLIPSE, VISIBLE_ENOUGH
 from benchmarks.sets.read import SetStack
 from formats.inputs import InputError
 from formats.microscope import read_microscope
-from formats.spots import Spot, SpotRecord
+from formats.spots import PARAMETERS, SpotRecord, spots_table
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 
@@ -101,8 +101,7 @@ QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", ANGLE, "
 """Scored quantities; the true distance is d = |SO|."""
 MAIN = "semi_minor_px"  # which determines distances, and by which groups are compared
 
-_ELLIPSE = {"x_px": 0, "y_px": 1, "semi_major_px": 2, "semi_minor_px": 3, ANGLE: 4}
-"""Index of a quantity in the covariance of a spot."""
+_NAMES = dict(zip(ELLIPSE, PARAMETERS, strict=True))  # in the covariance of a spot
 _ROUND_PX = 1.0  # axes that differ less; an error of 0.05 px in them may turn it by 3 degrees
 _RESAMPLED = 1000  # bootstrap samples; the ends of an interval vary by 3 % of its width
 _FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
@@ -139,9 +138,10 @@ def judge(
     """
     kinds = images.split + "\n" + images.exposure
     counted = images[kinds.isin(kinds[list(records)])]
-    spots = pd.DataFrame([_reported(records.get(name)) for name in counted.index], counted.index)
+    spots = spots_table(records.values()).set_index("file_name").reindex(counted.index)
+    is_spot = spots.status == "spot"
     errors = pd.DataFrame(
-        {q: spots[q] - counted[f"{against}_{q}"] for q in _ELLIPSE}
+        {q: spots[q] - counted[f"{against}_{q}"] for q in ELLIPSE}
         | {"distance_mm": spots.distance_mm - counted.d_mm}
     )
     errors[CENTRE] = np.hypot(errors.x_px, errors.y_px)
@@ -150,38 +150,20 @@ def judge(
     errors[ANGLE] = (errors[ANGLE] + half_turn) % math.pi - half_turn
     errors[ANGLE] = errors[ANGLE].where(axes >= _ROUND_PX)
     visible = counted.visible_fraction >= VISIBLE_ENOUGH
-    nothing = ~spots.spot & spots.distance_mm.isna()
+    nothing = ~is_spot & spots.distance_mm.isna()
     # `not <=` includes NaN: a spot without a position is elsewhere.
-    elsewhere = spots.spot & ~(errors[CENTRE] <= counted[f"{against}_semi_major_px"])
+    elsewhere = is_spot & ~(errors[CENTRE] <= counted[f"{against}_semi_major_px"])
     invented = elsewhere | (counted.visible_fraction == 0)
     seen = np.select([nothing, elsewhere], [Outcome.MISSED, Outcome.MISPLACED], Outcome.FOUND)
     unseen = np.select([nothing, invented], [Outcome.HIDDEN, Outcome.INVENTED], Outcome.GLIMPSED)
     outcome = pd.Series(np.where(visible, seen, unseen), counted.index)
+    sigmas = {f"sigma_{q}": np.sqrt(spots[f"cov_{n}_{n}"]) for q, n in _NAMES.items()}
     return counted.assign(
         outcome=outcome,
-        reason=spots.reason,
+        reason=spots.reason.fillna("no line"),
         **{f"error_{q}": errors[q].where(outcome == Outcome.FOUND) for q in QUANTITIES},
-        **{f"sigma_{q}": spots[f"sigma_{q}"] for q in QUANTITIES},
+        **sigmas | {f"sigma_{CENTRE}": math.nan, "sigma_distance_mm": spots.sigma_distance_mm},
     )
-
-
-def _reported(record: SpotRecord | None) -> dict[str, Any]:
-    """What a record reports, NaN for what it does not."""
-    spot = record.result if record is not None and isinstance(record.result, Spot) else None
-    ellipse: dict[str, float] = dict.fromkeys(_ELLIPSE, math.nan)
-    sigmas = dict.fromkeys((f"sigma_{q}" for q in QUANTITIES), math.nan)
-    if spot is not None:
-        ellipse = {q: getattr(spot, q) for q in _ELLIPSE}
-        sigmas |= {f"sigma_{q}": math.sqrt(spot.covariance[i, i]) for q, i in _ELLIPSE.items()}
-    if record is not None:
-        sigmas["sigma_distance_mm"] = record.sigma_distance_mm
-    return {
-        "spot": spot is not None,
-        "reason": record.reason if record else "no line",
-        **ellipse,
-        "distance_mm": record.distance_mm if record else math.nan,
-        **sigmas,
-    }
 
 
 def counts_of(judged: pd.DataFrame) -> dict[str, int]:
