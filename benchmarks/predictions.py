@@ -37,7 +37,7 @@ from formats.inputs import (
 )
 from formats.microscope import read_microscope
 from formats.poses import PoseTrack, read_poses
-from formats.spots import Spot
+from formats.spots import PARAMETERS, spots_table
 from formats.whole_files import refuse_existing, write_text
 from scenes import Scene, World, changed, load_scene, render_stack, scene_toml
 from scenes.commands import Changes, SceneFile
@@ -133,25 +133,20 @@ def _travelled(times: Any, positions: Any, at: Any) -> np.ndarray:
 def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> pd.DataFrame:
     """Measure a recording on its own clock, as `eyespot track` does; a row a frame.
 
-    Columns are `time_s`, `QUANTITIES` (NaN where one was not measured), `sigma_` of the ellipse by
-    the spot's covariance, and `no_spot`, why there is no spot.
+    Among the columns are `time_s`, `QUANTITIES` (NaN where one was not measured), `sigma_` of the
+    ellipse by the spot's covariance, and `no_spot`, why there is no spot.
     """
-    centre = read_microscope(options.microscope).principal_point_px if options.microscope else 0.0
-    numbers, rows = [*QUANTITIES, *_SIGMAS], []
-    for record in track_source(source, options.reader(), poses=poses).records:
-        row: dict[str, Any] = {"time_s": record.time_s}
-        if isinstance(spot := record.result, Spot):
-            place, axes = np.array(spot.ellipse[:2]) - centre, spot.ellipse[2:ELLIPSE]
-            row |= zip(QUANTITIES, (*place, *axes, record.distance_mm), strict=False)
-            row |= zip(_SIGMAS, np.sqrt(np.diag(spot.covariance)[:ELLIPSE]), strict=True)
-        else:
-            row["no_spot"] = record.reason
-        rows.append(row)
-    seen = pd.DataFrame(rows, columns=["time_s", *numbers, "no_spot"])
+    seen = spots_table(track_source(source, options.reader(), poses=poses).records)
+    if options.microscope:
+        centre = read_microscope(options.microscope).principal_point_px
+        seen[["x_px", "y_px"]] -= np.array(centre)
+    seen[_SIGMAS] = np.sqrt(seen[[f"cov_{name}_{name}" for name in PARAMETERS[:ELLIPSE]]])
+    seen["no_spot"] = seen.reason.where(seen.status == "no_spot")
+    seen["robot_mm"] = math.nan
     if poses is not None:
         stamps, positions = zip(*((pose.time_s, pose.position_mm) for pose in poses), strict=True)
         seen["robot_mm"] = _travelled(stamps, np.array(positions), seen.time_s)
-    return seen.astype(dict.fromkeys(numbers, float))
+    return seen
 
 
 # A plan from a scene, stated uncertainties of its keys, and a rehearsal.
