@@ -14,6 +14,8 @@ import cyclopts
 import pandas as pd
 from cyclopts import Parameter
 
+import eyespot as eyespot  # so that what JAX compiles is kept
+
 FILES = ("fits", "load", "pixels", "speed")
 LONG = {"branches", "coverage", "adverse_set", "memory", "books"}
 """What `make bench` leaves out, because it takes long."""

@@ -32,7 +32,6 @@ from formats.calibration import write_calibration
 from formats.microscope import read_microscope
 from formats.poses import Pose, PoseTrack, read_poses
 from formats.stack import FrameLabels, Stack
-from formats.whole_files import cache_file
 from scenes import Scene, SceneError, load_mitsuba, render_stack
 from scenes.world.world import World
 
@@ -170,15 +169,6 @@ _FIELD_MM = 2.2  # half of the photograph's width, where every wall has a pictur
 _TRIES = 50  # draws of a scene until its spot lies in the window
 
 
-def prepare() -> None:
-    """Load Mitsuba, and let JAX keep what it compiles, as `eyespot` does: that takes minutes."""
-    import jax
-
-    jax.config.update("jax_compilation_cache_dir", str(cache_file("jax", "").parent))
-    jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    load_mitsuba()
-
-
 def drawn_stack(
     folder: Path,
     rng: np.random.Generator,
@@ -276,7 +266,7 @@ def pixel_poses(full: bool = False) -> pd.DataFrame:
 
     One stack of twelve frames for each beam and wall (full: four).
     """
-    prepare()
+    load_mitsuba()
     rng = np.random.default_rng(20261123)
     frames = pd.concat(
         _drawn(rng, beam=beam, wall=wall, motion=motion, frames=12).assign(beam=beam, wall=wall)
@@ -298,7 +288,7 @@ def branches(full: bool = False) -> pd.DataFrame:
     Each fifth frame is read as a first one, because later ones follow a distance that is known. Ten
     stacks of twenty frames (full: a hundred).
     """
-    prepare()
+    load_mitsuba()
     rng, found = np.random.default_rng(20261125), []
     for number in range(100 if full else 10):
         beam, moves = ("dome, vitreous", "candidate, air")[number % 2], number // 2 % 2
@@ -339,7 +329,7 @@ def coverage(full: bool = False) -> pd.DataFrame:
 
     Ten stacks on each wall (full: 163).
     """
-    prepare()
+    load_mitsuba()
     found = []
     for number in range(163 if full else 10):
         beam, motion = [*BEAMS][number % 3], "hand" if number % 2 else "withdrawal"
@@ -364,7 +354,7 @@ def adverse_set(full: bool = False) -> pd.DataFrame:
 
     One stack a condition (full: three).
     """
-    prepare()
+    load_mitsuba()
     spec = load_spec("adverse-v2").model_dump(by_alias=True)
     for split in ("adverse", "unseen"):
         spec[split]["stacks"] = 3 if full else 1
@@ -389,7 +379,7 @@ def adverse_set(full: bool = False) -> pd.DataFrame:
 
 def memory(full: bool = False) -> pd.DataFrame:
     """A reader of one hand's motion, forwards and backwards without jumps (full: 10,000 frames)."""
-    prepare()
+    load_mitsuba()
     rng, number, distinct = np.random.default_rng(20261126), 10_000 if full else 300, 60
     warm = 2 * distinct - 2  # once forwards and backwards, while programs are compiled
     seconds, used_mb, posed = np.empty(warm + number), [], 0

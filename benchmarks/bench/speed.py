@@ -1,62 +1,21 @@
-"""Time of a frame in sub-pixel and literal mode, and of frames and exact spots through a lens."""
+"""Times of frames and of exact spots through a lens.
+
+`eyespot score` and `eyespot rivals run` say how long each mode takes for a frame.
+"""
 
 import itertools
 import time
 from collections.abc import Callable
 from typing import Any
 
-import cv2
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
 import optics
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from optics.viewing import load_eye, load_viewing_lens, path_camera, viewing_path
 from scenes import Renderer, Scene, load_mitsuba
-from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
-
-_WARM, _FRAMES = 20, 400
-_JUMP_EVERY = 50  # frames; a jump loses the spot, which is then found again
-_JUMP_PX = 150.0
-_STEPS_PX = [(1.6 * k, 1.2 * k) for k in range(6)]  # 2 px per frame, there and back
-_MODES: tuple[SubpixelSettings | LiteralSettings, ...] = (
-    SubpixelSettings(),
-    LiteralSettings(threshold=90),
-)  # these frames are darker than the paper
-
-
-def detector(full: bool = False) -> pd.DataFrame:
-    """A spot that moves slowly and jumps out of the search region every 50 frames; one thread.
-
-    The modes alternate frame by frame, so that other work affects both equally.
-    """
-    cv2.setNumThreads(1)
-    rows = []
-    for shape, wall in itertools.product((SHAPE, (1080, 1920)), ("even", "retina")):
-        rng = np.random.default_rng(0)
-        texture = any_wall(rng, shape) if wall == "retina" else None
-        here = Truth(x=230, y=230, semi_major=66, semi_minor=60, angle=0.5)
-        ways = []
-        for start in (here, here.moved(_JUMP_PX, 0)):
-            drawings = [Drawing(truth=start.moved(*step), wall=texture) for step in _STEPS_PX]
-            frames = [frame_of(drawing, rng, shape) for drawing in drawings]
-            ways.append(frames + frames[-2:0:-1])
-        states = [TrackState(at_px=(230, 230)), TrackState(at_px=(230, 230))]
-        seconds = []
-        for k in range(_WARM + _FRAMES * (10 if full else 1)):
-            way = ways[k // _JUMP_EVERY % 2]
-            for mode, settings in enumerate(_MODES):
-                began = time.perf_counter()
-                _, states[mode] = measure(way[k % len(way)], states[mode], settings)
-                seconds.append(time.perf_counter() - began)
-        ms = 1e3 * np.reshape(seconds, (-1, 2))[_WARM:]
-        (subpixel, literal), (late, _) = np.median(ms, axis=0), np.percentile(ms, 99, axis=0)
-        rows.append((shape, wall, subpixel, late, literal, literal / subpixel))
-    columns = "shape wall subpixel_median_ms subpixel_99_percent_ms literal_median_ms"
-    columns += " literal_over_subpixel"
-    return pd.DataFrame(rows, columns=columns.split()).set_index(["shape", "wall"])
 
 
 def _timed(call: Callable[[], Any]) -> dict[str, float]:
