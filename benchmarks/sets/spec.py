@@ -282,21 +282,17 @@ _MOST_DRAWS = 16  # if one of two draws is possible, one of 65,536 stacks has no
 class PlannedStack:
     """One stack to render.
 
-    Attributes:
-        condition: in the adverse split, else None.
-        pair: whose partner this stack is, else None. The other stack has the name without the
-            pair's, the same draws and the same seeds.
-        parameters: values of the scene keys that vary within the set, by dotted name.
-        redrawn: number of draws before this one that gave an impossible scene.
+    The partner of a stack, which has a `pair`, has the other's name with the pair's at its end, and
+    the same draws and seeds.
     """
 
     split: str
     name: str
-    condition: str | None
+    condition: str | None  # in the adverse split
     pair: str | None
     scene: Scene
-    parameters: dict[str, Any]
-    redrawn: int
+    parameters: dict[str, Any]  # values of the scene keys that vary within the set, by dotted name
+    redrawn: int  # draws before this one that gave an impossible scene
 
 
 def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> list[PlannedStack]:

@@ -5,15 +5,13 @@ import shutil
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
+from benchmarks.sets.read import SetStack, copy_description, set_files, stacks_of
 from estimator.run.options import OUT
 from estimator.run.progress_bar import progress
 from formats.inputs import InputError
 from formats.whole_files import require_space, written_whole
-
-if TYPE_CHECKING:
-    from benchmarks.sets.read import SetStack
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
@@ -28,8 +26,6 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
         to: Format to write; see docs/datasets.md.
         out: File (hdf5) or folder to write; it must not exist yet.
     """
-    from benchmarks.sets.read import copy_description, set_files, stacks_of
-
     with progress("Exporting", total=None) as advance, written_whole(out) as whole:
         stacks = stacks_of(folder)
         write = _writer(to)
@@ -52,7 +48,7 @@ def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
     print(f"Wrote {out}.")
 
 
-def _writer(to: Format) -> Callable[[Sequence["SetStack"], Path, Callable[[], None]], None]:
+def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None]], None]:
     """The function that writes a format. Only this format's library is loaded."""
     name, version = ("bags", int(to[-1])) if to.startswith("rosbag") else (to.replace("-", "_"), 0)
     try:

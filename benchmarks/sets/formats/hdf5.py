@@ -13,7 +13,7 @@ and the attributes `stack.toml` (the scene) and `microscope.json` (the camera), 
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import h5py
 import numpy as np
@@ -21,9 +21,6 @@ import numpy as np
 from benchmarks.sets.read import SetStack, set_files
 from formats.inputs import InputError, check_values, in_file, read_text
 from formats.stack import Stack
-
-if TYPE_CHECKING:
-    from _typeshed import ReadableBuffer
 
 _SCHEMA = 1
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}
@@ -65,7 +62,7 @@ class _Disk(io.FileIO):
 
     error: OSError | None = None
 
-    def write(self, data: "ReadableBuffer", /) -> int:
+    def write(self, data: Any, /) -> int:
         """Write all bytes."""
         left = memoryview(data).cast("B")
         size = len(left)
