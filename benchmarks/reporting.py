@@ -44,18 +44,17 @@ _WIDTH_IN = 10.0
 _LEGEND_IN = 0.5
 _PANEL_IN = 2.7
 
-R = TypeVar("R")
 C = TypeVar("C")
 
 
 def small_multiples(
-    draw: Callable[[Axes, R, C], None],
+    draw: Callable[[Axes, Any, C], None],
     *,
-    rows: Sequence[R],
+    rows: Sequence[Any] = ("",),
     columns: Sequence[C],
-    title: Callable[[R, C], str] | None = None,
-    x: str | Callable[[C], str],
-    y: str | Callable[[R], str],
+    title: Callable[[Any, C], str] | None = None,
+    x: str | Callable[[C], str] = "",
+    y: str | Callable[[Any], str] = "",
     height: float = _PANEL_IN,
     legend_columns: int = 4,
     **shared: Any,
@@ -63,7 +62,7 @@ def small_multiples(
     """A grid of panels, one for each pair of a row and a column.
 
     Args:
-        rows: keys of the rows, as `columns` those of the columns; [""] for a single one.
+        rows: keys of the rows, as `columns` those of the columns; by default a single row.
         title: title of a panel; by default the row and the column.
         x: label of the axis below the last row, the same for all or by column.
         y: label of the axis left of the first column, the same for all or by row.

@@ -239,7 +239,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         axes.set(yscale="log", xscale="log" if table == "dose" else "linear")
 
     x, y = (lambda column: shown[column][2]), "standard deviation of d (µm)"
-    figure = small_multiples(draw, rows=[""], columns=list(shown), x=x, y=y)
+    figure = small_multiples(draw, columns=list(shown), x=x, y=y)
     scores = tables["drops"].groupby("way").score
     gain = math.exp(scores.min()["gradient"] - scores.min()["best random"])
     optimum = Claim(

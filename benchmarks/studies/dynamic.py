@@ -1,11 +1,4 @@
-"""`eyespot study dynamic`: the error of a distance while the tip moves, and what makes it.
-
-DIR/dynamic_error.csv  one row a frame and latency: estimate, the robot's reading, the error's parts
-    dynamic_spread.csv sizes of errors and parts by speed
-    dynamic_limits.csv speeds at which the error is no longer acceptable
-    SOURCE-rest-literal-paper-exposure.csv  spots at rest that literal mode is calibrated with
-    stacks/            every motion, and the same with exposures too short for blur
-"""
+"""`eyespot study dynamic`: the error of a distance while the tip moves, and what makes it."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -333,9 +326,7 @@ def errors_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
                 label = f"{way.name}, {1000 * latency:g} ms late"
                 _drawn(axes, rows, "error", color=colour, ls=dashes, label=label)
 
-    return page.small_multiples(
-        draw, rows=[""], columns=MOTIONS, x=_SPEED, y="RMS error (mm)", sharey=True
-    )
+    return page.small_multiples(draw, columns=MOTIONS, x=_SPEED, y="RMS error (mm)", sharey=True)
 
 
 def parts_by_speed(spreads: pd.DataFrame, source: str) -> Figure:

@@ -1,11 +1,4 @@
-"""`eyespot study eccentricity`: how wrong each model is, where, and by which cause.
-
-DIR/model_error.csv  every error of every model, analytic and rendered
-    limits.csv       at which c a model's error reaches 0.1 and 0.5 mm
-    refit.csv        c fitted as the paper does, and how much of the error that hides
-    causes.csv       Shapley's share of each cause
-    stacks/, spots/  rendered frames, and the spots measured in them
-"""
+"""`eyespot study eccentricity`: how wrong each model is, where, and by which cause."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -29,13 +22,7 @@ from benchmarks import model_error, paper
 from benchmarks import reporting as page
 from benchmarks.reporting import grouped, listed, number, where
 from benchmarks.studies import error_causes
-from benchmarks.studies.error_causes import (
-    CAUSES,
-    WRONG_C_MM,
-    WRONG_R_MM,
-    CauseEye,
-    spread_length,
-)
+from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_eccentricity
 from formats.inputs import InputError
@@ -86,14 +73,14 @@ def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Ite
         tilt = np.radians(found[["incidence_deg", "azimuth_deg"]].to_numpy()).T
         beam = half_angle, found.apex_offset_mm, *tilt
         columns = np.full(size, scale), 1.0 / (found.z_f_mm + r), r, *beam, found.c_mm
-        eye = CauseEye(*(jnp.asarray(np.array(values)) for values in columns))
+        eye = error_causes.CauseEye(*(jnp.asarray(np.array(values)) for values in columns))
         estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
         yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
 
 
 @jax.jit
-def _estimates(eye: CauseEye, d: jax.Array) -> dict[str, jax.Array]:
-    def of(spot: tuple[CauseEye, jax.Array]) -> dict[str, jax.Array]:
+def _estimates(eye: error_causes.CauseEye, d: jax.Array) -> dict[str, jax.Array]:
+    def of(spot: tuple[error_causes.CauseEye, jax.Array]) -> dict[str, jax.Array]:
         eye, d = spot
         seen = error_causes.semi_minor(eye, d)
         # With every link real there is a closed form, which saves half of the time.
@@ -252,7 +239,7 @@ def measure(
             fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
             columns = ["semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm"]
             measured, ideal, c, d = seen.loc[both, columns].to_numpy().T
-            length = spread_length(scene)
+            length = error_causes.spread_length(scene)
             spread = error_causes.spread_shift(geometry, c=c, d=d, length=length)
             # A wall that spreads light does so in the frames already.
             edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
@@ -507,11 +494,12 @@ def _nearest(rows: pd.DataFrame, c: float, d: float) -> Any:
 
 
 def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
+    length = error_causes.spread_length(scene)
     text = (
         "Each link between distance and spot is real or ideal, together with the model's own term "
         f"for it, in all {1 << len(CAUSES):,} sets of causes; the parts are Shapley's values. Edge "
         "and pixels are measured in rendered frames, light spread in the wall is that of L = "
-        f"{spread_length(scene):.3f} mm. The models are given an r {WRONG_R_MM:g} mm and a c "
+        f"{length:.3f} mm. The models are given an r {WRONG_R_MM:g} mm and a c "
         f"{WRONG_C_MM:g} mm too large. The paper's cos φ counts as a term for foreshortening."
     )
     if shares.empty:

@@ -50,23 +50,14 @@ _Switch = Float[Array, ""] | bool
 
 
 class Links(NamedTuple):
-    """Which links of the chain are real: True or False each.
+    """Which links of the chain are real: True or False each."""
 
-    Attributes:
-        foreshortening: the wall is inclined by phi against the image, not parallel to it; the
-            paper's cos(phi) is a term for it.
-        magnification: a point nearer to the pinhole is magnified more; without it the microscope
-            is telecentric.
-        sagitta: the wall is a sphere, not its tangent plane.
-        ellipse_fit: e1' is that of the fitted ellipse, not half of the contour's width.
-        incidence: the beam is inclined, not square to the wall.
-    """
-
+    # The wall is inclined by phi against the image; the paper's cos(phi) is a term for it.
     foreshortening: _Switch
-    magnification: _Switch
-    sagitta: _Switch
-    ellipse_fit: _Switch
-    incidence: _Switch
+    magnification: _Switch  # grows towards the pinhole; without it the microscope is telecentric
+    sagitta: _Switch  # the wall is a sphere, not its tangent plane
+    ellipse_fit: _Switch  # e1' is that of the fitted ellipse, not half of the contour's width
+    incidence: _Switch  # the beam is inclined, not square to the wall
 
 
 REAL = Links(*(True for _ in LINKS))

@@ -1,10 +1,4 @@
-"""`eyespot study eye`: distances through cornea, crystalline lens and viewing lens.
-
-DIR/eye_errors.csv  median and 95 % error of every recipe, by path and c
-    limits.csv      up to which c each recipe keeps 95 % of the eyes within 0.1 and 0.5 mm
-    eyes.csv        fitted pinhole and field of every eye behind every path
-    causes.csv      Shapley's share of each part of the eye
-"""
+"""`eyespot study eye`: distances through cornea, crystalline lens and viewing lens."""
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -123,12 +117,12 @@ def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
     """Largest c that each eye's dilated pupil shows, mm; arguments as for `path_errors`."""
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=DILATED_MM)
-    return in_batches(_fields, (every, axes), size=_EYES_AT_ONCE)
+    return in_batches(lambda eyes: _fields(*eyes), (every, axes), size=_EYES_AT_ONCE)
 
 
-@eqx.filter_jit
-def _fields(eyes: tuple[PathCamera, Float[Array, "n 3"]]) -> Float[Array, "n"]:
-    return jax.vmap(lambda camera, axes: camera.field(optics.Ellipsoid(axes)))(*eyes)
+_fields = eqx.filter_jit(
+    jax.vmap(lambda camera, semi_axes: camera.field(optics.Ellipsoid(semi_axes)))
+)
 
 
 @eqx.filter_jit

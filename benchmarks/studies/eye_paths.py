@@ -340,7 +340,7 @@ def distance_by_area(seen: Seen, pinhole: Pinhole) -> Float[np.ndarray, "n"]:
 
     Each spot is seen by its own pinhole over its own sphere; the robot knows the beams' axes.
     """
-    return in_batches(_through_pinholes, (seen, pinhole), size=_SPOTS_AT_ONCE)
+    return in_batches(lambda of: _through_pinholes(*of), (seen, pinhole), size=_SPOTS_AT_ONCE)
 
 
 def distance_through_path(
@@ -348,26 +348,19 @@ def distance_through_path(
 ) -> Float[np.ndarray, "n"]:
     """As `distance_by_area`, with all spots seen through one path onto one retina, mm."""
     retina = optics.Ellipsoid(jnp.asarray(semi_axes))
-    return in_batches(lambda spots: _through_path(spots, camera, retina), seen, size=_SPOTS_AT_ONCE)
-
-
-@eqx.filter_jit
-def _through_pinholes(spots: tuple[Seen, Pinhole]) -> Float[Array, "n"]:
-    def one(seen: Seen, pinhole: Pinhole) -> Float[Array, ""]:
-        return _by_area(seen, pinhole.wall, pinhole.microscope)
-
-    return jax.vmap(one)(*spots)
-
-
-@eqx.filter_jit
-def _through_path(seen: Seen, camera: PathCamera, retina: optics.Surface) -> Float[Array, "n"]:
-    return jax.vmap(lambda spot: _by_area(spot, retina, camera))(seen)
+    return in_batches(lambda spots: _through_path(spots, retina, camera), seen, size=_SPOTS_AT_ONCE)
 
 
 def _by_area(seen: Seen, wall: optics.Surface, camera: optics.Camera) -> Float[Array, ""]:
     minor, major = seen.semi_axes
     ellipse = optics.Ellipse(seen.centre, major, minor, jnp.zeros(()))
     return optics.distance_by_area(ellipse, wall, camera, axis=seen.axis, **CONE)
+
+
+_through_pinholes = eqx.filter_jit(
+    jax.vmap(lambda seen, pinhole: _by_area(seen, pinhole.wall, pinhole.microscope))
+)
+_through_path = eqx.filter_jit(jax.vmap(_by_area, in_axes=(0, None, None)))
 
 
 def distance_by_closed_form(

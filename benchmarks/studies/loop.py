@@ -45,28 +45,17 @@ PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0  # for how long it holds without a readin
 
 @dataclass(frozen=True, kw_only=True)
 class LoopRun:
-    """One run of the loop.
+    """One run of the loop."""
 
-    Attributes:
-        sensor: "perfect", or a mode of the reader.
-        speed_mm_s: of the spot along its path on the wall.
-        latency_s: from the middle of an exposure to its reading.
-        poses: whether the controller takes out what the arm has moved since the exposure.
-        dark_s: times between which the fibre is dark.
-        noise_mm: standard deviation of the perfect sensor.
-        foreknown: share of the wall's rise along the beam that the feed-forward knows.
-        tremor_mm: RMS along the beam, of 8 to 12 Hz: a hand's 0.18 mm, damped by 95 %.
-    """
-
-    sensor: str = "perfect"
-    speed_mm_s: float = 1.0
+    sensor: str = "perfect"  # or a mode of the reader
+    speed_mm_s: float = 1.0  # of the spot along its path on the wall
     rate_hz: float = 30.0
-    latency_s: float = 0.05
-    poses: bool = True
-    dark_s: tuple[float, float] = (math.inf, math.inf)
-    noise_mm: float = 0.0
-    foreknown: float = 0.9
-    tremor_mm: float = 0.009
+    latency_s: float = 0.05  # from the middle of an exposure to its reading
+    poses: bool = True  # whether the controller takes out how far the arm went since the exposure
+    dark_s: tuple[float, float] = (math.inf, math.inf)  # between which the fibre is dark
+    noise_mm: float = 0.0  # standard deviation of the perfect sensor
+    foreknown: float = 0.9  # share of the wall's rise along the beam that the feed-forward knows
+    tremor_mm: float = 0.009  # RMS along the beam, 8 to 12 Hz: a hand's 0.18 mm, damped by 95 %
 
     @property
     def gain(self) -> float:
@@ -266,12 +255,11 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
         axes.set_xticks([*mine[key]], [f"{x:g}" for x in mine[key]], minor=False)
         axes.minorticks_off()
 
-    common: dict[str, Any] = {"rows": [""], "sharey": True}
-    strip = small_multiples(draw_film, columns=[""], x="", y="", legend_columns=0, **common)
+    strip = small_multiples(draw_film, columns=[""], legend_columns=0)
     panels, x, y = ["sensors", "dark fibre"], "time (s)", "distance (mm)"
-    kept = small_multiples(draw, columns=panels, x=x, y=y, **common)
+    kept = small_multiples(draw, columns=panels, x=x, y=y, sharey=True)
     labels = {key: f"{name} ({unit})" for key, (name, unit, _) in VARIED.items()}
-    how: dict[str, Any] = {"title": lambda *_: "", "x": labels.__getitem__, **common}
+    how: dict[str, Any] = {"title": lambda *_: "", "x": labels.__getitem__, "sharey": True}
     depends = small_multiples(draw_errors, columns=list(labels), y="error (mm)", **how)
     alone = Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
     speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]

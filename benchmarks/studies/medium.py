@@ -1,9 +1,4 @@
-"""`eyespot study medium`: calibrated in air, used in vitreous.
-
-DIR/medium_error.csv  every estimate, analytic and rendered, with its error
-    medium_cones.csv  the cone that each lens makes in each medium
-    stacks/, spots/   rendered frames, and the spots measured in them
-"""
+"""`eyespot study medium`: calibrated in air, used in vitreous."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -238,9 +233,7 @@ def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame)
                 axes.plot(*points, ls="", marker=shape, ms=4, color=colour, mfc=face)
 
     y = "estimate − truth (mm)"
-    return page.small_multiples(
-        draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4
-    )
+    return page.small_multiples(draw, columns=_lights(curves), x=DISTANCE, y=y, height=3.4)
 
 
 def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
@@ -257,7 +250,7 @@ def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
 
     y = "half-maximum radius (mm)"
     return page.small_multiples(
-        draw, rows=[""], columns=_lights(curves), x=DISTANCE, y=y, height=3.4, sharey=True
+        draw, columns=_lights(curves), x=DISTANCE, y=y, height=3.4, sharey=True
     )
 
 

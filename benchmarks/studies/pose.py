@@ -1,9 +1,4 @@
-"""`eyespot study pose`: tip and axis of the tool from one spot and from three.
-
-DIR/pose_error.csv  every pose, analytic and rendered, with its errors and bounds
-    poses/          the rendered poses of the beams
-    stacks/, spots/ the frames, and the spots measured in them
-"""
+"""`eyespot study pose`: tip and axis of the tool from one spot and from three."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -126,7 +121,7 @@ def place_at(
     return Place(ToolPose(tip, axis, roll), outward, at)
 
 
-Estimate = tuple[np.ndarray, np.ndarray, float, float]
+Estimate = tuple[Any, Any, float, float]
 """An estimated pose: tip (3,), mm, axis (3,), distance and the distance's own sigma, mm."""
 
 
@@ -139,7 +134,8 @@ def pose_error(
     the tip only, are the Cramér-Rao standard deviations for the noise of the contour's points.
     `sigma_distance_mm` is what the estimator states. `about` has the first columns.
     """
-    true, (tip, axis, distance, sigma_distance) = np.asarray(place.pose.axis), found
+    tip, axis, distance, sigma_distance = map(np.asarray, found)
+    true = np.asarray(place.pose.axis)
     return {
         **about,
         **place.where,
@@ -238,30 +234,18 @@ def errors(
             columns = best.tip, best.axis, best.distance, best.distance_error
             found: list[Estimate] = list(zip(*map(np.asarray, columns), strict=True))
         else:
-            priors = [optics.DirectionPrior(jnp.asarray(axis), sigma) for axis in axes]
-            found = [
-                by_ellipses(tool, jax.tree.map(itemgetter(i), ellipses), spreads[i], wall, view, p)
-                for i, p in enumerate(priors)
-            ]
+            found = []
+            for i, axis in enumerate(axes):
+                seen, spread = jax.tree.map(itemgetter(i), ellipses), np.asarray(spreads[i])
+                beside = optics.DirectionPrior(jnp.asarray(axis), sigma)
+                pose, distance = fit_tool(tool, seen, spread, wall, view, beside)
+                found.append((pose.tip, pose.axis, distance, math.nan))
         about = {"source": "analytic", "spots": tool.cones, "prior": prior, "z_f_mm": height}
         rows += [
             pose_error(place, one, covariance=bound, noise_px=NOISE_PX, **about)
             for place, one, bound in zip(every, found, covariances, strict=True)
         ]
     return rows
-
-
-def by_ellipses(
-    tool: Tool,
-    ellipses: optics.Ellipse,
-    covariances: Any,
-    wall: optics.Sphere,
-    view: optics.Microscope,
-    prior: optics.DirectionPrior,
-) -> Estimate:
-    """The pose by `fit_tool`; the distance's sigma is NaN."""
-    best, distance = fit_tool(tool, ellipses, np.asarray(covariances), wall, view, prior)
-    return np.asarray(best.tip), np.asarray(best.axis), distance, math.nan
 
 
 @jax.jit
@@ -385,6 +369,7 @@ def _errors(
     # variances are 1/n and 2/n of the noise's.
     sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
     true, rows = np.asarray(place.pose.axis), []
+    found: Estimate
     for kind, sigma_rad in SIGMA_RAD.items():
         known = kind == AxisPrior.KNOWN
         axis = true if known else prior
@@ -400,13 +385,14 @@ def _errors(
             x, y, *columns = jnp.array([spot.ellipse for spot in seen]).T
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
-            spread = _mismatch_covariances(ellipses, spread)
-            beside = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
-            found = by_ellipses(tool, ellipses, spread, surface, view, beside)
+            missed = np.asarray(_mismatch_covariances(ellipses, spread))
+            beside, own = optics.DirectionPrior(jnp.asarray(axis), sigma_rad), math.nan
+            best, distance = fit_tool(tool, ellipses, missed, surface, view, beside)
             if known:
                 # A shift of the tip along the wall does not change the distance, to first order.
                 per_mm = place.outward / float(place.outward @ true)
-                found = *found[:3], math.sqrt(per_mm @ covariance @ per_mm)
+                own = math.sqrt(per_mm @ covariance @ per_mm)
+            found = best.tip, best.axis, distance, own
         height = microscope.pinhole_height_mm
         about = {"source": "rendered", "spots": tool.cones, "prior": kind, "z_f_mm": height}
         rows.append(pose_error(place, found, noise_px=sigma, covariance=covariance, **about))
@@ -504,10 +490,7 @@ def _by_incidence(rough: pd.DataFrame) -> Figure:
             axes.axhline(reported, color=colour, ls=":", lw=1.0)
         axes.set(yscale="log")
 
-    columns = list(_QUANTITIES)
-    return page.small_multiples(
-        draw, rows=[""], columns=columns, x="incidence (°)", y="", height=3.7
-    )
+    return page.small_multiples(draw, columns=list(_QUANTITIES), x="incidence (°)", height=3.7)
 
 
 # The page.

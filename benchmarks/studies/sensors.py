@@ -1,10 +1,4 @@
-"""`eyespot study sensors`: one distance by the spot, by the instrument's shadow, and by stereo.
-
-DIR/expected.csv     standard deviations of the three by stated noise of their marks
-    wrong.csv        errors if one of the things that they take as known is wrong
-    readings.csv     distances read from rendered pictures
-    stacks/, spots/  rendered spots, and what the estimator measured of them
-"""
+"""`eyespot study sensors`: one distance by the spot, by the instrument's shadow, and by stereo."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -320,7 +314,6 @@ def by_path_figure(tables: Tables, *, wrong: Wrong | None = None) -> Figure:
 
     return page.small_multiples(
         draw,
-        rows=[""],
         columns=rows.path.unique().tolist(),
         x=DISTANCE,
         y="σ of d (mm)" if wrong is None else "estimate − truth (mm)",
@@ -375,9 +368,7 @@ def photograph_figure(
 
     paths = list(dict.fromkeys(path for path, _ in photographs))[:2]
     views = ["left", "centre", "right"]
-    return page.small_multiples(
-        draw, rows=paths, columns=views, x="", y="", height=2.6, legend_columns=0
-    )
+    return page.small_multiples(draw, rows=paths, columns=views, height=2.6, legend_columns=0)
 
 
 # The page.

@@ -1,10 +1,6 @@
 """`eyespot study static`: the paper's Tables I and II over many runs, and what adds to their error.
 
-DIR/static_tables.csv  every run's Table I and II, in both modes
-    static_spread.csv  mean and standard deviation over runs beside the paper's figures
-    static_causes.csv  what touch, tilt, exposure, texture, threshold and noise add to the error
-    static_spots.csv   e1' of every frame of the first run
-    stacks/            rendered frames, with the noise-free ones that all runs photograph
+stacks/ has the noise-free frames that all runs photograph.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -320,9 +316,7 @@ def _causes_figure(causes: pd.DataFrame) -> Figure:
             axes.axvline(1e3 * line.rmse**2, color=page.GREY, lw=0.8, ls=":")
 
     x = "mean square error of the line (10$^{-3}$ mm²)"
-    return page.small_multiples(
-        draw, rows=[""], columns=[OWN, POOLED], x=x, y="", height=3.2, legend_columns=0
-    )
+    return page.small_multiples(draw, columns=[OWN, POOLED], x=x, height=3.2, legend_columns=0)
 
 
 # The page.

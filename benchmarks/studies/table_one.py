@@ -1,10 +1,4 @@
-"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart.
-
-DIR/table_one_scan.csv      each lens at the threshold and range that come nearest to the table
-    table_one_rendered.csv  the best of them, and some that fail, on rendered stacks
-    table_one_causes.csv    what touch, light, tilt, height and range do to a line
-    lenses/, stacks/        rendered lenses and frames
-"""
+"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart."""
 
 from __future__ import annotations
 
@@ -460,10 +454,8 @@ def _figure(
     first, *_ = panels
     return page.small_multiples(
         draw,
-        rows=[""],
         columns=list(panels),
         x=lambda name: "sag of the cap (mm)" if name == first else MEASURED,
-        y="",
         height=4.0,
         legend_columns=0,
     )

@@ -1,12 +1,4 @@
-"""The main job: the paper's static experiment on rendered images, and its model against the truth.
-
-DIR/run.json         the request; a folder with another run.json is refused
-    stacks/…         labelled image stacks, one for each trial
-    spots/…          the spots measured in them, in each way
-    *.csv, figures/  the numbers and figures of the report
-    summary.json     what was found
-    report.html      the same, for people
-"""
+"""The main job: the paper's static experiment rendered, and its model against the truth."""
 
 import math
 from collections.abc import Iterator, Sequence
