@@ -1,4 +1,1 @@
-"""Labelled sets: from a spec with distributions to splits of stacks on disk.
-
-docs/datasets.md says what is in the folder of a set. The same spec gives the same bytes.
-"""
+"""Labelled sets: from a spec with distributions to splits of stacks (docs/datasets.md)."""

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ConfigDict, Field
@@ -282,8 +282,7 @@ def own_reader(
     return PixelsMode(settings, PixelRanger(beam, microscope))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """An image of a set; `planned` is its stack as an entry of the set."""
 
     planned: SetStack
@@ -310,7 +309,7 @@ def rows(labelled: LabelledSet) -> Iterator[Row]:
     for planned in labelled.stacks:
         stack = planned.open()
         for labels in stack.labels:
-            yield Row(planned=planned, stack=stack, labels=labels)
+            yield Row(planned, stack, labels)
 
 
 # The manifest: sizes and SHA-256 of all files of a set.
