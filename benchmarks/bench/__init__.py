@@ -1,4 +1,1 @@
-"""Benchmarks of speed and accuracy: functions that return a table; see `__main__`.
-
-What `eyespot score` and the studies measure is not measured here again.
-"""
+"""Benchmarks: functions that measure what no study and no score measures; see `__main__`."""

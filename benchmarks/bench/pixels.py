@@ -254,11 +254,18 @@ def _by(
 
 
 def _drawn(rng: np.random.Generator, alone_every: int = 0, **what: Any) -> pd.DataFrame:
-    """The frames of one drawn stack, and whether another distance has their radius, too."""
+    """The frames of one drawn stack; `twofold`: another distance has their radius, too."""
     with tempfile.TemporaryDirectory() as folder:
         stack = drawn_stack(Path(folder) / "stack", rng, **what)
         frames = frame_errors(stack, rng, alone_every=alone_every)
-        return frames.assign(twofold=_twofold(stack)) if alone_every else frames
+    if not alone_every:
+        return frames
+    first, world = stack.labels[0], World(Scene.model_validate(stack.description["scene"]))
+    axis = np.array(first.axis)
+    tips = np.array(first.spot_mm) - _COMPARED_MM[:, None] * axis
+    distances = np.array([labels.d_mm for labels in stack.labels])
+    twofold = share_a_radius(distances, _COMPARED_MM, half_maximum_px(world, tips, axis))
+    return frames.assign(twofold=twofold)
 
 
 def pixel_poses(full: bool = False) -> pd.DataFrame:
@@ -306,15 +313,6 @@ def branches(full: bool = False) -> pd.DataFrame:
         return pd.concat([_of_frames(some), own])
 
     return _by(frames, ["beam", "read_as"], numbers)
-
-
-def _twofold(stack: Stack) -> np.ndarray:
-    """Of each frame, whether another distance has its radius, too, where the first spot is."""
-    first, world = stack.labels[0], World(Scene.model_validate(stack.description["scene"]))
-    axis = np.array(first.axis)
-    tips = np.array(first.spot_mm) - _COMPARED_MM[:, None] * axis
-    distances = np.array([labels.d_mm for labels in stack.labels])
-    return share_a_radius(distances, _COMPARED_MM, half_maximum_px(world, tips, axis))
 
 
 def share_a_radius(distances: np.ndarray, grid: np.ndarray, radii: np.ndarray) -> np.ndarray:
