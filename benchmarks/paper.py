@@ -40,11 +40,8 @@ def first_reached(x: ArrayLike, size: ArrayLike, limit: float) -> float:
     reached = np.flatnonzero(size >= limit)
     if not reached.size:
         return math.nan
-    n = reached[0]
-    if n == 0:
-        return float(x[0])
-    share = (limit - size[n - 1]) / (size[n] - size[n - 1])
-    return float(x[n - 1] + share * (x[n] - x[n - 1]))
+    around = slice(max(reached[0] - 1, 0), reached[0] + 1)
+    return float(np.interp(limit, size[around], x[around]))
 
 
 def coalitions(players: int) -> np.ndarray:

@@ -137,12 +137,8 @@ class Study:
                 remedy = " and ".join(f"{name}={wanted}" for name, wanted in needed.items())
                 raise SceneError(f"{why}; got {key} = {found!r}. Set {remedy}.")
 
-    def stack(self, name: str, scene: Scene) -> Stack:
-        """A scene's stack in stacks/NAME, rendered unless an earlier run finished it."""
-        return self.stacks({name: scene})[name]
-
     def stacks(self, trials: Mapping[str, Scene]) -> dict[str, Stack]:
-        """Stacks by name, in stacks/."""
+        """Stacks by name, in stacks/, rendered unless an earlier run finished them."""
         return self.measured(trials, lambda name, stack: stack)
 
     def measured(

@@ -284,7 +284,8 @@ def _rows(
     scene = scenes.changed(study.scene, {"source.kind": source})
     exposure_s = float(study.options["exposure-ms"]) / 1000
     with study.timed(f"{source}: render at rest"):
-        rest = study.stack(f"{source}-rest", _with_motion(scene, "withdrawal", _REST))
+        at_rest = _with_motion(scene, "withdrawal", _REST)
+        (rest,) = study.stacks({f"{source}-rest": at_rest}).values()
     wanted = []
     for way in COMPARED:
         # The sensitivity at which exposures at the mean distance are as long as asked for.

@@ -153,7 +153,7 @@ class LoopCamera:
     def __init__(self, study: Study) -> None:
         rest = {"motion.kind": "withdrawal", "motion.start_mm": SET_MM, "motion.frames": 1}
         scene = scenes.changed(study.scene, rest)
-        self._start, self._camera = study.stack("start", scene), LiveCamera(scene)
+        self._start, self._camera = study.stacks({"start": scene})["start"], LiveCamera(scene)
         same = (0.0, 0.0, 0.0, 1.0)  # the poses are in the eye's frame
         reader = functools.partial(study.reader, self._start, scene, eye_from_robot=same)
         self._reader = functools.cache(reader)

@@ -415,21 +415,6 @@ def check(scene: Scene) -> None:
     )
 
 
-def _analytic(study: Study, *, one: int, three: int) -> list[dict[str, Any]]:
-    """Errors on exact contours, with the scene's pinhole and with a microscope's."""
-    microscope, rows = study.scene.microscope, []
-    wall = optics.Sphere(study.scene.phantom.radius_mm)
-    tools = tools_of(*World(study.scene).cone)
-    for height in dict.fromkeys((microscope.pinhole_height_mm, MICROSCOPE_MM)):
-        view = optics.microscope(
-            scale=microscope.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
-        )
-        for tool, count in zip(tools, (one, three), strict=True):
-            every = places(wall, count=count, seed=study.seed)
-            rows += errors(tool, every, wall, view, seed=study.seed)
-    return rows
-
-
 # Summaries.
 
 
@@ -623,11 +608,19 @@ def pose(
 ) -> pd.DataFrame:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
     study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check)
+    wall, rows = optics.Sphere(study.scene.phantom.radius_mm), []
     with study.timed("noise on exact contours"):
-        rows = _analytic(study, one=64 if quick else 1024, three=32 if quick else 128)
+        own, tools = study.scene.microscope, tools_of(*World(study.scene).cone)
+        for height in dict.fromkeys((own.pinhole_height_mm, MICROSCOPE_MM)):
+            view = optics.microscope(
+                scale=own.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
+            )
+            for tool, count in zip(tools, (64, 32) if quick else (1024, 128), strict=True):
+                every = places(wall, count=count, seed=study.seed)
+                rows += errors(tool, every, wall, view, seed=study.seed)
     with study.timed("render and measure"):
         c = np.linspace(0.0, LARGEST_C_MM, 2 if quick else 6).tolist()
         rows += measure(study, eccentricities=c, poses=3 if quick else 6)
-    errors = pd.DataFrame(rows)
-    study.publish(_report, errors)
-    return errors
+    found = pd.DataFrame(rows)
+    study.publish(_report, found)
+    return found

@@ -64,9 +64,8 @@ class Family(NamedTuple):
     def lens(self) -> dict[str, float]:
         """Content of a lens file; the other values are those of the preset `paper-candidate`."""
         preset = vars(optics.load_lens("paper-candidate"))
-        own = {"numerical_aperture": self.numerical_aperture, "sag": self.sag}
         known = {name: float(value) for name, value in preset.items() if value is not None}
-        return known | own | {"glue_length": self.sag}
+        return known | self._asdict() | {"glue_length": self.sag}
 
 
 @dataclass(frozen=True)
@@ -229,12 +228,7 @@ class ConfirmedLens:
     choice: Any
     spots: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
     lines: pd.DataFrame
-
-    @property
-    def criteria(self) -> dict[paper.Criterion, page.Claim]:
-        """The criteria of Table I in literal mode."""
-        fits = paper.plane_rows(where(self.lines, way=paper.LITERAL.name))
-        return paper.reproduction(fits, name="Table I by the best lens")
+    criteria: dict[paper.Criterion, page.Claim]  # of Table I, in literal mode
 
     @property
     def reproduces(self) -> bool:
@@ -327,7 +321,9 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
     columns = [*_CHOICE, "way", "trial", *_LINE, "contact_radius_px", "spots"]
     lines = pd.DataFrame(rows, columns=columns)
     points = {(way, t): (e, readings[t]) for way, spots in seen.items() for t, e in spots.items()}
-    return ConfirmedLens(choice=choice, spots=points, lines=lines)
+    fits = paper.plane_rows(where(lines, way=paper.LITERAL.name))
+    met = paper.reproduction(fits, name="Table I by the best lens")
+    return ConfirmedLens(choice=choice, spots=points, lines=lines, criteria=met)
 
 
 WIDE_APERTURE = 0.15  # from here on the first scan, by ray binning, found no flat end that fits

@@ -139,17 +139,6 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def rendered_errors(trials: Sequence[paper.StaticTrial], spots: pd.DataFrame) -> pd.DataFrame:
-    """Errors on measured spots of the grid, each pinhole height and azimuth in one batch."""
-    used = spots[spots.used]
-    geometries = {t.name: model_error.geometry_of(t.scene) for t in trials if t.kind == "grid"}
-    tables = []
-    for geometry in dict.fromkeys(geometries.values()):
-        own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-        tables.append(model_error.model_errors(geometry, used[own], source="rendered"))
-    return pd.concat(tables, ignore_index=True)
-
-
 def nearest_reproduction(
     findings: ValidateFindings, source: str
 ) -> tuple[float, float, dict[paper.Criterion, page.Claim]] | None:
@@ -574,6 +563,12 @@ def validate(
         spots = _measured_spots(study, sorted(trials, key=lambda trial: trial.source))
     with study.timed("fit and compare"):
         spots, planes, spheres = fit_tables(trials, spots)
+        # Each pinhole height and azimuth of the grid in one batch.
+        used, rendered = spots[spots.used], []
+        geometries = {t.name: model_error.geometry_of(t.scene) for t in trials if t.kind == "grid"}
+        for geometry in dict.fromkeys(geometries.values()):
+            own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
+            rendered.append(model_error.model_errors(geometry, used[own], source="rendered"))
         findings = ValidateFindings(
             stacks=study.folder / "stacks",
             trials=trials,
@@ -581,7 +576,7 @@ def validate(
             planes=planes,
             spheres=spheres,
             analytic=analytic_errors(quick=quick),
-            rendered=rendered_errors(trials, spots),
+            rendered=pd.concat(rendered, ignore_index=True),
         )
     study.publish(report, findings)
     return findings
