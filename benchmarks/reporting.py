@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from calibration.command.report import STYLE as STYLE_OF_FITS
-from calibration.command.report import templates
+from formats.page import STYLE as STYLE_OF_FITS
+from formats.page import templates
 
 # Style, small multiples and files of figures.
 

@@ -7,7 +7,6 @@ import statistics
 from collections.abc import Sequence
 from typing import Any
 
-import jinja2
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,38 +16,12 @@ from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from calibration.recordings import Recording
 from calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
 from formats.inputs import in_figure
-
-
-def templates(*packages: str) -> jinja2.Environment:
-    """The templates of packages, beside the style `page.css` that they include."""
-    places = ("calibration.command", *packages)
-    return jinja2.Environment(
-        loader=jinja2.ChoiceLoader([jinja2.PackageLoader(package) for package in places]),
-        autoescape=lambda name: name is not None and ".html" in name,
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        keep_trailing_newline=True,
-    )
-
+from formats.page import STYLE, templates
 
 # Palette of Okabe and Ito, which colour-blind readers can distinguish.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
-STYLE: dict[Any, Any] = {
-    "font.size": 8,
-    "axes.titlesize": 8,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": "#E4E4E4",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "svg.hashsalt": "eyespot",  # the same data give the same file
-}
 
 
 def render(
@@ -66,7 +39,7 @@ def render(
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
     return (
-        templates()
+        templates("calibration.command")
         .get_template("fit.html.j2")
         .render(
             fitted=fitted,

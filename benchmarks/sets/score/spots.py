@@ -270,12 +270,22 @@ _Text = Annotated[str, Field(max_length=1000)]
 
 @dataclass(frozen=True, kw_only=True)
 class ScoredEstimator:
-    """An estimator whose spots are scored, and what it states of itself; empty or None if not."""
+    """An estimator whose spots are scored.
+
+    Attributes:
+        name: in tables and figures.
+        spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
+            this run.
+        command: the command that wrote the spots; empty if not stated.
+        versions: versions of its software; empty if not stated.
+        seed: its random seed; empty if it has none.
+        ms_per_frame: its time per frame as stated, ms; None if not stated.
+    """
 
     name: str
-    spots: Path | None = None  # as of `read_set_spots`; None: the images are measured in this run
-    command: str = ""  # that wrote the spots
-    versions: str = ""  # of its software
+    spots: Path | None = None
+    command: str = ""
+    versions: str = ""
     seed: str = ""
     ms_per_frame: float | None = None
 
