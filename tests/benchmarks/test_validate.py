@@ -47,7 +47,9 @@ def test_exact_and_corrected_measure_rendered_spots_to_a_fraction_of_the_small_p
 ):
     _, findings = cone_run
     at_five = findings.rendered[findings.rendered.c_mm == 5.0]
-    worst = at_five.error_mm.abs().groupby(at_five.model).max()
+    # The small-plane models' factor is that of a beam in the plane across the meridian.
+    across = at_five[(at_five.model == "exact") | (at_five.azimuth_deg == 90.0)]
+    worst = across.error_mm.abs().groupby(across.model).max()
     # Spots good to 0.1 px are distances good to k delta 0.1 px = 0.013 mm.
     assert worst["exact"] < 0.015
     assert worst["corrected"] < 0.03
