@@ -120,7 +120,7 @@ class Study:
             **self.options,
         }
         claimed = claim(self.folder, settings, command=start)
-        weakref.finalize(self, os.close, claimed)
+        self._let_go = weakref.finalize(self, os.close, claimed)
         say(
             f"Running {start} into {out}: minutes with --quick, else a quarter of an hour to hours."
             " If it is stopped, the same command continues it."
@@ -224,6 +224,7 @@ class Study:
             write_json(folder / "summary.json", summary)
             run: dict[str, Any] = {"study": self, "scene_toml": scene_toml}
             write_page(folder, made, command=self.command, versions=used, **run)
+        self._let_go()
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
 
 
