@@ -158,7 +158,7 @@ def hidden_bell(
 
     # From its centre to where a Gaussian has 6 % left; texture in such bins is hardly correlated.
     flank = _visible_flank(patch, ellipse, inliers, 1.0, 32, levels.background)
-    if flank is None:
+    if flank is None or levels.background >= patch.ceiling:
         return None
     x, y, root = flank
     t, root = 1 + x, root / root.mean()
