@@ -205,6 +205,8 @@ def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
     light, solver = solution.light(frame), solution.solver
     side, spot = solver.window.side, lit(light)
+    if not spot.any():  # an early, small spot, from which the window has moved on
+        return np.zeros((7, light.size))
     radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
     light = np.exp(solver.model.log_light(frame, light))
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
