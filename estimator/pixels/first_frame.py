@@ -67,13 +67,11 @@ def reach_px(spot: Outline, *, sharp: bool) -> float:
     return REACH[sharp] * spot.semi_major_px + beside
 
 
-def shown(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> FramePixels:
+def without_tool(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> FramePixels:
     """A picture without what the instrument hides, which a map would take for the wall's texture.
 
-    What hides light with a sharp edge was found by its darkness.
+    Only light without a sharp edge needs it: what hides a sharp one was found by its darkness.
     """
-    if beam.sharp:
-        return picture
     return replace(picture, usable=picture.usable & ~beam.hidden(pose))
 
 
@@ -329,7 +327,9 @@ def explained_alone(
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
     # Again with this wall's texture, in the channels in which it has the least.
     usable = picture.usable & ~window.pixels(outliers(best), picture.usable.shape)
-    picture = shown(replace(picture, usable=usable), beam, best.newest.pose)
+    picture = replace(picture, usable=usable)
+    if not beam.sharp:
+        picture = without_tool(picture, beam, best.newest.pose)
     clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
@@ -417,11 +417,12 @@ def explained_with(
     start = _start(hypothesis.solution.newest, solver, cells(motion), point, own, observation.sweep)
     if start is None:
         return None
-    picture = shown(observation.picture, solver.beam, start.pose)
-    observation = observation._replace(picture=picture)
+    if not solver.beam.sharp:
+        picture = without_tool(observation.picture, solver.beam, start.pose)
+        observation = observation._replace(picture=picture)
+        start = replace(start, cells=cells(motion))
     start = replace(
         start,
-        cells=cells(motion),
         shift_sigma=math.hypot(_STAYS_PX + hypothesis.shake_px, math.sqrt(2.0) * shake_px),
         # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
         robot=None if hypothesis.drifted(0.0) else observation.robot,
