@@ -288,7 +288,7 @@ def outcome(folder, command):
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     # Decoders of images, which are written in C, also print a word of their own.
-    theirs = ("libpng", "Corrupt JPEG data", "[")
+    theirs = ("libpng", "PNG warning", "Corrupt JPEG data", "[")
     own = [line for line in child.stderr.splitlines() if not line.startswith(theirs)]
     return child.exit_code, "\n".join(own), spent
 
