@@ -1,14 +1,9 @@
 from .camera import PathCamera as PathCamera
-from .camera import Pencils as Pencils
-from .camera import Reflex as Reflex
 from .camera import SideCamera as SideCamera
 from .camera import bare_path as bare_path
 from .camera import coaxial_falloff as coaxial_falloff
-from .camera import focal_depth as focal_depth
 from .camera import local_magnification as local_magnification
 from .camera import path_camera as path_camera
-from .camera import pencils as pencils
-from .camera import reflexes as reflexes
 from .camera import side_camera as side_camera
 from .camera import wall_point as wall_point
 from .eye import Eye as Eye
@@ -23,6 +18,11 @@ from .path import back_focus as back_focus
 from .path import equivalent_power as equivalent_power
 from .path import lines_of_sight as lines_of_sight
 from .path import viewing_path as viewing_path
+from .pencil import Pencils as Pencils
+from .pencil import focal_depth as focal_depth
+from .pencil import pencils as pencils
+from .reflex import Reflex as Reflex
+from .reflex import reflexes as reflexes
 from .trace import MISSED as MISSED
 from .trace import REFLECTED as REFLECTED
 from .trace import SEEN as SEEN

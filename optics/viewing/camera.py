@@ -1,10 +1,8 @@
 """The microscope behind a viewing path: from a wall point to its pixel and back.
 
-Then what such a camera sees: a microscope whose pinhole lies beside the axis of the eye, as half of
-a stereo pair; the wall point of a pixel and the local magnification there, which a spot's size
-needs; how the microscope's coaxial light thins out on the wall; the pencils of a microscope with a
-lens's pupil, lines of sight about each pixel's own; and the reflexes of a lamp at the surfaces of
-the path, Purkinje's images.
+Then a microscope whose pinhole lies beside the axis of the eye, as half of a stereo pair; the wall
+point of a pixel and the local magnification there, which a spot's size needs; and how the
+microscope's coaxial light thins out on the wall.
 """
 
 import equinox as eqx
@@ -14,12 +12,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
 from formats.inputs import InputError
-from optics import Camera, Surface, components, refract
+from optics import Camera, Surface, components
 from optics.surface import bisected
 from optics.viewing.path import (
+    SCANNED_MM,
     ViewingPath,
-    before_path,
-    last_medium,
+    check_finite,
     lines_of_sight,
     radial_nodes,
     radial_place,
@@ -27,20 +25,9 @@ from optics.viewing.path import (
     series_and_slope,
     skew_lines,
 )
-from optics.viewing.trace import (
-    SEEN,
-    VIGNETTED,
-    Element,
-    Iris,
-    Refracting,
-    ThinLens,
-    TracedRays,
-    trace,
-)
+from optics.viewing.trace import SEEN, VIGNETTED, TracedRays
 
 _NEWTON_STEPS = 8
-_SCAN = 400
-_WIDEST_AIM_MM = 14.0
 _BISECTIONS = 30
 _BEYOND_THE_IRIS = 1.3
 _SAFE = 0.98
@@ -233,12 +220,12 @@ def _limits(path: ViewingPath) -> tuple[Float[Array, ""], Float[Array, ""]]:
         reaches = ((seen.status == SEEN) | (seen.status == VIGNETTED)) & inside
         return jnp.stack([reaches, seen.status == SEEN])
 
-    step = _WIDEST_AIM_MM / _SCAN
-    fine = passes(step * (1.0 + jnp.arange(_SCAN)))
+    fine = passes(jnp.asarray(SCANNED_MM))
     everywhere = jnp.all(fine, axis=1)
-    last = step * jnp.where(everywhere, _SCAN, jnp.argmin(fine, axis=1))
+    step = SCANNED_MM[0]
+    last = step * jnp.where(everywhere, SCANNED_MM.size, jnp.argmin(fine, axis=1))
     low, _ = bisected(lambda aim: jnp.diagonal(passes(aim)), last, last + step, steps=_BISECTIONS)
-    field = jnp.where(everywhere[0], _WIDEST_AIM_MM, low[0])
+    field = jnp.where(everywhere[0], SCANNED_MM[-1], low[0])
     pupil = jnp.where(everywhere[1], jnp.inf, low[1])
     return jnp.minimum(_SAFE * field, _BEYOND_THE_IRIS * pupil), pupil
 
@@ -342,7 +329,7 @@ def side_camera(
     Raises:
         InputError: the path's pinhole is at infinity, so it cannot be beside the axis.
     """
-    _check_finite(path, "side_camera")
+    check_finite(path, "side_camera")
 
     def at_pole(aim: Float[Array, ""]) -> Float[Array, ""]:
         return lines_of_sight(path, aim).height
@@ -357,15 +344,6 @@ def side_camera(
         pole_height=-path.retina_semi_axes[2],
         px_per_aim=orientation * jnp.abs(magnification) / scale,
     )
-
-
-def _check_finite(path: ViewingPath, needs: str) -> None:
-    closeness = path.pinhole_closeness
-    if not isinstance(closeness, jax.core.Tracer) and not closeness > 0.0:
-        raise InputError(
-            f"{needs} needs a pinhole at a finite height; got a path with pinhole_distance inf. "
-            "Give viewing_path(pinhole_distance=...) in mm."
-        )
 
 
 def bare_path(*, eye_radius: ScalarLike, pinhole_height: ScalarLike) -> ViewingPath:
@@ -476,205 +454,3 @@ def coaxial_falloff(camera: PathCamera, wall: Surface) -> tuple[np.ndarray, floa
     height = np.asarray(hit[:, 2] - camera.pole_height)
     place = height / height[-1]
     return np.polynomial.polynomial.polyfit(place, light / light[0], _DEGREE), float(height[-1])
-
-
-class Pencils(eqx.Module):
-    r"""Lines of sight through a pupil, to first order in their slopes against the central ones.
-
-    In front of the path all lines of a pixel cross in one point of a plane, which the path images
-    into the plane in focus inside the eye. A line with the slope $\sigma$ against the central one,
-    which aims at t, lies
-
-    $$ p(t^2)\,\sigma + q(t^2)\,(t\cdot\sigma)\,t $$
-
-    beside it. Field curvature and astigmatism of the path are included; its coma and spherical
-    aberration within a pencil are of higher order.
-
-    Attributes:
-        camera: its central lines.
-        across: Chebyshev coefficients of p at the pole's height, mm, and of its growth with depth.
-        along: the same of q, 1/mm, and of its growth.
-    """
-
-    camera: PathCamera
-    across: Float[Array, "2 terms"]
-    along: Float[Array, "2 terms"]
-
-    def ray(
-        self, pixels: Float[ArrayLike, "*batch 2"], slope: Float[ArrayLike, "*batch 2"]
-    ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
-        """Lines of sight inside the eye, as `Camera.ray` describes them.
-
-        Args:
-            pixels: (u, v), px.
-            slope: of the lines against the central ones in front of the path, X and Y.
-        """
-        point, direction = self.camera.ray(pixels)
-        aim, slope = self.camera.aim(pixels), jnp.asarray(slope)
-        place = self.camera.place(jnp.sum(aim * aim, axis=-1))
-        turned = jnp.sum(aim * slope, axis=-1, keepdims=True) * aim
-        at_pole, growth = (
-            series(p, place)[..., None] * slope + series(q, place)[..., None] * turned
-            for p, q in zip(self.across, self.along, strict=True)
-        )
-        central = direction[..., :2] / -direction[..., 2:]
-        return self.camera.line_of_sight(point[..., :2] + at_pole, central + growth)
-
-
-@eqx.filter_jit
-def focal_depth(path: ViewingPath, *, focus: ScalarLike) -> Float[Array, ""]:
-    """Depth of the plane whose paraxial image by the path is a plane inside the eye.
-
-    Args:
-        focus: height of the plane inside the eye above the retinal pole, mm.
-
-    Returns:
-        mm below the cornea's vertex, as if there were only air; negative above it.
-    """
-
-    def at_focus(aim: Float[Array, ""], slope: Float[Array, ""]) -> Float[Array, ""]:
-        line = (jnp.stack([value, jnp.zeros(())]) for value in (aim, slope))
-        at_pole, growth, _ = skew_lines(path, *line)
-        return at_pole[0] - growth[0] * focus
-
-    by_aim, by_slope = jax.jacfwd(at_focus, (0, 1))(jnp.zeros(()), jnp.zeros(()))
-    return by_slope / by_aim
-
-
-@eqx.filter_jit
-def pencils(path: ViewingPath, camera: PathCamera, *, depth: ScalarLike) -> Pencils:
-    """The pencils of a microscope that is focused on a plane.
-
-    Args:
-        camera: the microscope behind it (`path_camera`).
-        depth: of the plane in focus in front of the path, mm (`focal_depth`).
-    """
-    t, to_series = radial_nodes(camera.widest)
-
-    def deviation(t: Float[Array, ""], slope: Float[Array, "2"]) -> Float[Array, "2 2"]:
-        aim = jnp.stack([t, jnp.zeros(())])
-
-        def moved(part: Float[Array, ""]) -> Float[Array, "2 2"]:
-            # It crosses the central line at the depth in focus.
-            beside = aim - depth * part * slope
-            return jnp.stack(
-                skew_lines(path, beside, path.pinhole_closeness * aim + part * slope)[:2]
-            )
-
-        return jax.jvp(moved, (jnp.zeros(()),), (jnp.ones(()),))[1]
-
-    radial, sideways = (jax.vmap(deviation, (0, None))(t, slope) for slope in jnp.eye(2))
-    p, q = sideways[..., 1], (radial[..., 0] - sideways[..., 1]) / t[:, None] ** 2
-    return Pencils(camera=camera, across=(to_series @ p).T, along=(to_series @ q).T)
-
-
-_STEEPEST = 1.0
-"""Largest slope of returning light: steeper lines go far past every lamp."""
-_SAFE_SLOPE = 0.98  # towards a total reflection the series converge slowly
-
-
-class Reflex(eqx.Module):
-    """Where lines of sight end in the pinhole's plane if one surface reflects them.
-
-    A line that aims at a distance t from the axis returns to a distance t m(t²) from it. A pixel
-    shows the lamp if the lamp covers the place to which its line returns.
-
-    Attributes:
-        returning: Chebyshev coefficients of m.
-        strength: Chebyshev coefficients of the part of the light that comes back.
-        widest: largest t of the series, mm; up to it the iris stops no line.
-    """
-
-    returning: Float[Array, "terms"]
-    strength: Float[Array, "terms"]
-    widest: Float[Array, ""]
-
-    @eqx.filter_jit
-    def place(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch 2"]:
-        """X and Y to which lines of sight return in the pinhole's plane, mm."""
-        aim = jnp.asarray(aim)
-        place = radial_place(jnp.sum(aim * aim, axis=-1), self.widest)
-        return series(self.returning, place)[..., None] * aim
-
-    @eqx.filter_jit
-    def part(self, aim: Float[ArrayLike, "*batch 2"]) -> Float[Array, "*batch"]:
-        """Part of the light that comes back: Fresnel's, there and back; 0 outside the series."""
-        t2 = jnp.sum(jnp.square(jnp.asarray(aim)), axis=-1)
-        strength = series(self.strength, radial_place(t2, self.widest))
-        return jnp.where(t2 <= self.widest**2, strength, 0.0)
-
-
-def reflexes(path: ViewingPath) -> tuple[Reflex, ...]:
-    """The reflexes at a path's refracting surfaces, in their order; each line is reflected once.
-
-    Raises:
-        InputError: the path's pinhole is at infinity, and so would be the lamp.
-    """
-    _check_finite(path, "reflexes")
-    surfaces = [k for k, element in enumerate(path.elements) if isinstance(element, Refracting)]
-    return tuple(_reflex(path, at) for at in surfaces)
-
-
-@eqx.filter_jit
-def _reflex(path: ViewingPath, at: int) -> Reflex:
-    step = _WIDEST_AIM_MM / _SCAN
-    _, _, returns = _returned(path, at, step * (1.0 + jnp.arange(_SCAN)))
-    # 0 if the first line is lost: then no line is shown.
-    last = step * jnp.where(jnp.all(returns), _SCAN, jnp.argmin(returns))
-    widest = jnp.maximum(_SAFE_SLOPE * last, 1e-3 * step)
-    t, to_series = radial_nodes(widest)
-    place, strength, _ = _returned(path, at, t)
-    return Reflex(to_series @ (place / t), to_series @ strength, widest)
-
-
-def _returned(
-    path: ViewingPath, at: int, aim: Float[Array, "n"]
-) -> tuple[Float[Array, "n"], Float[Array, "n"], Bool[Array, "n"]]:
-    """Distance from the axis in the pinhole's plane, part of the light, and whether it returns."""
-    before, mirror = path.elements[:at], path.elements[at]
-    assert isinstance(mirror, Refracting)
-    meridional = jnp.stack([aim, jnp.zeros_like(aim)], axis=-1)
-    there = trace(before, *before_path(path, meridional, path.pinhole_closeness * meridional))
-    medium, front = last_medium(before)
-    point, direction, meets = medium.to_surface(
-        there.point, there.direction, mirror.surface, front=front
-    )
-    normal = mirror.surface.normal(point)
-    depth = mirror.depth
-    _, passed, _ = refract(
-        direction=direction,
-        normal=normal,
-        index_incident=medium.index_at(point, front=front),
-        index_transmitted=mirror.medium.index_at(point, front=depth),
-    )
-    direction = direction - 2.0 * jnp.sum(direction * normal, axis=-1)[..., None] * normal
-    # Seen upside down, the light goes on through the same elements in reversed order.
-    upwards = jnp.array([1.0, 1.0, -1.0])
-    back = trace(
-        _reversed(before),
-        upwards * point,
-        upwards * direction,
-        medium=medium.reversed(depth - front),
-        front=-depth,
-    )
-    slope = back.direction[:, 0] / back.direction[:, 2]
-    place = back.point[:, 0] + slope * (1.0 / path.pinhole_closeness - back.point[:, 2])
-    part = there.transmittance * (1.0 - passed) * back.transmittance
-    returns = meets & (there.status == SEEN) & (back.status == SEEN)
-    return place, part, returns & (jnp.abs(slope) < _STEEPEST)
-
-
-def _reversed(elements: tuple[Element, ...]) -> tuple[Element, ...]:
-    """Elements as light meets them that comes back, with depths that count upwards."""
-    found: list[Element] = []
-    for number in reversed(range(len(elements))):
-        element = elements[number]
-        if isinstance(element, Refracting):
-            medium, front = last_medium(elements[:number])
-            behind = medium.reversed(element.depth - front)
-            found.append(Refracting(element.surface.reversed(), behind))
-        elif isinstance(element, ThinLens):
-            found.append(ThinLens(depth=-element.depth, power=element.power))
-        else:
-            found.append(Iris(depth=-element.depth, radius=element.radius))
-    return tuple(found)

@@ -25,6 +25,8 @@ from optics.viewing.trace import (
 )
 
 TERMS = 28  # of a series in the squared distance t² from the axis, up to the widest t
+SCANNED_MM = 14.0 / 400 * (1.0 + np.arange(400))
+"""Aims t at which a path is tried for the widest that passes."""
 
 
 def radial_nodes(widest: Float[Array, ""]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
@@ -227,6 +229,16 @@ def last_medium(elements: tuple[Element, ...]) -> tuple[Medium, Float[Array, ""]
         if isinstance(element, Refracting):
             return element.medium, element.depth
     return Medium(1.0), jnp.zeros(())
+
+
+def check_finite(path: ViewingPath, needs: str) -> None:
+    """Refuse a pinhole at infinity; `needs` names what cannot have it there."""
+    closeness = path.pinhole_closeness
+    if not isinstance(closeness, jax.core.Tracer) and not closeness > 0.0:
+        raise InputError(
+            f"{needs} needs a pinhole at a finite height; got a path with pinhole_distance inf. "
+            "Give viewing_path(pinhole_distance=...) in mm."
+        )
 
 
 def _before(boundary: Refracting, index: ScalarLike) -> Refracting:

@@ -10,17 +10,11 @@ import numpy as np
 from scipy.optimize import brentq
 
 import optics
-from optics.viewing.camera import (
-    PathCamera,
-    Pencils,
-    Reflex,
-    focal_depth,
-    path_camera,
-    pencils,
-    reflexes,
-)
+from optics.viewing.camera import PathCamera, path_camera
 from optics.viewing.eye import load_eye, load_viewing_lens
 from optics.viewing.path import ViewingPath, viewing_path
+from optics.viewing.pencil import Pencils, focal_depth, pencils
+from optics.viewing.reflex import Reflex, reflexes
 from scenes.description.scene import Scene
 from scenes.description.settings import SceneError
 
