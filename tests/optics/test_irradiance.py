@@ -159,8 +159,13 @@ def test_no_light_of_a_hundred_lenses_is_lost():
                 _, axial = light(radius=rho[:, 0], distance=distance)
                 return 2 * np.pi * rho[:, 0] * np.asarray(axial)
 
-            edge = [float(light.envelope(distance))]
-            flux = cubature(ring, [0.0], edge, rule="gk15", rtol=0, atol=3e-5 * power).estimate
+            # A narrow ring may fall between the nodes of the whole, which then states 1e-5 and is
+            # off by 8e-4. Slices are off by less than 1e-5.
+            edges = np.linspace(0.0, float(light.envelope(distance)), 25)[:, None]
+            flux = sum(
+                cubature(ring, *ends, rule="gk15", rtol=0, atol=1e-6 * power).estimate
+                for ends in pairwise(edges)
+            )
             lost.append(abs(flux / power - 1))
             radius = float(light.envelope(distance)) * np.linspace(0.0, 0.97, 12)
             expected = np.array([irradiance(lens, medium, r, distance) for r in radius])
