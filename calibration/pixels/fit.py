@@ -100,9 +100,9 @@ _POOR, _MISSED = 1.0, 0.25
 """Chi squared per cell above which a fit in wide cells, and then one in small cells, is not that of
 the right beam. Its unit is an error of 1 % of a frame's peak, so the latter is one of 0.5 %. Of
 right fits it was at most 0.13 (0.36 %), of a core that is 20 % too wide 0.9."""
-_ALIKE = 0.05
-"""Relative difference of the misfits of two starts that have led to the same beam: it is the best
-there is, though it misses light."""
+_ALIKE = 3.0
+"""Standard errors between the results of two starts that are one beam: it is the best there is,
+though it misses light. Misfits as large as each other do not show it (number 73)."""
 _HOPELESS = 0.04
 """Part of the light, RMS, that a beam may miss after the first rounds: no later step mends that."""
 _GUESS_STEPS = 15
@@ -292,12 +292,15 @@ class _FitRun(NamedTuple):
                 continue
             tried.remove(best)
             found.append(self._guess(best.point, first=False))
-            *before, misfit = (solver.misfit for solver in found)
-            if misfit < _MISSED or any(math.isclose(misfit, one, rel_tol=_ALIKE) for one in before):
+            *before, last = found
+            if last.misfit < _MISSED or any(last.distance(one.point) < _ALIKE for one in before):
                 break
         if not found:
             found.append(self._guess(min(tried, key=attrgetter("misfit")).point, first=False))
-        return min(found, key=attrgetter("misfit"))
+        best = min(found, key=attrgetter("misfit"))
+        if tried or best is not found[-1]:  # the last table is that of another start
+            self._tabulate(best, coarse=False)
+        return best
 
     def _guess(self, point: Point, *, first: bool, even: bool = False) -> BeamSolver:
         """A fit of some frames, in wide or in small cells, from a point that may be far off.
@@ -372,17 +375,17 @@ class _FitRun(NamedTuple):
                 solver.point = point.halfway(best)
             else:
                 best, least, asked = point, found.first, solver.difference(point, solver.point)
-            step = solver.difference(best, solver.point)
-            left = math.sqrt(float(step @ solver.effective()[0] @ step))
+            left = solver.distance(best)
             if self.lens is None or left < _NEAR:
                 break
         if too_far:
             solver.point = best
             self._tabulate(solver, coarse=False)
             solver.evaluate()
+            left = solver.length(asked)
         elif self.lens is None or left < _NEAR:
             return None, None
-        elif left > _MOST_OF_TABLE:
+        if left > _MOST_OF_TABLE:
             why = (
                 f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
                 f"the result; {_MOST_OF_TABLE:g} are allowed"
