@@ -17,16 +17,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
+from formats.page import PALETTE, templates
 from formats.page import STYLE as STYLE_OF_FITS
-from formats.page import templates
 
 # Style, small multiples and files of figures.
 
-# Palette of Okabe and Ito, which colour-blind readers can distinguish.
-BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
-BLUE, VERMILION, PURPLE, GREY = "#0072B2", "#D55E00", "#CC79A7", "#8A8A8A"
-
-PALETTE = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BLACK)
+BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BLACK = PALETTE
+GREY = "#8A8A8A"
 
 STYLE = STYLE_OF_FITS | {
     "font.family": "DejaVu Sans",

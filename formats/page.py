@@ -4,6 +4,9 @@ from typing import Any
 
 import jinja2
 
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#CC79A7", "#56B4E9", "#000000")
+"""Of Okabe and Ito, which colour-blind readers can distinguish."""
+
 STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 8,

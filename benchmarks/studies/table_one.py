@@ -25,6 +25,7 @@ from benchmarks.reporting import listed, rows_of, where
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import Lines, fit_lines
 from estimator import LiteralSettings
+from formats.page import PALETTE
 from formats.whole_files import write_text
 from scenes import Scene
 from scenes.world.world import World
@@ -414,7 +415,7 @@ def _figure(
     def misfits(axes: Axes) -> None:
         near = where(scan, asked=AT_SCALE).sort_values("sag_mm")
         apertures = near.groupby("numerical_aperture")
-        for (aperture, own), colour in zip(apertures, page.PALETTE, strict=False):
+        for (aperture, own), colour in zip(apertures, PALETTE, strict=False):
             label = f"NA {aperture:.2f}"
             axes.plot(own.sag_mm, own.miss, marker="o", ms=3, color=colour, label=label)
         axes.axhline(1.0, color=page.GREY, lw=0.8, ls=":")
@@ -422,7 +423,7 @@ def _figure(
 
     def spots(axes: Axes, way: paper.Way) -> None:
         d_r = readings(0.0, FARTHEST_MM)
-        for one, colour in zip(confirmed, page.PALETTE, strict=False):
+        for one, colour in zip(confirmed, PALETTE, strict=False):
             choice, light = one.choice, isophotes[family_of(one.choice)]
             radius = light.half_maximum(d_r)
             if way is paper.LITERAL:

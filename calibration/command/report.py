@@ -16,10 +16,8 @@ from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from calibration.recordings import Recording
 from calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
 from formats.inputs import in_figure
-from formats.page import STYLE, templates
+from formats.page import PALETTE, STYLE, templates
 
-# Palette of Okabe and Ito, which colour-blind readers can distinguish.
-_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
 
@@ -138,7 +136,7 @@ def _lines(fitted: Fitted) -> Figure:
         axis = np.asarray(trial.ellipses.semi_minor)
         count_from = trial.touch.mean if trial.kind == "eyeball" else 0.0
         distance = trial.readings + count_from
-        colour = _COLOURS[number % len(_COLOURS)]
+        colour = PALETTE[number % len(PALETTE)]
         _marks(left, axis, distance, number, recording.name)
         left.plot(size, line, color=colour, lw=1)
         left_over = np.interp(axis, size, line) - distance
@@ -157,7 +155,7 @@ def _marks(axes: Axes, x: Any, y: Any, number: int, label: str) -> None:
         x,
         y,
         _MARKERS[number % len(_MARKERS)],
-        color=_COLOURS[number % len(_COLOURS)],
+        color=PALETTE[number % len(PALETTE)],
         ms=3.5,
         label=in_figure(label),
     )
