@@ -186,8 +186,9 @@ def dataset(
     Raises:
         InputError: the spec is wrong.
     """
-    from benchmarks.sets.make import cores, local_workers, make_set
+    from benchmarks.sets.make import make_set
     from benchmarks.sets.spec import load_spec
+    from benchmarks.sets.workers import cores, local_workers
 
     settings = load_spec(str(spec), tuple(changes))
     with quiet(bars=progress):

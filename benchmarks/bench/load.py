@@ -22,9 +22,10 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
-from benchmarks.sets.make import local_workers, make_set, versions
+from benchmarks.sets.make import make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
+from benchmarks.sets.workers import local_workers
 from estimator import SubpixelMode, SubpixelSettings
 from formats.spots import Spot
 from scenes import changed, render_stack

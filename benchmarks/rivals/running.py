@@ -26,8 +26,8 @@ from benchmarks.paper import VISIBLE_ENOUGH
 from benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
 from benchmarks.rivals.learned.network import WEIGHTS
 from benchmarks.rivals.pupil import PACKAGE
-from benchmarks.sets.make import cores, local_workers
 from benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
+from benchmarks.sets.workers import cores, local_workers
 from benchmarks.study import versions, write_json
 from estimator import Frame, Ranger, open_source
 from estimator.run.options import OUT

@@ -15,14 +15,10 @@ import pytest
 from distributed import Client
 
 from benchmarks.sets import make
-from benchmarks.sets.make import (
-    estimate,
-    local_workers,
-    make_set,
-    running_scheduler,
-)
+from benchmarks.sets.make import estimate, make_set
 from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import load_spec, plan
+from benchmarks.sets.workers import local_workers, running_scheduler
 from scenes import SceneError, check_scene
 from tests.drawn_sets import digests
 

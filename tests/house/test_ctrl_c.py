@@ -161,7 +161,7 @@ def test_workers_are_reached_from_this_machine_only():
     """A cluster's dashboard and ports have no password."""
     import psutil
 
-    from benchmarks.sets.make import local_workers
+    from benchmarks.sets.workers import local_workers
 
     with local_workers(1) as client:
         client.wait_for_workers(1)
