@@ -34,7 +34,7 @@ def camera(
         bayer: Colours are interpolated behind a Bayer filter.
     """
     from estimator.photon_transfer import measured_noise
-    from formats.images import read_image
+    from estimator.sources.files import open_images
     from formats.inputs import in_file, object_in, read_text
     from formats.microscope import read_microscope
     from formats.whole_files import refuse_existing, write_text
@@ -47,13 +47,12 @@ def camera(
         )
     with in_file(microscope):
         content = object_in(read_text(microscope))
-    names = sorted(path for path in folder.iterdir() if path.suffix.lower() in _IMAGES)
-    if len(names) < 2 or len(names) % 2:
+    images = [frame.image for frame in open_images(folder).read()]
+    if len(images) % 2:
         raise InputError(
-            f"{folder}: {len(names)} images make no pairs. Give two of each brightness, named so "
+            f"{folder}: {len(images)} images make no pairs. Give two of each brightness, named so "
             "that they follow each other."
         )
-    images = [read_image(name).image for name in names]
     pairs = list(zip(images[::2], images[1::2], strict=True))
     with in_file(folder):
         found = measured_noise(pairs, bit_depth=bit_depth, bayer=bayer)
@@ -67,6 +66,3 @@ def camera(
         f"{sheet.black_level_dn:.2f} DN, PRNU {100 * sheet.prnu:.2f} %; variances within "
         f"{100 * found.worst:.1f} % of a straight line, from {len(pairs)} pairs."
     )
-
-
-_IMAGES = {".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg"}

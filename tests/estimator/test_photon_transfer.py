@@ -65,7 +65,7 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
     folder.mkdir()
     for number, pair in enumerate(_pairs()):
         for k, frame in enumerate(pair):
-            cv2.imwrite(f"{folder}/{number}{k}.png", frame[..., ::-1])
+            cv2.imwrite(f"{folder}/{2 * number + k + 1}.png", frame[..., ::-1])
     microscope = a_microscope_file(tmp_path)
     out = tmp_path / "with_camera.json"
     printed("camera", folder, "--microscope", microscope, "--out", out)
