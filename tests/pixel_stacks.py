@@ -55,9 +55,7 @@ def readings_of(stack, folder: Path, poses=None, **options):
     reader = reader_in(stack, folder, **options)
     poses = poses or read_poses(stack.folder / "kinematics.csv")
     for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
-        found = reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-        ).range
+        found = reader.read(frame, poses=poses).range
         assert found is not None
         (pose,) = found.poses
         chi_squared = pose.chi_squared(labels.tip_mm, labels.axis)

@@ -26,7 +26,7 @@ from benchmarks.sets.make import make_set, versions
 from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import SetSpec, load_spec, plan
 from benchmarks.sets.workers import local_workers
-from estimator import SubpixelMode, SubpixelSettings
+from estimator import Frame, SubpixelMode, SubpixelSettings
 from formats.spots import Spot
 from scenes import changed, render_stack
 from scenes.drawn import Drawing, any_truth, any_wall, frame_of
@@ -78,14 +78,14 @@ def reader_load(full: bool = False) -> pd.DataFrame:
         reader, camera = SubpixelMode(SubpixelSettings(), None), cycle(_frames())
         seconds, memory, spots, late = np.empty(number), [], 0, 0
         for image in islice(camera, _WARM):
-            reader.read(image)
+            reader.read(Frame(index=0, image=image))
         began = time.perf_counter()
         for k, image in enumerate(islice(camera, number)):
             due = began + k / _RATE_HZ
             if paced:
                 time.sleep(max(due - time.perf_counter(), 0.0))
             start = time.perf_counter()
-            spots += isinstance(reader.read(image).result, Spot)
+            spots += isinstance(reader.read(Frame(index=k, image=image)).result, Spot)
             end = time.perf_counter()
             seconds[k] = end - start
             late += paced and end - due > 1 / _RATE_HZ

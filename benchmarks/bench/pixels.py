@@ -60,11 +60,9 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
             reader.forget()
             subpixel.forget()
         began = time.perf_counter()
-        read = reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-        )
+        read = reader.read(frame, poses=poses)
         seconds, true_px = time.perf_counter() - began, labels.half_max_semi_minor_px
-        spot, at_pose = subpixel.read(frame.image).result, math.nan
+        spot, at_pose = subpixel.read(frame).result, math.nan
         pose = read.range.poses[0] if read.range and read.range.poses else None
         if pose is not None:
             at_pose = float(half_maximum_px(world, pose.tip_mm[None], pose.axis)[0]) - true_px
@@ -391,9 +389,7 @@ def memory(full: bool = False) -> pd.DataFrame:
         poses = told_poses(stack, rng)
     for k, frame in enumerate(islice(cycle(frames + frames[-2:0:-1]), warm + number)):
         began = time.perf_counter()
-        read = reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, poses=poses
-        )
+        read = reader.read(frame, poses=poses)
         seconds[k] = time.perf_counter() - began
         if k >= warm:
             posed += bool(read.range and read.range.poses)

@@ -221,9 +221,7 @@ class EyespotMode(Entry):
 
     def read(self, frame: Frame) -> Answer:
         """Measure the next frame."""
-        reading = self._reader.read(
-            frame.image, time_s=frame.time_s, exposure_s=frame.exposure_s, name=frame.file_name
-        )
+        reading = self._reader.read(frame, name=frame.file_name)
         return reading.result, reading.range
 
 

@@ -30,7 +30,7 @@ import scenes
 from benchmarks.paper import rms, withdrawal
 from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, small_multiples
 from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Reader
+from estimator import Frame, Reader
 from formats.inputs import InputError
 from formats.stack import Stack
 from optics.wall_light.lens import lens_parameters, lens_toml
@@ -161,7 +161,9 @@ def measured(study: Study, lenses: Mapping[str, Path], peak: float) -> pd.DataFr
                 readers[lens, mode] = study.reader(stack, trials[name], mode)
             for label, sigma in zip(stack.labels, sigmas, strict=True):
                 readers[lens, mode].forget()
-                reading = readers[lens, mode].read(stack.image(label))
+                reading = readers[lens, mode].read(
+                    Frame(index=label.frame, image=stack.image(label))
+                )
                 error, stated = reading.distance_mm - label.d_mm, reading.sigma_distance_mm
                 rows.append((lens, mode, wall, label.d_mm, sigma, stated, error, reading.doubt))
         columns = "lens mode wall d_mm sigma_mm stated_mm error_mm doubt".split()

@@ -22,7 +22,7 @@ from benchmarks import reporting as page
 from benchmarks.reporting import grouped, number, rows_of, where
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
-from estimator import Ranger, Reading
+from estimator import Frame, Ranger, Reading
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.poses import PoseTrack, read_poses
 from formats.stack import Stack
@@ -224,7 +224,8 @@ def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) ->
     labels = stack.exposed(way.exposure)
     reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=way.click(labels))
     for row, image in zip(labels, stack.images(way.exposure), strict=True):
-        yield reader.read(image, time_s=row.time_s, exposure_s=row.exposure_s, poses=poses)
+        frame = Frame(index=row.frame, image=image, time_s=row.time_s, exposure_s=row.exposure_s)
+        yield reader.read(frame, poses=poses)
 
 
 # Sizes.

@@ -173,8 +173,8 @@ class LoopCamera:
             times = taken_s + np.linspace(-0.1, HALF_EXPOSURE_S, 43)
             rows = zip(times.tolist(), *(part.tolist() for part in pose(times)), strict=True)
             poses = PoseTrack(Pose.along(u, time_s=t, position_mm=tip) for t, tip, u in rows)
-            reading = reader.read(image, time_s=taken_s, exposure_s=exposure_s, poses=poses)
-            frame = Frame(index=number, time_s=taken_s, image=image)
+            frame = Frame(index=number, time_s=taken_s, exposure_s=exposure_s, image=image)
+            reading = reader.read(frame, poses=poses)
             self.seen.append((frame, record_of(frame, reading)))
             return math.nan if reading.doubt else reading.distance_mm
 

@@ -336,14 +336,8 @@ class Session:
 
     def _measure(self, frame: Frame, number: int) -> None:
         arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()
-        reading = self._reader.read(
-            frame.image,
-            time_s=frame.time_s,
-            exposure_s=frame.exposure_s,
-            full_scale=frame.full_scale,
-            poses=poses,
-            name=f"{self.source.name}, frame {frame.index}",
-        )
+        name = f"{self.source.name}, frame {frame.index}"
+        reading = self._reader.read(frame, poses=poses, name=name)
         self._remember(frame, reading, arrived_s, poses)
         with self._record:
             if self._write is not None:

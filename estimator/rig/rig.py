@@ -138,12 +138,9 @@ class Rig:
         reading, fault = Reading(self._reader.mode, failed), ""
         try:
             image, full_scale = frame_of_message(message)
-            poses = self.poses.track()
-            reading = self._reader.read(
-                image, time_s=time_s, full_scale=full_scale, poses=poses, name=name
-            )
+            frame = Frame(index=number, time_s=time_s, image=image, full_scale=full_scale)
+            reading = self._reader.read(frame, poses=self.poses.track(), name=name)
             if self._show is not None:
-                frame = Frame(index=number, time_s=time_s, image=image, full_scale=full_scale)
                 self._show(frame, reading)
         except InputError as error:
             fault = f"{error}"

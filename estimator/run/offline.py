@@ -179,14 +179,7 @@ def _readings(
             yield frame, Reading(reader.mode, NoSpot(Reason.UNREADABLE))
             continue
         try:
-            reading = reader.read(
-                frame.image,
-                time_s=frame.time_s,
-                exposure_s=frame.exposure_s,
-                full_scale=frame.full_scale,
-                poses=poses or PoseTrack(()),
-                name=where,
-            )
+            reading = reader.read(frame, poses=poses or PoseTrack(()), name=where)
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
         yield frame, reading

@@ -18,6 +18,7 @@ from estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
 from estimator.distance.range import Range
 from estimator.distance.ranger import Ranger
 from estimator.run import exit_codes
+from estimator.sources.source import Frame
 from formats.inputs import InputError
 from formats.poses import Pose, PoseTrack, Quaternion, turned
 from formats.spots import NoSpot, Reason, Spot
@@ -72,25 +73,6 @@ class Reading(NamedTuple):
         if isinstance(self.result, NoSpot) and self.range is None:
             reason = self.result.reason
         return reason.value if reason else ""
-
-
-class Context(NamedTuple):
-    """What is known of a frame besides its pixels.
-
-    Attributes:
-        time_s: on the poses' clock; NaN if unknown.
-        exposure_s: NaN if unknown.
-        poses: the robot's, of some time round the frame's.
-    """
-
-    time_s: float
-    exposure_s: float
-    poses: PoseTrack
-
-    @property
-    def pose(self) -> tuple[Pose | None, float]:
-        """The robot's newest pose, and its age, s; None and NaN where there is none."""
-        return self.poses.at(self.time_s) or (None, math.nan)
 
 
 Found = tuple[Range | None, Budget | None]
@@ -149,40 +131,33 @@ class Reader(ABC, Generic[S, R]):
         self._start = (x_px, y_px)
         self._state = TrackState(at_px=self._start)
 
-    def read(
-        self,
-        image: np.ndarray,
-        *,
-        time_s: float = math.nan,
-        exposure_s: float = math.nan,
-        full_scale: float | None = None,
-        poses: PoseTrack = _NO_POSES,
-        name: str = "a frame",
-    ) -> Reading:
+    def read(self, frame: Frame, *, poses: PoseTrack = _NO_POSES, name: str = "a frame") -> Reading:
         """Measure the next frame.
 
         A frame that meets a bug is a frame without a spot (`Reason.INTERNAL_ERROR`); the traceback
         is logged, and the next spot may be any near the last place.
 
         Args:
-            image: as `measure` takes it.
-            time_s, exposure_s, poses: see `Context`.
-            full_scale: at which the source says that its values end; the settings' counts before.
+            frame: with an image as `measure` takes it; the settings' full scale counts before the
+                frame's own.
+            poses: the robot's, of some time round the frame's, on its clock.
 
         Raises:
             InputError: the image is not an image or not of the microscope's size, its full scale is
                 not known, or the start lies outside of the first image.
         """
-        self._check(image)
-        if self._shape not in (None, image.shape):
+        self._check(frame.image)
+        if self._shape not in (None, frame.image.shape):
             self.forget()
-        self._shape = image.shape
-        context = Context(time_s, self._exposure_s or exposure_s, poses)
+        self._shape = frame.image.shape
+        if self._exposure_s is not None:
+            frame = replace(frame, exposure_s=self._exposure_s)
         try:
-            self._scale(image, full_scale)
-            result, self._state = measure(image, self._state, self._scaled)
-            found, budget = self._distance(result, image, context)
-            reading = Reading(self.mode, result, found, context.pose[1], budget)
+            self._scale(frame)
+            result, self._state = measure(frame.image, self._state, self._scaled)
+            found, budget = self._distance(result, frame, poses)
+            _, age_s = poses.at(frame.time_s) or (None, math.nan)
+            reading = Reading(self.mode, result, found, age_s, budget)
         except InputError:
             raise
         except Exception as error:
@@ -193,7 +168,7 @@ class Reader(ABC, Generic[S, R]):
         return reading
 
     @abstractmethod
-    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+    def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
         """The distance and what it is worth; None where there is none."""
 
     def _axis(self, pose: Pose | None) -> np.ndarray | None:
@@ -202,12 +177,13 @@ class Reader(ABC, Generic[S, R]):
             return None
         return np.array(turned(turned(self._beam_in_tool, pose.rotation), self._turn))
 
-    def _motion(self, context: Context) -> ToolMotion:
+    def _motion(self, time_s: float, poses: PoseTrack) -> ToolMotion:
         """The tool's motion at a frame's pose, from the pose some time before."""
-        pose, age_s = context.pose
-        if pose is None:
+        known = poses.at(time_s)
+        if known is None:
             return AT_REST
-        before, _ = context.poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
+        pose, age_s = known
+        before, _ = poses.at(pose.time_s - _SPAN_S) or known
         span_s = pose.time_s - before.time_s
         if span_s <= 0:
             return AT_REST
@@ -216,14 +192,14 @@ class Reader(ABC, Generic[S, R]):
         turn = math.acos(min(1.0, float(np.dot(pose.axis, before.axis)))) / span_s
         return ToolMotion(velocity_mm_s=velocity, turn_rad_s=turn, pose_age_s=age_s)
 
-    def _scale(self, frame: np.ndarray, full_scale: float | None) -> None:
+    def _scale(self, frame: Frame) -> None:
         """Take over the full scale of a frame."""
-        known = self.settings.response.full_scale or full_scale
-        if known is None and frame.dtype.kind == "f" and frame.max() > 1:
+        known = self.settings.response.full_scale or frame.full_scale
+        if known is None and frame.image.dtype.kind == "f" and frame.image.max() > 1:
             raise InputError(
-                f"the image has floats up to {frame.max():g}, and its full scale is not known. "
-                "Give full_scale (--full-scale 255 if the values were of 8 bits), or write it into "
-                "the microscope file."
+                f"the image has floats up to {frame.image.max():g}, and its full scale is not "
+                "known. Give full_scale (--full-scale 255 if the values were of 8 bits), or write "
+                "it into the microscope file."
             )
         if known != self._scaled.response.full_scale:
             response = replace(self.settings.response, full_scale=known)
@@ -248,19 +224,22 @@ class Reader(ABC, Generic[S, R]):
 class _OutlineMode(Reader[S, Ranger | None]):
     """The distance from the spot's outline, by one of the models."""
 
-    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+    def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
         if self._ranger is None or isinstance(result, NoSpot):
             return None, None
-        axis = self._axis(context.pose[0])
+        pose, _ = poses.at(frame.time_s) or (None, math.nan)
+        axis = self._axis(pose)
         found = self._ranger.distance(
             result,
             axis=axis,
             axis_sigma_rad=math.radians(self._stated.axis_sigma_deg),
-            frame=frame,
-            exposure_s=None if math.isnan(context.exposure_s) else context.exposure_s,
+            frame=frame.image,
+            exposure_s=None if math.isnan(frame.exposure_s) else frame.exposure_s,
         )
-        budgets = Budgets(self._ranger, self._stated)
-        return found, budgets.of(result, found, axis=axis, motion=self._motion(context))
+        motion = self._motion(frame.time_s, poses)
+        return found, Budgets(self._ranger, self._stated).of(
+            result, found, axis=axis, motion=motion
+        )
 
 
 class LiteralMode(_OutlineMode[LiteralSettings]):
@@ -286,26 +265,27 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
         if self._shape is not None:
             self._ranger.forget()
 
-    def _distance(self, result: Spot | NoSpot, frame: np.ndarray, context: Context) -> Found:
+    def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
         from estimator.pixels.beam import NODES, Sweep
         from estimator.pixels.frame_model import RobotPose
 
         sweep = robot = None
-        axis, turn, poses = self._axis(context.pose[0]), self._turn, context.poses
+        pose, _ = poses.at(frame.time_s) or (None, math.nan)
+        axis, turn = self._axis(pose), self._turn
         if axis is not None and turn is not None:
-            exposure_s = 0.0 if math.isnan(context.exposure_s) else context.exposure_s
-            places = [poses.interpolated(context.time_s + n * exposure_s) for n in (0.0, *NODES)]
+            exposure_s = 0.0 if math.isnan(frame.exposure_s) else frame.exposure_s
+            places = [poses.interpolated(frame.time_s + n * exposure_s) for n in (0.0, *NODES)]
             known = [place for place in places if place is not None]
             if len(known) == len(places):
                 tips = np.array([turned(place.position_mm, turn) for place in known])
                 axes = np.array([self._axis(place) for place in known])
                 sweep = Sweep(tips[1:] - tips[0], axes[1:] - axes[0])
-                speed = math.hypot(*self._motion(context).velocity_mm_s)
+                speed = math.hypot(*self._motion(frame.time_s, poses).velocity_mm_s)
                 sigma_mm = _ROBOT_MM + speed * self._stated.clock_sigma_s
                 robot = RobotPose(tips[0], axes[0], sigma_mm)
         found = self._ranger.distance(
-            outlines_of(frame, result, self._scaled),
-            frame=frame,
+            outlines_of(frame.image, result, self._scaled),
+            frame=frame.image,
             axis=axis,
             axis_sigma_rad=math.radians(self._stated.axis_sigma_deg),
             sweep=sweep,

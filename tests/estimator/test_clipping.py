@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
 from estimator.detector.band import hidden_edge
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import Levels
@@ -177,7 +177,7 @@ def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
     size = SHAPE[1], SHAPE[0]
     microscope = a_microscope_file(tmp_path, size, pinhole_height_mm=11.5, response="srgb", **keys)
     reader = Options.of({"microscope": microscope}).reader()
-    spot = reader.read(frame).result
+    spot = reader.read(Frame(index=0, image=frame)).result
     assert isinstance(spot, Spot)
     assert_within(spot, (40, 30))
 
@@ -185,10 +185,11 @@ def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
 def test_floats_beyond_one_need_their_full_scale():
     frame = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4).astype(np.float32)
     with pytest.raises(InputError, match=r"floats up to 220.*--full-scale 255"):
-        Options.of({}).reader().read(frame)
+        Options.of({}).reader().read(Frame(index=0, image=frame))
     for reading in (
-        Options.of({"full_scale": 255}).reader().read(frame),
-        Options.of({}).reader().read(frame, full_scale=255.0),  # as the source says
+        Options.of({"full_scale": 255}).reader().read(Frame(index=0, image=frame)),
+        # As the source says.
+        Options.of({}).reader().read(Frame(index=0, image=frame, full_scale=255.0)),
     ):
         assert isinstance(reading.result, Spot)
         assert_within(reading.result, (40, 30))

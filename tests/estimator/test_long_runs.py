@@ -95,7 +95,7 @@ def test_a_frame_that_meets_a_bug_fails_alone_and_the_run_ends_with_1(
 def test_a_command_after_one_that_met_a_bug_is_not_to_blame(monkeypatch, tmp_path, frames, images):
     with monkeypatch.context() as patched:
         patched.setattr(reader_module, "measure", lambda *_: 1 / 0)  # stands in for a bug
-        assert new_reader().read(images[0]).doubt == "internal_error"
+        assert new_reader().read(Frame(index=0, image=images[0])).doubt == "internal_error"
     printed("track", frames, "--out", tmp_path / "spots.csv")
 
 

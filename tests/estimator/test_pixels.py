@@ -16,7 +16,7 @@ import pytest
 import eyespot
 from benchmarks.reporting import rows_of, where
 from benchmarks.sets.read import true_beam
-from estimator import SubpixelSettings, TrackState, measure
+from estimator import Frame, SubpixelSettings, TrackState, measure
 from estimator.distance.range import WallMemory
 from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
@@ -69,7 +69,7 @@ def test_poses_of_rendered_frames_are_within_their_stated_errors(paper_stack, tm
     # 5 px RMS of the semi-minor axis would be 0.7 mm; a texture of 5 % leaves some micrometres.
     assert_posed(readings_of(paper_stack, tmp_path), within_mm=0.02)
     reader = reader_in(paper_stack, tmp_path)
-    assert not any(reader.read(frame.image).doubt for frame in open_source(paper_stack.folder))
+    assert not any(reader.read(frame).doubt for frame in open_source(paper_stack.folder))
 
 
 def test_a_robot_that_is_wrong_by_half_of_its_motion_does_not_pull_the_pose(paper_stack, tmp_path):
@@ -93,7 +93,7 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
     assert reader.mode == "pixels"
     frames = [list(open_source(one.folder)) for one in (paper_stack, other)]
     for wall, index in ((0, 0), (0, 1), (1, 2)):
-        reading = reader.read(frames[wall][index].image)
+        reading = reader.read(frames[wall][index])
     assert reading.range is not None
     (pose,) = reading.range.poses
     # Chi squared of three numbers exceeds 21 once in 10,000.
@@ -333,7 +333,7 @@ def test_a_distance_at_which_the_light_is_not_known_is_none(large_stack, tmp_pat
     known = functools.partial(BeamLight, within_mm=(2.5, 9.0))
     monkeypatch.setattr(tracker, "BeamLight", lambda *a, within_mm, **more: known(*a, **more))
     (frame,) = open_source(large_stack.folder)
-    reading = reader_in(large_stack, tmp_path).read(frame.image, time_s=frame.time_s)
+    reading = reader_in(large_stack, tmp_path).read(frame)
     assert reading.result
     assert reading.doubt == Reason.OUT_OF_RANGE.value
     assert np.isnan(reading.distance_mm)
@@ -345,7 +345,7 @@ def test_bright_things_that_are_no_spots_have_no_pose(large_stack, tmp_path, see
     for name, make in LOOKALIKES.items():
         for seed in seeds:
             reader.forget()
-            reading = reader.read(make(np.random.default_rng([9, seed])))
+            reading = reader.read(Frame(index=seed, image=make(np.random.default_rng([9, seed]))))
             assert reading.range is None, f"{name}, seed {seed}"
 
 
@@ -371,9 +371,8 @@ def with_reference(stack, folder, texture_seed=None):
         cv2.imwrite(str(options["reference"]), frame.image[..., ::-1])
     _, frame = open_source(stack.folder)
     # A retina is dark: the tip withdraws by some 60 um during an exposure.
-    poses, times = read_poses(stack.folder / "kinematics.csv"), (frame.time_s, frame.exposure_s)
-    reader = reader_in(stack, folder, **options)
-    found = reader.read(frame.image, time_s=times[0], exposure_s=times[1], poses=poses).range
+    poses = read_poses(stack.folder / "kinematics.csv")
+    found = reader_in(stack, folder, **options).read(frame, poses=poses).range
     (pose,) = found.poses
     return found, pose.chi_squared(stack.labels[1].tip_mm, stack.labels[1].axis, part=slice(3))
 

@@ -481,9 +481,9 @@ def test_an_image_of_another_size_begins_a_new_sequence():
     small, other = far_apart()
     large = np.pad(other, ((40, 0), (90, 0), (0, 0)), mode="edge")
     reader = new_reader()
-    reader.read(small)
+    reader.read(Frame(index=0, image=small))
     alone = next(track([large], SubpixelSettings()))
-    np.testing.assert_equal(vars(reader.read(large).result), vars(alone))
+    np.testing.assert_equal(vars(reader.read(Frame(index=1, image=large)).result), vars(alone))
 
 
 def test_the_table_says_how_the_images_were_taken(tmp_path):
