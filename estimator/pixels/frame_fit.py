@@ -239,10 +239,14 @@ def _off_wall_at_start(
     if not _large(_off_wall(solver, line)).any():
         return np.zeros(line.weight.size)
     place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
-    shifts = np.diag([place, place, along])
-    changes = solver.model.changes(frame, own, [*shifts, *-shifts])
-    least, most = np.min(changes, axis=0), np.max(changes, axis=0)
-    residual = line.residual - np.clip(line.residual, least, most)
+    shifts = np.diag([place, place, along, 0.0, 0.0])
+    seen = []
+    for shift in (shifts[-1], *shifts[:3], *-shifts[:3]):  # the first is none
+        pose = solver.beam.pose(*frame.pose.moved(shift)) or frame.pose
+        light = solver.model.light(replace(frame, pose=pose), own)
+        seen.append(solver.model.log_light(frame, light))
+    changes = np.array(seen) - seen[0]
+    residual = line.residual - np.clip(line.residual, changes.min(axis=0), changes.max(axis=0))
     return _grown(_off_wall(solver, line._replace(residual=residual)))
 
 

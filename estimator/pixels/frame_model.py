@@ -553,21 +553,6 @@ class FrameModel:
             weight=weight if trust is None else weight * trust,
         )
 
-    def changes(
-        self, frame: FrameState, own: np.ndarray, moves: list[Float[np.ndarray, "3"]]
-    ) -> Float[np.ndarray, "k n"]:
-        """How the log light of cells changes if the spot moves; also by not at all.
-
-        Args:
-            moves: of the spot to the right and downwards on the wall, and of the distance, mm.
-        """
-        seen = []
-        for move in [np.zeros(3), *moves]:
-            pose = self.beam.pose(*frame.pose.moved(np.concatenate([move, np.zeros(2)])))
-            light = self.light(replace(frame, pose=pose or frame.pose), own)
-            seen.append(self.log_light(frame, light))
-        return np.array(seen) - seen[0]
-
     def log_light(self, frame: FrameState, light: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Logarithm of a frame's light over its gain, where the beam's is some before the blur."""
         light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)

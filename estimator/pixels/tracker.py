@@ -132,8 +132,7 @@ class PixelRanger:
         outlines: Sequence[Outline],
         *,
         frame: np.ndarray,
-        axis: Any = None,
-        axis_sigma_rad: float = math.radians(1.0),
+        direction: Direction | None = None,
         sweep: Sweep | None = None,
         robot: RobotPose | None = None,
     ) -> Range:
@@ -142,9 +141,8 @@ class PixelRanger:
         Args:
             outlines: where the spot is, see `outlines_of`.
             frame: H x W x 3.
-            axis: of the beam, from the robot: unit vector from the tip towards the wall, eye frame.
+            direction: of the beam, from the robot, eye frame.
         """
-        direction = None if axis is None else Direction(np.asarray(axis), axis_sigma_rad)
         # Several threads would wait for each other longer than they work on matrices of this size.
         with self._libraries.limit(limits=1, user_api="blas"):
             observation = Observation(FramePixels.of(frame, self._noise), direction, sweep, robot)

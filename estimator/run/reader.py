@@ -267,12 +267,13 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
 
     def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
         from estimator.pixels.beam import NODES, Sweep
-        from estimator.pixels.frame_model import RobotPose
+        from estimator.pixels.frame_model import Direction, RobotPose
 
-        sweep = robot = None
+        direction = sweep = robot = None
         pose, _ = poses.at(frame.time_s) or (None, math.nan)
         axis, turn = self._axis(pose), self._turn
         if axis is not None and turn is not None:
+            direction = Direction(axis, math.radians(self._stated.axis_sigma_deg))
             exposure_s = 0.0 if math.isnan(frame.exposure_s) else frame.exposure_s
             places = [poses.interpolated(frame.time_s + n * exposure_s) for n in (0.0, *NODES)]
             known = [place for place in places if place is not None]
@@ -286,8 +287,7 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
         found = self._ranger.distance(
             outlines_of(frame.image, result, self._scaled),
             frame=frame.image,
-            axis=axis,
-            axis_sigma_rad=math.radians(self._stated.axis_sigma_deg),
+            direction=direction,
             sweep=sweep,
             robot=robot,
         )
