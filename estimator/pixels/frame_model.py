@@ -149,11 +149,6 @@ class Covered(NamedTuple):
     cover: Float[np.ndarray, "n"]
     slopes: Float[np.ndarray, "k n"]
 
-    @property
-    def whole(self) -> Bool[np.ndarray, "n"]:
-        """Cells that are covered, which say no more than that."""
-        return self.over & (self.cover > _WHOLE)
-
 
 def covered(
     light: Float[np.ndarray, "n"],
@@ -526,7 +521,8 @@ class FrameModel:
                 value, self._room(frame, ambient), of_beam, pixel_mm=self.beam.scale_mm_px
             )
             value, of_beam, uncovered = spot.light, spot.slopes, 1.0 - spot.cover
-            usable = usable & ~spot.whole
+            # A cell that is covered says no more than that.
+            usable = usable & ~(spot.over & (spot.cover > _WHOLE))
             by_gain = np.where(spot.over, ambient * uncovered / (value + ambient), 1.0)
         total = value + ambient
         model = np.exp(frame.log_gain) * total

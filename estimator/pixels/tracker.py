@@ -76,8 +76,6 @@ class PixelRanger:
             support, or the lens is impossible.
     """
 
-    model = "pixels"
-
     def __init__(
         self,
         calibration: Calibration,

@@ -122,7 +122,7 @@ def decoded_frame(message: Any, *, index: int, time_s: float) -> Frame:
     try:
         image, full_scale = frame_of_message(message)
     except InputError as error:
-        return Frame.unreadable(index, time_s, f"{error}")
+        return Frame(index=index, time_s=time_s, fault=f"{error}")
     return Frame(index=index, time_s=time_s, image=image, full_scale=full_scale)
 
 
@@ -264,7 +264,7 @@ def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
         try:
             for number, (received_s, message) in enumerate(messages_of(reader, path, topic), 1):
                 if isinstance(message, InputError):
-                    frame = Frame.unreadable(number - 1, received_s, f"{message}")
+                    frame = Frame(index=number - 1, time_s=received_s, fault=f"{message}")
                 else:
                     time_s = stamp_s(message.header) or received_s
                     frame = decoded_frame(message, index=number - 1, time_s=time_s)

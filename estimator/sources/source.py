@@ -6,7 +6,7 @@ and the remedy, after the frames before it have been returned.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -41,18 +41,12 @@ class Frame:
     """
 
     index: int
-    image: np.ndarray
+    image: np.ndarray = field(default_factory=lambda: np.empty((0, 0), np.uint8))
     file_name: str = ""
     time_s: float = math.nan
     exposure_s: float = math.nan
     full_scale: float | None = None
     fault: str = ""
-
-    @classmethod
-    def unreadable(cls, index: int, time_s: float, fault: str) -> "Frame":
-        """A frame of a recording or camera that could not be decoded; the others can."""
-        nothing = np.empty((0, 0), np.uint8)
-        return cls(index=index, file_name="", time_s=time_s, image=nothing, fault=fault)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -220,7 +220,7 @@ def test_a_recording_that_fails_ends_and_the_measurement_goes_on(tmp_path):
 )
 def test_a_frame_that_cannot_be_decoded_is_said_and_passed_over(order, number, fault):
     good = [Frame(index=n, time_s=float(n), image=disc(30)) for n in range(3)]
-    frames = [good[0], Frame.unreadable(1, 1.0, "is empty"), good[2]]
+    frames = [good[0], Frame(index=1, time_s=1.0, fault="is empty"), good[2]]
     source = Source(name="bag", read=lambda: (frames[n] for n in order), rate_hz=1e3, length=3)
     with session_of(lambda: source) as session:
         assert shown(session)[0] == number

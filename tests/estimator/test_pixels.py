@@ -20,7 +20,6 @@ from estimator import Frame, SubpixelSettings, TrackState, measure
 from estimator.distance.range import WallMemory
 from estimator.pixels import tracker
 from estimator.pixels.beam import BeamLight
-from estimator.pixels.tracker import PixelRanger
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.calibration import write_calibration
@@ -425,4 +424,3 @@ def test_options_that_make_no_sense_are_refused(paper_stack, tmp_path):
     ):
         with pytest.raises(InputError, match=words):
             Options.of(usual | changed).reader()
-    assert PixelRanger.model == "pixels"
