@@ -22,7 +22,7 @@ from benchmarks import reporting as page
 from benchmarks.reporting import grouped, number, rows_of, where
 from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
 from calibration import fit_plane
-from estimator import Frame, Ranger, Reading
+from estimator import Ranger, Reading, open_source
 from formats.microscope import MicroscopeFile, read_microscope
 from formats.poses import PoseTrack, read_poses
 from formats.stack import Stack
@@ -187,7 +187,7 @@ def errors(
     """
     poses = read_poses(moving.folder / "kinematics.csv")
     wall = World(trial.moving).wall
-    seen, still = (list(_readings(stack, trial.way, ranger, poses)) for stack in (moving, frozen))
+    seen, still = (_readings(stack, trial.way, ranger, poses) for stack in (moving, frozen))
     labels = moving.exposed(trial.way.exposure)
     for n in range(1, len(labels) - 1):
         row, doubt, rest_doubt = labels[n], *(r[n].doubt.replace("_", " ") for r in (seen, still))
@@ -220,12 +220,11 @@ def errors(
 _OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
 
 
-def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> Iterator[Reading]:
-    labels = stack.exposed(way.exposure)
-    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=way.click(labels))
-    for row, image in zip(labels, stack.images(way.exposure), strict=True):
-        frame = Frame(index=row.frame, image=image, time_s=row.time_s, exposure_s=row.exposure_s)
-        yield reader.read(frame, poses=poses)
+def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> list[Reading]:
+    start = way.click(stack.exposed(way.exposure))
+    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=start)
+    frames = open_source(stack.folder, exposure=way.exposure)
+    return [reader.read(frame, poses=poses) for frame in frames]
 
 
 # Sizes.
