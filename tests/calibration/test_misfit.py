@@ -25,7 +25,7 @@ TRUTH = np.array([1.0, 0.3, -0.2, 7.0, 0.4])
 def fitted(light):
     """Least squares to frames: pixels at the solution, covariance, values."""
     values = TRUTH.copy()
-    for _ in range(8):
+    for _ in range(3):  # from the truth; the third step is a millionth of a standard error
         slopes = np.stack(
             [
                 np.concatenate(
@@ -72,11 +72,13 @@ CLEAN = np.array([spot(TRUTH, frame) for frame in range(FRAMES)])
 
 
 def test_noise_alone_has_structure_as_rarely_as_the_chance_says():
-    chances = np.array([judged(CLEAN + noise(seed))[0].chance for seed in range(200)])
+    runs = 100
+    chances = np.array([judged(CLEAN + noise(seed))[0].chance for seed in range(runs)])
     # Bonferroni's bound of two tests that depend on each other is conservative, by at most 2.
     for level in (0.05, 0.2):
         count = np.sum(chances < level)
-        assert stats.binom.ppf(0.001, 200, level / 2) <= count <= stats.binom.ppf(0.999, 200, level)
+        low, high = stats.binom.ppf(0.001, runs, level / 2), stats.binom.ppf(0.999, runs, level)
+        assert low <= count <= high
 
 
 def test_noise_alone_leaves_the_covariance_as_it_is():
