@@ -101,12 +101,18 @@ def test_a_robot_whose_scale_is_off_is_contained_in_the_errors_if_it_is_said():
     for one in trials:
         one.readings[:] *= 1.02
     start = TRUE | {"tilt_x": 0.0, "tilt_y": 0.0}
-    silent = calibration.fit_cone(trials, EYE, start=start, free=CONE)
+    silent, fit = (
+        calibration.fit_cone(
+            trials,
+            EYE,
+            start=start,
+            free=(*CONE, "robot_scale"),
+            priors={"robot_scale": calibration.Prior(1.0, sigma)},
+        )
+        for sigma in (1e-6, 0.02)
+    )
     off = silent.values["half_angle"] / TRUE["half_angle"] - 1.0
     assert off == pytest.approx(-0.02, abs=0.003)
-    said = {"robot_scale": calibration.Prior(1.0, 0.02)}
-    free = (*CONE, "robot_scale")
-    fit = calibration.fit_cone(trials, EYE, start=start, free=free, priors=said)
     # The half-angle is known as well as the scale: 2 % of it, which is what it is off by.
     sigma = np.sqrt(fit.covariance[0, 0]) / TRUE["half_angle"]
     assert sigma == pytest.approx(0.02, rel=0.1)

@@ -85,27 +85,38 @@ def test_of_two_exposures_the_metered_one_is_measured(stack):
     )
 
 
-def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack):
-    kind = lens_parameters(optics.load_lens("dome"))  # another lens on the same fibre
+DOME = lens_parameters(optics.load_lens("dome"))  # another lens on the same fibre
+ANY_PRIORS = {
+    "core_radius": Prior(0.225, 0.0375),
+    "aperture_radius": Prior(0.265, 0.03),
+    "sag": Prior(0.0, 0.125),
+}
+# A flat end of the same fibre, and what is known of any: the start of a fit that knows nothing.
+ANY = {name: prior.mean for name, prior in ANY_PRIORS.items()}
+ANY |= {"rim_height": 0.0, "glue_index": 1.49, "numerical_aperture": 0.05}
+
+
+# A known fibre goes the same way with fewer unknowns.
+@pytest.mark.parametrize(
+    ("kind", "priors"), [(ANY, ANY_PRIORS), pytest.param(DOME, {}, marks=pytest.mark.slow)]
+)
+def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack, kind, priors):
     shown = stack("lens", LENS)
-    guess = next(guessed_lenses(read_recording(shown), read_footage(read_stack(shown)), kind, {}))
+    footage = read_footage(read_stack(shown))
+    guess = next(guessed_lenses(read_recording(shown), footage, kind, priors))
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
     assert guess["sag"] < 0.05
 
 
+@pytest.mark.slow  # the same way as for a flat end, with another stack
 def test_a_high_drop_is_guessed_although_its_spots_have_no_edge(stack, tmp_path):
     drop = {"core_radius": 0.21, "aperture_radius": 0.235, "glue_index": 1.49, "sag": 0.12}
     drop |= {"numerical_aperture": 0.15, "glue_length": 0.12}
     (tmp_path / "drop.toml").write_text(tomli_w.dumps({"schema": 1, "lens": drop}))
     shown = stack("drop", {**LENS, "lens": str(tmp_path / "drop.toml")}, travel_mm=5.0)
-    # A flat end of the same fibre, and what is known of any: the start of a fit that knows nothing.
-    priors = {"core_radius": Prior(0.225, 0.0375), "aperture_radius": Prior(0.265, 0.03)}
-    priors |= {"sag": Prior(0.0, 0.125)}
-    kind = {name: prior.mean for name, prior in priors.items()}
-    kind |= {"rim_height": 0.0, "glue_index": 1.49, "numerical_aperture": 0.05}
     footage = read_footage(read_stack(shown))
-    guess = next(guessed_lenses(read_recording(shown), footage, kind, priors))
+    guess = next(guessed_lenses(read_recording(shown), footage, ANY, ANY_PRIORS))
     # The light far away follows curvature and numerical aperture. A grid's neighbours differ by
     # half, and rings of a textured wall are right to some 3 %.
     assert cap_shape(guess)[0] == pytest.approx(cap_shape(drop)[0], rel=0.2)
