@@ -30,7 +30,8 @@ def test_version_is_that_of_the_distribution():
 
 EVERY_HELP = """
 import os, sys
-import numpy, pydantic  # not stood in for, so that they need not be loaded again and again
+# Not stood in for, so that they need not be loaded again and again.
+import asyncio, cyclopts.help.formatters, jinja2, numpy, pydantic.networks, rich.markdown, yaml
 from eyespot.command_line import main
 for words in EVERY:
     print("COMMAND", words, flush=True)
