@@ -111,7 +111,8 @@ def test_a_results_folder_that_cannot_be_made_is_bad_input(tmp_path):
     run("validate", "--quick", "--out", out).assert_bad_input(str(tmp_path / "file"))
 
 
-@pytest.mark.parametrize("command", ["render", "validate"])
+# `validate` asks for the renderer as `render` does.
+@pytest.mark.parametrize("command", ["render", pytest.param("validate", marks=pytest.mark.slow)])
 def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, command):
     scene, out = tmp_path / "scene.toml", tmp_path / "out"
     run("scene", "init", scene)
