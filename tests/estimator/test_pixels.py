@@ -159,7 +159,8 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
 
 @pytest.mark.parametrize("phantom", [pytest.param(PAPER, marks=pytest.mark.slow), RETINA])
 def test_the_noise_of_jpeg_is_no_other_wall(tmp_path, phantom):
-    found = read(tmp_path, phantom=phantom, camera={"jpeg_quality": 90})
+    motion = FOUR | {"travel_mm": 0.36, "frames": 3}
+    found = read(tmp_path, phantom=phantom, camera={"jpeg_quality": 90}, motion=motion)
     assert WallMemory.DROPPED not in walls_of(found)
     assert_posed(found)
 
