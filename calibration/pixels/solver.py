@@ -506,6 +506,9 @@ class BeamSolver:
             self.tau = _FREE
             self.point, self.now, self.equations, self.map = before
         else:
+            # Weights by a map that the frames' noise has shaped prefer the cells that it darkened.
+            self.choose(guess=False)
+            self.minimise(1.0, follow=False)
             self.learn()
 
     @property

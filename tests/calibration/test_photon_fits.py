@@ -84,15 +84,26 @@ def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
     assert abs(found - true) < 3.3 * sigma
 
 
-@pytest.mark.slow  # a minute or two
-def test_a_start_that_ends_in_another_drop_is_not_the_last():
-    # From a sag that is 26 % too low, and from a flatter one yet, fits end at drops that miss light
-    # and about as much of it, but are not one drop: the right one is found from a higher start.
-    truth = random_recording(73).drop
-    fit, _ = fitted(random_recording(73), seed=73)
-    for name, true in (("sag", truth.sag), ("numerical_aperture", truth.aperture_na)):
+@pytest.mark.slow  # a minute each
+@pytest.mark.parametrize(
+    "number",
+    [
+        # From a sag that is 26 % too low, and from a flatter one yet, fits end at drops that miss
+        # about as much light, but are not one drop: the right one is found from a higher start.
+        73,
+        # Weights by a map of an even wall that noise had shaped took sag and NA 4.7 and 3.9
+        # standard errors off.
+        62,
+    ],
+)
+def test_a_lens_is_within_its_standard_errors_where_it_was_not(number):
+    recording = random_recording(number)
+    fit, _ = fitted(recording, seed=number)
+    assert fit.converged
+    truth = {"sag": recording.drop.sag, "numerical_aperture": recording.drop.aperture_na}
+    for name, true in truth.items():
         value, sigma = fit.parameters[name]
-        assert fit.converged and abs(value - true) < 3 * sigma, name
+        assert abs(value - true) < 3 * sigma, name
 
 
 @pytest.mark.slow  # an hour or more on two cores
