@@ -80,6 +80,11 @@ S = TypeVar("S", bound=LiteralSettings | SubpixelSettings)
 R = TypeVar("R", bound="Ranger | PixelRanger | None")
 
 
+def _pose_at(time_s: float, poses: PoseTrack) -> tuple[Pose | None, float]:
+    """The robot's newest pose at a time, and its age, s; None and NaN where there is none."""
+    return poses.at(time_s) or (None, math.nan)
+
+
 class Reader(ABC, Generic[S, R]):
     """Reads the frames of one sequence in order in one of the modes; no frame ends the run.
 
@@ -156,7 +161,7 @@ class Reader(ABC, Generic[S, R]):
             self._scale(frame)
             result, self._state = measure(frame.image, self._state, self._scaled)
             found, budget = self._distance(result, frame, poses)
-            _, age_s = poses.at(frame.time_s) or (None, math.nan)
+            _, age_s = _pose_at(frame.time_s, poses)
             reading = Reading(self.mode, result, found, age_s, budget)
         except InputError:
             raise
@@ -179,11 +184,10 @@ class Reader(ABC, Generic[S, R]):
 
     def _motion(self, time_s: float, poses: PoseTrack) -> ToolMotion:
         """The tool's motion at a frame's pose, from the pose some time before."""
-        known = poses.at(time_s)
-        if known is None:
+        pose, age_s = _pose_at(time_s, poses)
+        if pose is None:
             return AT_REST
-        pose, age_s = known
-        before, _ = poses.at(pose.time_s - _SPAN_S) or known
+        before, _ = poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
         span_s = pose.time_s - before.time_s
         if span_s <= 0:
             return AT_REST
@@ -227,7 +231,7 @@ class _OutlineMode(Reader[S, Ranger | None]):
     def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
         if self._ranger is None or isinstance(result, NoSpot):
             return None, None
-        pose, _ = poses.at(frame.time_s) or (None, math.nan)
+        pose, _ = _pose_at(frame.time_s, poses)
         axis = self._axis(pose)
         found = self._ranger.distance(
             result,
@@ -270,7 +274,7 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
         from estimator.pixels.frame_model import Direction, RobotPose
 
         direction = sweep = robot = None
-        pose, _ = poses.at(frame.time_s) or (None, math.nan)
+        pose, _ = _pose_at(frame.time_s, poses)
         axis, turn = self._axis(pose), self._turn
         if axis is not None and turn is not None:
             direction = Direction(axis, math.radians(self._stated.axis_sigma_deg))
