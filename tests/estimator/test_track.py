@@ -207,12 +207,11 @@ def test_glints_vessels_and_shafts_are_no_spots():
 
 
 @pytest.mark.slow
-def test_one_frame_in_a_thousand_without_a_spot_shows_one_at_most():
-    # The optic disc under bright ambient light is itself a bright ellipse, half as bright again as
-    # its surroundings in green: three of these 10,000 retinas show it so clearly.
+def test_ten_thousand_frames_without_a_spot_show_none():
+    # Three optic discs, half as bright again in green as their surroundings, are found: it fails.
     spawn = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(os.cpu_count(), mp_context=spawn) as pool:
-        assert sum(pool.map(false_spots, [500] * 20, range(100, 120))) <= 10
+        assert sum(pool.map(false_spots, [500] * 20, range(100, 120))) == 0
 
 
 def test_both_modes_yield_one_result_a_frame():
