@@ -358,7 +358,7 @@ def explained_alone(
 
 
 def learnt_texture(solution: PoseSolution) -> TextureVariances:
-    """The texture that all frames of a solution show. Takes a second or two."""
+    """The texture that all frames of a solution show."""
     return texture_of(
         *together(solution.linear), count=COUNT, side_mm=solution.solver.model.side_mm
     )
