@@ -93,6 +93,7 @@ class Hypothesis:
         kept: frames that are fitted again with each new one.
         solution: of the newest frame and those that were kept then.
         learnt_px2: `lit_px2` when the texture was learnt.
+        learnt_square: `mean_square` then.
         mean_square: of the newest frame's residuals; see `frame_fit.robust_fit`.
         other_wall: whether the newest frame shows another wall than the earlier ones or the
             reference.
@@ -102,6 +103,7 @@ class Hypothesis:
     kept: Kept
     solution: PoseSolution
     learnt_px2: float
+    learnt_square: float = 1.0
     mean_square: float = 1.0
     other_wall: bool = False
     step: WallMotion = STILL
@@ -375,6 +377,10 @@ _MORE_WALL = 1.25
 """Growth of the wall that the frames light, after which its texture is learnt again. One small spot
 says little of it: vessels and grain that it does not show have the variances of the prior, and what
 is larger than the spot may as well be its light."""
+_UNLIKE = 1.2
+"""Growth of the mean square, in light without a sharp edge, after which it is learnt again as well:
+a vessel that comes into a light of the same size is sharper than what the first frames showed. By
+noise it scatters by 0.06."""
 _ANEW = 3  # fits of a frame, if it moves the earlier ones far
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
@@ -430,17 +436,21 @@ def explained_with(
     found, mean_square, other_wall, kept = _fitted(
         solver, kept, start, own, cells, hypothesis.mean_square
     )
-    learnt_px2, seen_px2 = hypothesis.learnt_px2, lit_px2(found)
-    if seen_px2 > _MORE_WALL * learnt_px2 and not other_wall:
+    learnt_px2, learnt_square = hypothesis.learnt_px2, hypothesis.learnt_square
+    seen_px2 = lit_px2(found)
+    unlike = not solver.beam.sharp and mean_square > _UNLIKE * max(learnt_square, 1.0)
+    if (seen_px2 > _MORE_WALL * learnt_px2 or unlike) and not other_wall:
         solver, learnt_px2 = solver.of_texture(learnt_texture(found)), seen_px2
         start, own = found.newest, found.own
         found, mean_square, other_wall, kept = _fitted(
             solver, kept, start, own, cells, hypothesis.mean_square
         )
+        learnt_square = mean_square
     return Hypothesis(
         kept=_kept(found, kept),
         solution=found,
         learnt_px2=learnt_px2,
+        learnt_square=learnt_square,
         mean_square=mean_square,
         other_wall=other_wall,
         step=found.newest.cells.motion.since(hypothesis.solution.newest.cells.motion),

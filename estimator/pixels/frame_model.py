@@ -209,7 +209,7 @@ _ANY, _ALIKE = 2.0 * math.log(30.0), 2.0 * math.log(10.0)
 of each part by itself. Two thirds of all walls have a contrast within a factor of 30 of what is
 usual, so that a sheet of paper is expected, and parts within a factor of ten of each other: a
 print has no grain, and a photograph's grain is all that it has in small."""
-_ENOUGH = 340
+_ENOUGH = 400
 """Cells that show a texture: each part's variance to a tenth, where they see enough of it. The time
 grows with the cube of their number."""
 _RANK = 1e-9  # of the largest derivative

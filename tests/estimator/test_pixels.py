@@ -249,6 +249,32 @@ def test_what_the_instrument_hid_at_first_misleads_no_later_frame(hidden_stack, 
     assert hidden_spots.chi_squared.max() < 1.2
 
 
+@pytest.mark.slow
+def test_a_vessel_that_comes_into_a_light_of_the_same_size_is_learnt(tmp_path):
+    # Between 1 and 2.6 mm the spot is equally large, and its dark line new.
+    stack = cone_stack(
+        tmp_path / "stack",
+        seed=6,
+        phantom=PAPER | {"texture_seed": 6},
+        instrument={"visible": True},
+        source={"kind": "lens"},
+        spot={
+            "eccentricity_mm": 4.748,
+            "azimuth_deg": 83.068,
+            "incidence_deg": 12.4,
+            "incidence_azimuth_deg": 320.652,
+        },
+        microscope=LARGE,
+        motion={"start_mm": 0.763, "travel_mm": 1.842, "frames": 8, "speed_mm_s": 0.1},
+    )
+    write_calibration(tmp_path / "beam.json", true_beam(stack))
+    spots = eyespot.track(stack.folder, calibration=tmp_path / "beam.json", mode="pixels")
+    # By noise it scatters by 0.06; with the texture of the first frame it grew to 1.5.
+    assert spots.chi_squared.max() < 1.35
+    off_mm = spots.distance_mm - [labels.d_mm for labels in stack.labels]
+    assert (off_mm / spots.sigma_distance_mm).abs().max() < 4.0
+
+
 def test_a_light_that_moves_on_a_curve_is_averaged_along_it(tmp_path):
     # A retina is dark: the camera meters exposures of some 60 ms, in which a hand's tremor turns.
     found = read(tmp_path, phantom={"wall": "uniform", "reflectance": 0.1}, motion=HAND)
