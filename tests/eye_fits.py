@@ -167,10 +167,7 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
     read = [
         (c, azimuth, TILT * tilt, towards, 0.5 + 4.5 * d)
         for c, azimuth, towards, tilt, d in zip(
-            READ_C_MM,
-            *(2 * np.pi * noise.random((2, 3))),
-            *noise.random((2, 3)),
-            strict=True,
+            READ_C_MM, *(2 * np.pi * noise.random((2, 3))), *noise.random((2, 3)), strict=True
         )
     ]
     ellipses, axes = map(np.asarray, _seen(camera, semi_axes, jnp.array(withdrawn + read)))

@@ -83,10 +83,7 @@ def tiny_stack(folder: Path) -> None:
     """What `render_stack` writes: frames, masks and radiance, resumed where it was stopped."""
     with StackWriter(folder) as writer:
         writer.describe(
-            stack={
-                "scene": DESCRIBED,
-                "cone": {"half_angle": 1},
-            },
+            stack={"scene": DESCRIBED, "cone": {"half_angle": 1}},
             microscope={**MICROSCOPE, "width_px": 8, "height_px": 6},
             kinematics=np.array([[n, 1, 2, n, 0, 0, -1] for n in (1, 2, 3)]),
         )

@@ -31,10 +31,7 @@ def _filled(surfaces: list[tuple], index: float) -> list[tuple]:
 
 PATHS: dict[str, tuple[dict[str, Any], list[tuple]]] = {
     "flat, phakic": ({"lens": "flat"}, [*_FLAT, *_CORNEA, *_LENS]),
-    "flat, aphakic": (
-        {"lens": "flat", "form": "aphakic"},
-        [*_FLAT, *_filled(_CORNEA, 1.3377)],
-    ),
+    "flat, aphakic": ({"lens": "flat", "form": "aphakic"}, [*_FLAT, *_filled(_CORNEA, 1.3377)]),
     "flat, aphakic, silicone oil": (
         {"lens": "flat", "form": "aphakic", "fill_index": 1.404},
         [*_FLAT, *_filled(_CORNEA, 1.404)],

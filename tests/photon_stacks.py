@@ -136,11 +136,7 @@ def poses(recording: Recording) -> Poses:
     else:
         phi = np.arcsin(own.eccentricity / own.radius)
         outward = np.array(
-            [
-                np.sin(phi) * np.cos(own.azimuth),
-                np.sin(phi) * np.sin(own.azimuth),
-                -np.cos(phi),
-            ]
+            [np.sin(phi) * np.cos(own.azimuth), np.sin(phi) * np.sin(own.azimuth), -np.cos(phi)]
         )
         spot = own.radius * outward
     first, second = perpendiculars(outward)

@@ -287,9 +287,7 @@ def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_
         "formats.whole_files.lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen(
-        [sys.executable, "-c", code, str(busy)],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
+        [sys.executable, "-c", code, str(busy)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     assert other.stdout
     assert other.stdout.readline() == b"here\n"

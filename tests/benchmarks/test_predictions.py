@@ -6,14 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.predictions import (
-    SURE,
-    Judgement,
-    Plan,
-    judged,
-    predicted,
-    read_plan,
-)
+from benchmarks.predictions import SURE, Judgement, Plan, judged, predicted, read_plan
 from formats.calibration import write_calibration
 from formats.inputs import InputError
 from scenes import changed, load_scene, render_stack, scene_toml

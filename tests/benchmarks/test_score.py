@@ -56,10 +56,7 @@ def spot_at(labels: Any, *, sigma: float = math.nan, **error: float) -> Spot:
 
 
 def records_of(
-    images: pd.DataFrame,
-    result: Callable[[Any], Spot | NoSpot],
-    *,
-    late_mm: float = math.nan,
+    images: pd.DataFrame, result: Callable[[Any], Spot | NoSpot], *, late_mm: float = math.nan
 ) -> dict[str, SpotRecord]:
     return {
         row.image: SpotRecord(

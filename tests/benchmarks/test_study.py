@@ -89,10 +89,7 @@ def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
     given = Study("pose", out=tmp_path / "a", scene=file, defaults=("source.kind=cone",))
     bare = Study("pose", out=tmp_path / "b", defaults=("source.kind=cone",))
     changed = Study(
-        "pose",
-        out=tmp_path / "c",
-        changes=("source.kind=lens",),
-        defaults=("source.kind=cone",),
+        "pose", out=tmp_path / "c", changes=("source.kind=lens",), defaults=("source.kind=cone",)
     )
     kinds = [study.scene.source.kind for study in (given, bare, changed)]
     assert kinds == ["lens", "cone", "lens"]

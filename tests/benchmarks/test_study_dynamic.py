@@ -14,13 +14,7 @@ import scenes
 from benchmarks.paper import LITERAL, SUBPIXEL
 from benchmarks.reporting import Claim, rows_of
 from benchmarks.studies import dynamic
-from benchmarks.studies.dynamic import (
-    COMPARED,
-    LATENCIES_S,
-    MOTIONS,
-    PARTS,
-    speed_at,
-)
+from benchmarks.studies.dynamic import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
 from formats.poses import Pose, PoseTrack
 from scenes.world.world import World
 from tests.made_up import a_microscope

@@ -108,9 +108,7 @@ def test_a_cone_may_be_given_by_its_slope(eye):
     by_angle = eye_fits.fitted(trials, CONE)
     k_sigma = eye_fits.CONE_SIGMA[0] / math.sin(eye_fits.HALF_ANGLE) ** 2
     cone = eye_fits.calibration(
-        {"b": eye_fits.B, "k": 20.0},
-        np.diag([eye_fits.CONE_SIGMA[1] ** 2, k_sigma**2]),
-        "planar",
+        {"b": eye_fits.B, "k": 20.0}, np.diag([eye_fits.CONE_SIGMA[1] ** 2, k_sigma**2]), "planar"
     )
     by_slope = fit_eye(trials, Choices(), cone)
     for name, value in by_angle.values.items():

@@ -54,7 +54,7 @@ def test_models_hold_their_limits_behind_a_flat_contact_lens(tmp_path):
             *("fit", *(str(stack.folder) for stack in withdrawals)),
             *("--model", "eye", "--calibration", str(tmp_path / "cone.json")),
             *("--out", str(tmp_path / "eye.json")),
-        ],
+        ]
     )
     assert fitted.exit_code == 0, fitted.output
     eye = read_calibration(tmp_path / "eye.json")

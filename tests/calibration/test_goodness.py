@@ -95,10 +95,7 @@ def good(**changes):
         ),
         ({"chi_squared_per_degree": 0.69}, "0.69.*noise is lower than assumed"),
         ({"chi_squared_per_degree": 2.1}, "2.1.*residuals are larger than the noise"),
-        (
-            {"residuals": {"size": 90 * BEND}},
-            "residuals of size have structure",
-        ),
+        ({"residuals": {"size": 90 * BEND}}, "residuals of size have structure"),
         ({"residuals": {"size": 4 * BEND}}, "size may move.*, .*enlarged"),
     ],
 )
@@ -142,25 +139,13 @@ LARGE = {"misfit": Misfit(0.03, 1e-9, True, 17.0, "the core is darker"), "residu
         ("image", failed("STEPS"), ["--free", "--prior"]),
         ("plane", {"converged": False}, ["--robust", "--model cone"]),
         ("lens", failed("FIRST_ROUND"), ["core, aperture and rim", "keeps still"]),
-        (
-            "lens",
-            failed("TABLES"),
-            ["--free", "distances at which the spot is sharpest"],
-        ),
+        ("lens", failed("TABLES"), ["--free", "distances at which the spot is sharpest"]),
         ("lens", {"bounds": ("sag = 0 mm",)}, ["--prior", "at its bound"]),
         ("sphere", {"bounds": ("eccentricity = 0",)}, ["--model cone"]),
         ("cone", {"undetermined": ("b is not determined",)}, ["--prior", "--free"]),
         ("cone", {"chi_squared_per_degree": 2.1}, ["--model lens", "scale"]),
-        (
-            "plane",
-            {"residuals": {"size": 90 * BEND}},
-            ["--model cone", "--robust"],
-        ),
-        (
-            "cone",
-            {"residuals": {"size": 90 * BEND}},
-            ["--model lens", "keeps still"],
-        ),
+        ("plane", {"residuals": {"size": 90 * BEND}}, ["--model cone", "--robust"]),
+        ("cone", {"residuals": {"size": 90 * BEND}}, ["--model lens", "keeps still"]),
         ("image", LARGE, ["--model lens", "spread"]),
         ("lens", LARGE, ["spread", "keeps still", "off centre"]),
     ],
@@ -199,10 +184,7 @@ def pixels(share, structured, chi_squared, degrees=302_732):
     where = "the core is 1.1 % darker than the model in all frames" if structured else ""
     misfit = Misfit(share, 1e-9 if structured else 0.5, structured, 17.0, where)
     return good(
-        chi_squared_per_degree=chi_squared,
-        degrees_of_freedom=degrees,
-        misfit=misfit,
-        residuals={},
+        chi_squared_per_degree=chi_squared, degrees_of_freedom=degrees, misfit=misfit, residuals={}
     )
 
 

@@ -61,12 +61,7 @@ def scene(**tables: Any) -> Scene:
         "source": {"kind": "cone"},
         "spot": {"eccentricity_mm": 2.0},
         "motion": {"travel_mm": 5.0, "frames": 10},
-        "microscope": {
-            "width_px": 128,
-            "height_px": 128,
-            "scale_mm_px": 0.02,
-            "samples": SIDE**2,
-        },
+        "microscope": {"width_px": 128, "height_px": 128, "scale_mm_px": 0.02, "samples": SIDE**2},
         "exposures": {"kinds": ["metered"], "keep_linear": True},
     }
     merged = {name: settings.get(name, {}) | table for name, table in tables.items()}
@@ -464,10 +459,7 @@ def test_noise_is_that_of_the_camera(response, level):
     curves = {"linear": Response(), "srgb": Response(curve="srgb")}
     noise = noise_of(camera.model_dump(), curves.get(response, Response(curve="gamma", gamma=2.2)))
     image = expose(
-        np.full((300, 300, 3), level),
-        exposure=1.0,
-        settings=camera,
-        rng=np.random.default_rng(3),
+        np.full((300, 300, 3), level), exposure=1.0, settings=camera, rng=np.random.default_rng(3)
     )
     light = noise.light(image)
     expected = float(noise.variance(np.array([level]))[0])
@@ -614,12 +606,7 @@ def test_a_camera_noisier_than_its_data_sheet_enlarges_the_errors(stack):
 
 
 def counted_light(
-    settings: Scene,
-    *,
-    spot: np.ndarray,
-    beam: np.ndarray,
-    readings: np.ndarray,
-    motion: np.ndarray,
+    settings: Scene, *, spot: np.ndarray, beam: np.ndarray, readings: np.ndarray, motion: np.ndarray
 ) -> np.ndarray:
     """Light of the cone on the plane z = -11.5 in full wells at 1 s, in NumPy, 16 x 16 a pixel."""
     camera = settings.microscope
@@ -636,8 +623,7 @@ def counted_light(
             v, u = np.mgrid[: shape[0], : shape[1]].astype(float)
             # On the plane through the pole, a pixel is as large everywhere.
             wall = np.stack(
-                [(u + du - u0) * scale, -(v + dv - v0) * scale, np.full(shape, -11.5)],
-                axis=-1,
+                [(u + du - u0) * scale, -(v + dv - v0) * scale, np.full(shape, -11.5)], axis=-1
             )
             away = wall - apex
             far = np.linalg.norm(away, axis=-1)

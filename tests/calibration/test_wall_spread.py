@@ -50,11 +50,7 @@ def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) ->
     )
     down = np.array([0.0, 0.0, -1.0])
     footage = a_footage(
-        microscope=microscope,
-        readings=np.zeros(1),
-        exposure_s=np.ones(1),
-        motion=down,
-        axis=down,
+        microscope=microscope, readings=np.zeros(1), exposure_s=np.ones(1), motion=down, axis=down
     )
     lens: Any = None
     if table is not None:

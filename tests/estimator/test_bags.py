@@ -41,9 +41,7 @@ def frames() -> list[Frame]:
     truths = [Truth(x=70 + 6 * k, y=80, semi_major=33, semi_minor=30 + k) for k in range(4)]
     return [
         Frame(
-            index=k,
-            time_s=EPOCH_S + k / 10,
-            image=frame_of(Drawing(truth=truth), rng, (160, 200)),
+            index=k, time_s=EPOCH_S + k / 10, image=frame_of(Drawing(truth=truth), rng, (160, 200))
         )
         for k, truth in enumerate(truths)
     ]
@@ -144,12 +142,7 @@ def test_frames_are_written_one_by_one(tmp_path):
 
 @pytest.mark.parametrize(
     ("dtype", "channels", "encoding"),
-    [
-        ("uint8", 1, "mono8"),
-        ("uint16", 1, "mono16"),
-        ("uint8", 3, "rgb8"),
-        ("uint16", 3, "rgb16"),
-    ],
+    [("uint8", 1, "mono8"), ("uint16", 1, "mono16"), ("uint8", 3, "rgb8"), ("uint16", 3, "rgb16")],
 )
 def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, encoding):
     shape = (6, 5) if channels == 1 else (6, 5, channels)

@@ -13,16 +13,7 @@ from skimage.measure import EllipseModel, find_contours
 from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from formats.camera import LensDistortion, Response
 from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import (
-    SHAPE,
-    Drawing,
-    Truth,
-    any_truth,
-    any_wall,
-    erf_edge,
-    frame_of,
-    light_of,
-)
+from scenes.drawn import SHAPE, Drawing, Truth, any_truth, any_wall, erf_edge, frame_of, light_of
 from tests.drawn_spots import (
     bell,
     domed_edge,

@@ -148,10 +148,7 @@ def test_rays_beyond_the_critical_angle_and_beside_the_cap_say_so():
     heights = np.array([0.999 * critical, 1.001 * critical])
     axial = np.zeros((2, 2))
     rays = emitted_rays(
-        lens(),
-        medium_index=AIR,
-        points=np.column_stack([heights, np.zeros(2)]),
-        directions=axial,
+        lens(), medium_index=AIR, points=np.column_stack([heights, np.zeros(2)]), directions=axial
     )
     assert list(rays.status) == [TRANSMITTED, TOTAL_INTERNAL_REFLECTION]
     assert float(rays.transmittance[1]) == 0.0
@@ -169,10 +166,7 @@ def test_axial_rays_meet_at_the_paraxial_focus(medium):
     dome = lens()
     height = 1e-4
     rays = emitted_rays(
-        dome,
-        medium_index=medium,
-        points=np.array([[height, 0.0]]),
-        directions=np.zeros((1, 2)),
+        dome, medium_index=medium, points=np.array([[height, 0.0]]), directions=np.zeros((1, 2))
     )
     point, out = np.asarray(rays.point)[0], np.asarray(rays.direction)[0]
     crossing = point[2] - point[0] * out[2] / out[0]

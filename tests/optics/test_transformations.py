@@ -202,10 +202,7 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
         ).best[:3],
         [1.0],
     ),
-    "transmitted_power": (
-        lambda x: optics.transmitted_power(lens(x), medium_index=1.336),
-        AT_LENS,
-    ),
+    "transmitted_power": (lambda x: optics.transmitted_power(lens(x), medium_index=1.336), AT_LENS),
     "vector_irradiance": (
         lambda x: optics.vector_irradiance(
             lens(x[:-2]), medium_index=1.336, radius=x[-2:-1], distance=x[-1:]

@@ -92,7 +92,7 @@ ALL_FREE: dict[str, tuple[dict[str, float], dict[str, Any], tuple[str, ...]]] = 
         {**DEEP_DOME, "sag": 0.0},
         {"microscope": {"distortion": [-0.4, 0.1, 0.05, 0.04, -0.2], "vignetting": 0.4}},
         ("glue_index", "numerical_aperture", "tip_x", "axis_z"),
-    ),
+    )
 }
 
 

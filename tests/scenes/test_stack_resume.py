@@ -11,13 +11,7 @@ import pytest
 
 from formats.inputs import InputError
 from formats.stack import read_stack
-from scenes import (
-    Scene,
-    SceneError,
-    check_scene,
-    least_bytes,
-    render_stack,
-)
+from scenes import Scene, SceneError, check_scene, least_bytes, render_stack
 from tests.drawn_sets import digests
 from tests.scene_tables import scene_of
 
@@ -134,10 +128,7 @@ def test_a_frame_without_a_line_and_a_line_without_a_frame_are_named(copy):
     [
         (lambda line: line[: len(line) // 2], "line 3: not JSON"),
         (lambda line: line.replace('"d_mm"', '"d_cm"'), "line 3: missing or unknown: d_cm, d_mm"),
-        (
-            lambda line: line.replace('"frame": 1', '"frame": "1"'),
-            "line 3: frame must be a whole",
-        ),
+        (lambda line: line.replace('"frame": 1', '"frame": "1"'), "line 3: frame must be a whole"),
         (
             lambda line: json.dumps({**json.loads(line), "axis": [0, 1]}),
             "line 3: axis is too short",

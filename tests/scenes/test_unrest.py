@@ -12,12 +12,7 @@ from tests.scene_tables import scene_of
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SCALE = 0.04
-_MICROSCOPE = {
-    "width_px": 97,
-    "height_px": 97,
-    "scale_mm_px": SCALE,
-    "pinhole_height_mm": np.inf,
-}
+_MICROSCOPE = {"width_px": 97, "height_px": 97, "scale_mm_px": SCALE, "pinhole_height_mm": np.inf}
 _STILL = {
     "phantom": {"wall": "retina", "indirect": "closed form"},
     "source": {"kind": "cone"},

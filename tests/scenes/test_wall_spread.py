@@ -94,8 +94,7 @@ def test_paper_has_the_length_of_its_measured_modulation():
 
 
 @pytest.mark.parametrize(
-    "parts",
-    [{"source": {"kind": "photons"}}, {"phantom": {"indirect": "traced"}}],
+    "parts", [{"source": {"kind": "photons"}}, {"phantom": {"indirect": "traced"}}]
 )
 def test_traced_light_with_spread_is_refused(parts):
     with pytest.raises(ValidationError, match="does not apply to traced light"):
