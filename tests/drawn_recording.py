@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +12,9 @@ from estimator import Reader, SubpixelMode, SubpixelSettings
 from estimator.run.offline import Tracking, track_source
 from estimator.sources.source import Source
 from formats.spots import NoSpot, Spot, SpotRecord
+from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
+from tests.drawn_sets import labels_of
 
 SHAPE = (160, 200)
 GONE = 4  # the frame without a spot
@@ -50,6 +53,21 @@ def write_video(
         writer.write(np.ascontiguousarray(opencv_order(image)))
     writer.release()
     return path
+
+
+def write_stack(
+    folder: Path, images: list[np.ndarray], exposures: Sequence[str], **microscope: Any
+) -> Path:
+    """A stack whose labels say nothing true of its images but their time."""
+    with StackWriter(folder) as writer:
+        writer.describe(stack={}, microscope=microscope)
+        for k, image in enumerate(images):
+            for exposure in exposures:
+                dimmed = image // 2 if exposure == "paper" else image
+                name = f"frames/{exposure}{k:06d}.png"
+                about = {"file_name": name, "time_s": k / 25, "exposure": exposure}
+                writer.add(dimmed, labels_of(k, **about), None)
+    return folder
 
 
 def new_reader(**options: object) -> Reader:

@@ -12,6 +12,7 @@ import pytest
 import optics
 from formats.inputs import InputError
 from formats.microscope import read_microscope
+from tests.made_up import microscope_content
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])
@@ -20,22 +21,9 @@ EYE: dict[str, Any] = {"pinhole_height_mm": 200.0, "eye_radius_mm": 11.5}
 
 
 def ours(**changed):
-    scale = 0.0067
-    focal = 23.0 / scale
-    return {
-        "schema": 1,
-        "width_px": 640,
-        "height_px": 480,
-        "camera_matrix": [[focal, 0, 900.0], [0, focal, -300.0], [0, 0, 1]],
-        "distortion": [0.0] * 5,
-        "scale_mm_px": scale,
-        "principal_point_px": [900.0, -300.0],
-        "pinhole_height_mm": 11.5,
-        "eye_radius_mm": 11.5,
-        "response": "srgb",
-        "paper_exposure_s": 0.004,
-        **changed,
-    }
+    seen = {"principal_point_px": [900.0, -300.0], "pinhole_height_mm": 11.5}
+    content = microscope_content(**seen, response="srgb", paper_exposure_s=0.004)
+    return {"schema": 1, **content, **changed}
 
 
 @pytest.fixture

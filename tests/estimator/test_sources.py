@@ -14,7 +14,6 @@ from estimator.run.offline import Ended
 from estimator.sources.opening import open_source
 from estimator.sources.source import Frame, Source
 from formats.spots import NoSpot, Reason, Spot
-from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
 from tests.drawn_recording import (
     GONE,
@@ -24,9 +23,9 @@ from tests.drawn_recording import (
     recorded,
     tracked,
     write_folder,
+    write_stack,
     write_video,
 )
-from tests.drawn_sets import labels_of
 
 Results = list[Spot | NoSpot]
 
@@ -48,19 +47,6 @@ def offline(source: Source) -> Results:
     tracking = tracked(source)
     assert tracking.ended is Ended.COMPLETE
     return [record.result for record in tracking.records]
-
-
-def write_stack(folder: Path, images: list[np.ndarray], exposures: tuple[str, ...]) -> Path:
-    """A stack whose labels say nothing true of its images but their time."""
-    with StackWriter(folder) as writer:
-        writer.describe(stack={}, microscope={})
-        for k, image in enumerate(images):
-            for exposure in exposures:
-                dimmed = image // 2 if exposure == "paper" else image
-                name = f"frames/{exposure}{k:06d}.png"
-                about = {"file_name": name, "time_s": k / 25, "exposure": exposure}
-                writer.add(dimmed, labels_of(k, **about), None)
-    return folder
 
 
 def write_tiff(path: Path, images: list[np.ndarray]) -> Path:

@@ -22,7 +22,6 @@ from formats.camera import LensDistortion, Response
 from formats.microscope import read_microscope
 from formats.poses import Pose
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
-from formats.stack import StackWriter
 from scenes.drawn import Drawing, Truth, frame_of
 from tests import command_line
 from tests.drawn_recording import (
@@ -34,9 +33,9 @@ from tests.drawn_recording import (
     recorded,
     truth,
     write_folder,
+    write_stack,
     write_video,
 )
-from tests.drawn_sets import labels_of
 from tests.made_up import a_calibration, a_microscope_file
 
 run = functools.partial(command_line.run, "track")
@@ -173,14 +172,8 @@ def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
 
 
 def test_a_stack_brings_its_microscope_and_its_exposures(tmp_path, images, microscope):
-    folder, out = tmp_path / "stack", tmp_path / "spots.csv"
-    with StackWriter(folder) as writer:
-        writer.describe(stack={}, microscope=json.loads(microscope.read_text()))
-        for k, image in enumerate(images):
-            for exposure, exposed in (("metered", image), ("paper", image // 2)):
-                # Labels that the tracker must not see: nothing in them is true but the time.
-                about = {"file_name": f"frames/{exposure}{k}.png", "exposure": exposure}
-                writer.add(exposed, labels_of(k, **about), None)
+    content, out = json.loads(microscope.read_text()), tmp_path / "spots.csv"
+    folder = write_stack(tmp_path / "stack", images, ("metered", "paper"), **content)
     settings = SubpixelSettings(response=Response(curve="srgb"))
     usual = run(folder, "--out", tmp_path / "usual.csv", "--json")
     said = "Reading the exposure metered (the stack also has paper); --exposure chooses."
@@ -192,7 +185,7 @@ def test_a_stack_brings_its_microscope_and_its_exposures(tmp_path, images, micro
     assert "--exposure" not in chosen.stderr
     records = read_spots(out)
     assert_same(records, list(track([image // 2 for image in images], settings)))
-    assert [record.time_s for record in records] == [k / 10 for k in range(8)]
+    assert [record.time_s for record in records] == [k / 25 for k in range(8)]
 
 
 def test_a_distorted_lens_is_taken_out_of_the_spots(tmp_path, frames, images, distorted):

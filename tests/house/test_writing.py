@@ -22,6 +22,7 @@ from formats.stack import StackWriter, read_stack
 from formats.whole_files import BeingWrittenError, written_whole
 from scenes import load_scene, render_stack, write_preview
 from tests.drawn_sets import MICROSCOPE, labels_of
+from tests.estimator.test_whole_files import everything, make
 
 HOME = Path(__file__).resolve().parents[2]
 
@@ -133,23 +134,14 @@ def test_the_second_run_of_two_is_refused_at_once(writer, tmp_path):
 
 
 @pytest.mark.parametrize("writer", [name for name in WRITERS if name != "study"])
-@pytest.mark.parametrize("kind", ["file", "folder", "link"])
+@pytest.mark.parametrize("kind", ["file", "folder", "link to a file"])
 def test_no_command_writes_over_what_is_there(kind, writer, tmp_path):
-    stack, out, mine = tiny_stack(tmp_path / "stack"), tmp_path / "out", tmp_path / "mine"
-    mine.write_text("mine")
-    match kind:
-        case "file":
-            out.write_text("mine")
-        case "folder":
-            out.mkdir()
-        case "link":
-            out.symlink_to(mine)
-    before = out.lstat()
+    stack = tiny_stack(tmp_path / "stack")
+    make(kind, tmp_path / "out")
+    before = everything(tmp_path)
     with pytest.raises(InputError, match="out already exists"):
-        WRITERS[writer](stack, out)
-    assert out.lstat().st_ino == before.st_ino
-    assert mine.read_text() == "mine"
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "out", "stack"]
+        WRITERS[writer](stack, tmp_path / "out")
+    assert everything(tmp_path) == before
 
 
 def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path):
@@ -198,12 +190,12 @@ def test_a_stack_is_verified_with_everything_in_its_folder(tmp_path):
     (tmp_path / "same.png").rename(frame)
     stack.verify()
     extra = stack.folder / "extra"
-    for make, said in (
+    for put, said in (
         (lambda: extra.symlink_to("nothing"), "a link"),
         (lambda: os.mkfifo(extra), "a device, socket or pipe"),
         (extra.mkdir, "an empty folder"),
     ):
-        make()
+        put()
         with pytest.raises(InputError, match=f"extra is {said}"):
             stack.verify()
         extra.rmdir() if extra.is_dir() else extra.unlink()
