@@ -178,7 +178,7 @@ def test_at_the_eyeballs_centre_magnification_makes_the_papers_factor_right(wort
 def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_millimetre():
     d = np.array([0.5, 2.0, 4.0, 6.0])
     moved = error_causes.spread_shift(geometry(z_f=200.0), c=np.zeros(4), d=d, length=0.05)
-    # As an independent sum over an evenly lit disc has it (`test_optics_wall_spread`); a spot seen
+    # As an independent sum over an evenly lit disc has it (`optics/test_wall_spread`); a spot seen
     # from 200 mm has its size on the wall to the sagitta of 0.01 mm over 211 mm.
     assert K * SCALE * moved == pytest.approx([-0.148, -0.134, -0.110, -0.091], abs=1e-3)
     paper = error_causes.spread_length(scenes.load_scene(None))

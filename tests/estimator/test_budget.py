@@ -233,31 +233,23 @@ MOVING = ToolMotion(velocity_mm_s=(0.0, 0.0, 3.0))
 
 
 @pytest.mark.parametrize(
-    ("cause", "given", "half"),
+    ("cause", "key", "value"),
     [
-        (Cause.EYE_RADIUS, {"eye_radius_sigma_mm": 0.2}, {"eye_radius_sigma_mm": 0.1}),
-        (
-            Cause.VIEWING,
-            {"inverse_working_distance_sigma": 1e-3},
-            {"inverse_working_distance_sigma": 5e-4},
-        ),
-        (Cause.VIEWING, {"size_per_mm": 1e-3}, {"size_per_mm": 5e-4}),
-        (Cause.TOUCH, {"touch_sigma_mm": 0.05}, {"touch_sigma_mm": 0.025}),
-        (Cause.TILT, {"axis_sigma_deg": 2.0}, {"axis_sigma_deg": 1.0}),
-        (Cause.CLOCK, {"clock_sigma_s": 0.01}, {"clock_sigma_s": 0.005}),
+        (Cause.EYE_RADIUS, "eye_radius_sigma_mm", 0.2),
+        (Cause.VIEWING, "inverse_working_distance_sigma", 1e-3),
+        (Cause.VIEWING, "size_per_mm", 1e-3),
+        (Cause.TOUCH, "touch_sigma_mm", 0.05),
+        (Cause.TILT, "axis_sigma_deg", 2.0),
+        (Cause.CLOCK, "clock_sigma_s", 0.01),
     ],
 )
-def test_the_remedy_names_what_halves_the_part(cause, given, half):
-    known = {"axis_sigma_deg": 0.0}
-
-    def made(stated):
-        return part(
-            budget_of(stated=Stated(**(known | stated)), axis=tilted_axis(), motion=MOVING), cause
-        )
-
-    before, after = made(given), made(half)
+def test_the_remedy_names_what_halves_the_part(cause, key, value):
+    before, after = (
+        part(budget_of(stated=Stated(**stated), axis=tilted_axis(), motion=MOVING), cause)
+        for stated in ({"axis_sigma_deg": 0.0, key: given} for given in (value, value / 2))
+    )
     assert after.sigma_mm == pytest.approx(before.sigma_mm / 2, rel=1e-9)
-    assert f"{next(iter(half.values())):.3g}" in before.remedy
+    assert f"{value / 2:.3g}" in before.remedy
 
 
 def test_an_unknown_axis_widens_the_interval_and_says_so():

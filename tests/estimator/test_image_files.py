@@ -58,6 +58,10 @@ def grey_as_rgb(values: np.ndarray) -> np.ndarray:
     return np.dstack([values] * 3)
 
 
+def planes(values: np.ndarray) -> np.ndarray:
+    return np.stack([values] * 3)
+
+
 def hiding(values: np.ndarray) -> np.ndarray:
     """RGBA with something bright under alpha 0, in a corner and beside the spot."""
     rgba = np.dstack([grey_as_rgb(values), np.full_like(values, np.iinfo(values.dtype).max)])
@@ -74,8 +78,11 @@ def inks(values: np.ndarray) -> np.ndarray:
     return np.dstack([ink] * 4)
 
 
-def tiff(bits: int = 8, of: Callable[[np.ndarray], np.ndarray] = lambda v: v, **options: Any):
-    return lambda path, light: tifffile.imwrite(path, of(samples(light, bits)), **options)
+def tiff(bits: int | None = 8, of: Callable = lambda v: v, **options: Any) -> Write:
+    """Of samples with so many bits; without bits, of the light itself."""
+    return lambda path, light: tifffile.imwrite(
+        path, of(samples(light, bits) if bits else light), **options
+    )
 
 
 def shuffled(path: Path, light: np.ndarray, **options: Any) -> None:
@@ -153,6 +160,7 @@ def with_thumbnail(path: Path, light: np.ndarray) -> None:
 
 
 RGB: dict[str, Any] = {"photometric": "rgb"}
+ALPHA: dict[str, Any] = {"extrasamples": ["unassalpha"]}
 INVERTED: dict[str, Any] = {"photometric": "miniswhite"}
 READ: dict[str, Write] = {
     "8.tif": tiff(),
@@ -163,29 +171,18 @@ READ: dict[str, Write] = {
     "signed.tif": tiff(16, lambda v: (v >> 1).astype(np.int16)),
     "signed-8.tif": tiff(8, lambda v: (v >> 1).astype(np.int8)),
     "negative.tif": tiff(16, lambda v: (v >> 1).astype(np.int16) - np.int16(2000)),
-    "half.tif": lambda path, light: tifffile.imwrite(path, light.astype(np.float16)),
-    "single.tif": lambda path, light: tifffile.imwrite(
-        path, light.astype(np.float32), predictor=True, compression="zlib"
-    ),
-    "double.tif": lambda path, light: tifffile.imwrite(path, light),
+    "half.tif": tiff(None, np.float16),
+    "single.tif": tiff(None, np.float32, predictor=True, compression="zlib"),
+    "double.tif": tiff(None),
     "rgb.tif": tiff(8, grey_as_rgb, **RGB),
-    "planar.tif": tiff(
-        16, lambda v: np.stack([v] * 3), planarconfig="separate", compression="lzw", **RGB
-    ),
-    "hiding.tif": tiff(8, hiding, extrasamples=["unassalpha"], **RGB),
-    "hiding-16.tif": tiff(16, hiding, extrasamples=["unassalpha"], compression="zlib", **RGB),
+    "planar.tif": tiff(16, planes, planarconfig="separate", compression="lzw", **RGB),
+    "hiding.tif": tiff(8, hiding, **ALPHA, **RGB),
+    "hiding-16.tif": tiff(16, hiding, compression="zlib", **ALPHA, **RGB),
     "hiding-planar.tif": tiff(
-        8,
-        lambda v: np.moveaxis(hiding(v), 2, 0),
-        extrasamples=["unassalpha"],
-        planarconfig="separate",
-        **RGB,
+        8, lambda v: np.moveaxis(hiding(v), 2, 0), planarconfig="separate", **ALPHA, **RGB
     ),
     "hiding-white.tif": tiff(
-        8,
-        lambda v: np.dstack([255 - hiding(v)[..., 0], hiding(v)[..., 3]]),
-        extrasamples=["unassalpha"],
-        **INVERTED,
+        8, lambda v: np.dstack([255 - hiding(v)[..., 0], hiding(v)[..., 3]]), **ALPHA, **INVERTED
     ),
     "white.tif": tiff(8, lambda v: 255 - v, **INVERTED),
     "white-lzw.tif": tiff(8, lambda v: 255 - v, compression="lzw", **INVERTED),
@@ -194,18 +191,12 @@ READ: dict[str, Write] = {
     "palette-lzw.tif": lambda path, light: shuffled(path, light, compression="lzw"),
     "cmyk.tif": tiff(8, inks, photometric="separated"),
     "cmyk-16.tif": tiff(16, inks, photometric="separated", compression="zlib", predictor=True),
-    "ycbcr.tif": tiff(
-        8, grey_as_rgb, compression="jpeg", compressionargs={"level": 100}, photometric="rgb"
-    ),
+    "ycbcr.tif": tiff(8, grey_as_rgb, compression="jpeg", compressionargs={"level": 100}, **RGB),
     "jpeg.tif": tiff(8, compression="jpeg", compressionargs={"level": 100}),
     "bayer.tif": tiff(16, photometric="cfa", extratags=cfa_tags(b"\0\1\1\2")),
     "ome.tif": ome,
-    "imagej.tif": lambda path, light: tifffile.imwrite(
-        path, np.stack([samples(light, 16)] * 2), imagej=True, metadata={"axes": "TYX"}
-    ),
-    "depth.tif": lambda path, light: tifffile.imwrite(
-        path, np.stack([samples(light, 8)] * 2), imagej=True, metadata={"axes": "ZYX"}
-    ),
+    "imagej.tif": tiff(16, lambda v: np.stack([v, v]), imagej=True, metadata={"axes": "TYX"}),
+    "depth.tif": tiff(8, lambda v: np.stack([v, v]), imagej=True, metadata={"axes": "ZYX"}),
     "thumbnail.tif": with_thumbnail,
     "8.png": opencv(),
     "16.png": opencv(16),
@@ -297,13 +288,7 @@ REFUSED: dict[str, tuple[Write, str]] = {
     "lab.tif": (tiff(8, grey_as_rgb, photometric="cielab"), "8 bits as CIELAB"),
     "ycbcr.tif": (tiff(8, grey_as_rgb, photometric="ycbcr"), "8 bits as YCBCR"),
     "ycbcr-planar.tif": (
-        tiff(
-            8,
-            lambda v: np.stack([v] * 3),
-            photometric="ycbcr",
-            compression="jpeg",
-            planarconfig="separate",
-        ),
+        tiff(8, planes, photometric="ycbcr", compression="jpeg", planarconfig="separate"),
         "8 bits as YCBCR",
     ),
     "mosaic.tif": (
@@ -318,18 +303,9 @@ REFUSED: dict[str, tuple[Write, str]] = {
         tiff(8, lambda v: np.dstack([v] * 5), planarconfig="contig", **RGB),
         "has 5 samples a pixel",
     ),
-    "complex.tif": (
-        lambda path, light: tifffile.imwrite(path, light.astype(np.complex64)),
-        "samples of the type complex64",
-    ),
-    "white.tif": (
-        lambda path, light: tifffile.imwrite(path, light, **INVERTED),
-        "floats or negative values as MINISWHITE",
-    ),
-    "raw.tif": (
-        lambda path, light: tifffile.imwrite(path, samples(light, 8), subfiletype=1),
-        "no image of full size",
-    ),
+    "complex.tif": (tiff(None, np.complex64), "samples of the type complex64"),
+    "white.tif": (tiff(None, **INVERTED), "floats or negative values as MINISWHITE"),
+    "raw.tif": (tiff(8, subfiletype=1), "no image of full size"),
     "transparent.png": (
         opencv(8, lambda v: np.dstack([grey_as_rgb(v), 0 * v])),
         r"is transparent everywhere \(alpha 0\)",
@@ -414,7 +390,7 @@ def test_alpha_in_between_dims_and_a_constant_one_does_nothing(tmp_path):
         values[..., 3] = alpha
         paths = tmp_path / f"{name}.png", tmp_path / f"{name}.tif"
         Image.fromarray(values).save(paths[0])
-        tifffile.imwrite(paths[1], values, extrasamples=["unassalpha"], **RGB)
+        tifffile.imwrite(paths[1], values, **ALPHA, **RGB)
         for path in paths:
             (frame,) = open_source(path)
             np.testing.assert_array_equal(frame.image[0], [[200, 100, 50], seen])

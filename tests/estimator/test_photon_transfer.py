@@ -8,30 +8,24 @@ from estimator.photon_transfer import measured_noise
 from formats.inputs import InputError
 from formats.microscope import read_microscope
 from scenes.camera import CameraSensor
-from scenes.description.scene import Scene
 from tests.command_line import printed
 from tests.made_up import a_microscope_file
+from tests.scene_tables import scene_of
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
 _LEVELS = (0.0, 0.12, 0.25, 0.4, 0.6, 0.8)
 
 
 def _pairs(**camera):
-    settings = {
-        "schema": 1,
-        "camera": {**_SHEET, **camera},
-        "microscope": {"width_px": 640, "height_px": 480},
-    }
-    made = CameraSensor(Scene.model_validate(settings), seed=5)
-    pairs = []
-    for number, level in enumerate(_LEVELS):
+    size = {"width_px": 640, "height_px": 480}
+    made = CameraSensor(scene_of({"camera": {**_SHEET, **camera}, "microscope": size}), seed=5)
+
+    def exposed(level, *seed):
         # 200 full wells per second and unit of radiance: the scene's own sensitivity.
         light = np.full((480, 640, 3), level / 200.0, np.float32)
-        frames = [
-            made.written(made.raw(light, exposure_s=1.0, noise_seed=[number, k])) for k in (0, 1)
-        ]
-        pairs.append((frames[0], frames[1]))
-    return pairs
+        return made.written(made.raw(light, exposure_s=1.0, noise_seed=[*seed]))
+
+    return [(exposed(level, n, 0), exposed(level, n, 1)) for n, level in enumerate(_LEVELS)]
 
 
 def test_the_data_sheet_is_found():

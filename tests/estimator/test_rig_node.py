@@ -1,6 +1,6 @@
 """The rig's node: without ROS what it makes of messages, and its proof under a real ROS 1.
 
-`test_estimator_rig_ros2` has the proof under ROS 2.
+`test_rig_ros2` has the proof under ROS 2.
 
 The proof (slow) renders a stack, writes it as a bag with the rig's topics, starts roscore, the node
 and `rosbag record`, plays the bag at the camera's 10 Hz, and compares what was recorded with the
@@ -93,31 +93,33 @@ def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline():
     assert doubts == ["", "ambiguous", ""]
 
 
-def test_the_distance_is_in_metres(tmp_path):
+# At contact the spot has -b/(delta k) = 19.1 px; the smaller one's tip is behind the wall.
+@pytest.mark.parametrize(("radius_px", "doubt"), [(30.0, ""), (17.0, "out_of_range")])
+def test_the_distance_is_in_metres_and_doubted_behind_the_wall(tmp_path, radius_px, doubt):
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, 30.0)), 1.0, 0)
+    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, radius_px)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
-    truth_mm = 0.0134 * 20 * 30.0 - 5.117
+    truth_mm = 0.0134 * 20 * radius_px - 5.117
     assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
     assert float(reading.details["sigma_distance_mm"]) > 0
+    assert reading.doubt == doubt
 
 
-def test_a_tip_behind_the_wall_is_doubted(tmp_path):
-    microscope = microscope_in(tmp_path)
-    parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    # At contact the spot has -b/(delta k) = 19.1 px.
-    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, 17.0)), 1.0, 0)
-    assert reading.doubt == "out_of_range"
-    assert reading.distance_m < 0
-
-
-def test_the_pose_of_an_image_is_the_last_that_came_before_it():
-    rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
-    assert math.isnan(pose_age_s(rig.output(image, 5.0, 0).details))
-    for received_s in (4.97, 4.98, 5.01):
-        rig.poses.take(pose_message(), received_s)
-    assert pose_age_s(rig.output(image, 5.0, 0).details) == pytest.approx(0.02, abs=1e-9)
+@pytest.mark.parametrize(
+    ("received_s", "image_s", "age_s"),
+    [
+        ((), 5.0, math.nan),
+        ((4.97, 4.98, 5.01), 5.0, 0.02),
+        ((5.00, 5.01, 1.00), 5.02, 4.02),  # the recording is played again
+    ],
+)
+def test_the_pose_of_an_image_is_the_last_of_its_run_that_came_before(received_s, image_s, age_s):
+    rig = Rig(Parameters())
+    for moment_s in received_s:
+        rig.poses.take(pose_message(), moment_s)
+    details = rig.output(grey_message(disc(150, 110, 40)), image_s, 0).details
+    assert pose_age_s(details) == pytest.approx(age_s, abs=1e-9, nan_ok=True)
 
 
 def test_a_topic_of_compressed_images_is_looked_for_as_such():
@@ -125,13 +127,6 @@ def test_a_topic_of_compressed_images_is_looked_for_as_such():
     said = silence.change(lambda: ["sensor_msgs/msg/Image"])
     assert said is not None
     assert "a topic of this name is read as sensor_msgs/CompressedImage" in said[0]
-
-
-def test_a_recording_that_begins_anew_does_not_get_poses_of_its_first_run():
-    rig, image = Rig(Parameters()), grey_message(disc(150, 110, 40))
-    for received_s in (5.00, 5.01, 1.00):  # the recording is played again
-        rig.poses.take(pose_message(), received_s)
-    assert pose_age_s(rig.output(image, 5.02, 0).details) == pytest.approx(4.02, abs=1e-9)
 
 
 @pytest.mark.parametrize(

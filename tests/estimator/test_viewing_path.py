@@ -100,7 +100,7 @@ def test_corrected_takes_the_paths_own_magnification(path_camera):
 
 
 def test_a_calibrated_pinhole_goes_before_the_path(path_camera):
-    """At c = 4 mm `small_plane` is off by 1.5 mm (an independent trace: test_benchmarks_study_eye).
+    """At c = 4 mm `small_plane` is off by 1.5 mm (an independent trace: benchmarks/test_study_eye).
 
     A pinhole stands for the path within 0.05 mm; with its ellipse's area also at 30 degrees, where
     the semi-minor axis is off by a millimetre and more.
