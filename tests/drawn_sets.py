@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -110,6 +111,19 @@ def write_stack(folder: Path, labels: Sequence[FrameLabels], *, seed: int = 0) -
             mask = np.where(seen & (amplitude > 0), 255, 0).astype(np.uint8)
             writer.add(frame_of(scene, rng, SHAPE), row, mask)
     return folder
+
+
+def with_false_labels(stack: Path, copy: Path) -> Path:
+    """A copy of a stack in which no number of a label is true but the times."""
+    shutil.copytree(stack, copy)
+    rows = map(json.loads, (copy / "metadata.jsonl").read_text().splitlines())
+    kept = {"time_s", "exposure_s"}
+    told = (
+        {n: 1.0 if isinstance(v, float) and n not in kept else v for n, v in row.items()}
+        for row in rows
+    )
+    (copy / "metadata.jsonl").write_text("".join(json.dumps(row) + "\n" for row in told))
+    return copy
 
 
 def describe_set(folder: Path, stacks: Mapping[str, Sequence[str]]) -> None:

@@ -1,9 +1,7 @@
 """`eyespot fit` chooses the model, and a lens to start from, by what was measured alone."""
 
-import json
 import math
 import re
-import shutil
 import tomllib
 
 import numpy as np
@@ -20,6 +18,8 @@ from calibration.recordings import read_recording
 from calibration.spots.cone_trials import Prior
 from formats.stack import read_stack
 from optics.wall_light.lens import lens_parameters
+from tests.drawn_sets import with_false_labels
+from tests.scene_tables import scene_of
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
 CONE = {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": -5.117}
@@ -31,16 +31,13 @@ def stack(tmp_path_factory):
 
     def render(name, source, **motion):
         if not (folder / name).exists():
-            scene = scenes.Scene.model_validate(
-                {
-                    "schema": 1,
-                    "source": source,
-                    "motion": {"frames": 9, **motion},
-                    "microscope": {"width_px": 320, "height_px": 240, "scale_mm_px": 0.0134},
-                    "exposures": {"kinds": ["paper", "metered"]},
-                }
-            )
-            scenes.render_stack(scene, folder / name)
+            scene = {
+                "source": source,
+                "motion": {"frames": 9, **motion},
+                "microscope": {"width_px": 320, "height_px": 240, "scale_mm_px": 0.0134},
+                "exposures": {"kinds": ["paper", "metered"]},
+            }
+            scenes.render_stack(scene_of(scene), folder / name)
         return folder / name
 
     return render
@@ -48,18 +45,10 @@ def stack(tmp_path_factory):
 
 def falsified(stack, copy, source):
     """The stack with another source in its description, and labels that are all wrong."""
-    shutil.copytree(stack, copy)
+    with_false_labels(stack, copy)
     description = tomllib.loads((copy / "stack.toml").read_text())
     description["scene"]["source"] |= source
     (copy / "stack.toml").write_text(tomli_w.dumps(description))
-    lines = []
-    for line in (copy / "metadata.jsonl").read_text().splitlines():
-        labels = json.loads(line)
-        for name, value in labels.items():
-            if isinstance(value, float) and name not in ("time_s", "exposure_s"):
-                labels[name] = 1.0
-        lines.append(json.dumps(labels))
-    (copy / "metadata.jsonl").write_text("\n".join(lines) + "\n")
     return copy
 
 
