@@ -21,8 +21,9 @@ from estimator.sources.ros import write_bag
 from formats.calibration import read_calibration
 from formats.poses import read_poses
 from formats.spots import Spot, SpotRecord, write_spots
-from tests.command_line import call
+from tests.command_line import call, printed
 from tests.made_up import a_microscope_file, a_spot
+from tests.scene_tables import scene_of
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067
@@ -268,23 +269,17 @@ def stack(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stacks")
 
     def render(name, *, kind, c, azimuth=0.0, frames=13, **changes):
-        scene = scenes.Scene.model_validate(
-            {
-                "schema": 1,
-                "phantom": {"kind": kind, "wall": "uniform", **changes.get("phantom", {})},
-                "source": {"kind": "cone", "cone_k": K, "cone_apex_offset_mm": B},
-                "spot": {
-                    "eccentricity_mm": c,
-                    "azimuth_deg": azimuth,
-                    "incidence_deg": changes.get("incidence", 30.0),
-                },
-                "instrument": {"visible": "incidence" not in changes},
-                "motion": changes.get("motion", {"frames": frames}),
-                "exposures": {"kinds": ["metered"]},
-            }
-        )
+        incidence = changes.get("incidence", 30.0)
+        scene = {
+            "phantom": {"kind": kind, "wall": "uniform", **changes.get("phantom", {})},
+            "source": {"kind": "cone", "cone_k": K, "cone_apex_offset_mm": B},
+            "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth, "incidence_deg": incidence},
+            "instrument": {"visible": "incidence" not in changes},
+            "motion": changes.get("motion", {"frames": frames}),
+            "exposures": {"kinds": ["metered"]},
+        }
         if not (folder / name).exists():
-            scenes.render_stack(scene, folder / name)
+            scenes.render_stack(scene_of(scene), folder / name)
         return str(folder / name)
 
     return render
@@ -303,8 +298,7 @@ def stacks(stack):
 @pytest.mark.slow
 def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     out = tmp_path / "cone.json"
-    result = call(["fit", *stacks, "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    printed("fit", *stacks, "--out", out)
     found = read_calibration(out)
     # Asked of rendered cones with camera noise: half-angle within 0.3 %, b within 0.02 mm.
     assert found.values["half_angle"] == pytest.approx(np.arctan(1 / K), rel=0.003)
@@ -331,9 +325,7 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
     # tip, whose rim is at the wall.
     out = tmp_path / "square.json"
     square = stack("square", kind="eyeball", c=2.0, incidence=0.0)
-    result = call(["fit", square, "--out", str(out)])
-    assert result.exit_code == 0, result.output
-    assert "A good fit" in result.output
+    assert "A good fit" in printed("fit", square, "--out", out)
     found = read_calibration(out)
     for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
         assert abs(found.values[name] - true) < 4 * found.sigma(name)
@@ -342,8 +334,7 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
 @pytest.mark.slow
 def test_the_planar_fit_knows_of_the_rim(stacks, tmp_path):
     out = tmp_path / "plane.json"
-    result = call(["fit", *stacks[:2], "--model", "plane", "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    printed("fit", *stacks[:2], "--model", "plane", "--out", out)
     found = read_calibration(out)
     for name, true in (("k", K), ("b", B)):
         assert abs(found.values[name] - true) < 4 * found.sigma(name)

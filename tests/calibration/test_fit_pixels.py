@@ -17,15 +17,12 @@ from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from optics.wall_light.lens import lens_parameters
-from tests.command_line import call
+from tests.command_line import printed
 from tests.made_up import a_spot
+from tests.scene_tables import scene_of
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
-
-
-def run(*arguments):
-    return call(list(map(str, arguments)))
 
 
 @pytest.mark.parametrize("side", [1, 4])
@@ -90,24 +87,17 @@ def test_what_is_not_seen_is_said_with_a_remedy(seen, values, told):
 
 
 def render(folder, *, source, scale, samples, wall="uniform"):
-    scene = scenes.Scene.model_validate(
-        {
-            "schema": 1,
-            "seed": 3,
-            "phantom": {"wall": wall},
-            "source": source,
-            "spot": {"eccentricity_mm": 2.0},
-            "motion": {"travel_mm": 5.0, "frames": 10},
-            "microscope": {
-                "width_px": 128,
-                "height_px": 128,
-                "scale_mm_px": scale,
-                "samples": samples,
-            },
-            "exposures": {"kinds": ["metered"]},
-        }
-    )
-    return scenes.render_stack(scene, folder)
+    window = {"width_px": 128, "height_px": 128, "scale_mm_px": scale, "samples": samples}
+    scene = {
+        "seed": 3,
+        "phantom": {"wall": wall},
+        "source": source,
+        "spot": {"eccentricity_mm": 2.0},
+        "motion": {"travel_mm": 5.0, "frames": 10},
+        "microscope": window,
+        "exposures": {"kinds": ["metered"]},
+    }
+    return scenes.render_stack(scene_of(scene), folder)
 
 
 @pytest.fixture(scope="module")
@@ -119,8 +109,7 @@ def cone(tmp_path_factory):
 @pytest.mark.slow
 def test_the_cone_is_found_in_pixels(cone, tmp_path):
     out = tmp_path / "cone.json"
-    result = run("fit", cone.folder, "--model", "image", "--out", out)
-    assert result.exit_code == 0, result.output
+    printed("fit", cone.folder, "--model", "image", "--out", out)
     found = read_calibration(out)
     assert found.model == "exact"
     assert found.fitted_on == "10 frames of cone"
@@ -160,8 +149,7 @@ def test_a_lens_found_in_pixels_ranges_the_spots_that_it_makes(tmp_path):
         "sag = 0.10\nglue_length = 0.10\nnumerical_aperture = 0.23\n"
     )
     out = tmp_path / "lens.json"
-    result = run("fit", stack.folder, "--model", "lens", "--lens", start, "--out", out)
-    assert result.exit_code == 0, result.output
+    printed("fit", stack.folder, "--model", "lens", "--lens", start, "--out", out)
     found = read_calibration(out)
     for name in ("sag", "glue_length", "numerical_aperture"):
         assert 0 < abs(found.values[name] - float(getattr(dome, name))) < 3 * found.sigma(name)

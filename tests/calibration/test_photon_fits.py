@@ -9,7 +9,6 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +19,7 @@ import optics
 from calibration.pixels.fit import fit_image
 from formats.calibration import read_calibration
 from tests import photon_fits
-from tests.command_line import call
+from tests.command_line import printed
 from tests.fit_files import pulls
 from tests.lens_quadrature import irradiance
 from tests.photon_fits import PARAMETERS, fitted, random_recording
@@ -145,11 +144,8 @@ def test_a_lens_is_found_in_a_stack_of_files_that_photons_made(tmp_path):
     )
     # The first frame is not at contact, which the command is told.
     first = frames.where.touch + recording.first
-    arguments: list[Any] = ["fit", stack, "--model", "lens", "--lens", start, "--out", out]
-    arguments += ["--prior", f"touch={first},0.02"]
-    ran = call(list(map(str, arguments)))
-    assert ran.exit_code == 0, ran.output
-    assert "A good fit" in ran.output
+    options = "--model", "lens", "--lens", start, "--prior", f"touch={first},0.02"
+    assert "A good fit" in printed("fit", stack, *options, "--out", out)
     found = read_calibration(out)
     truth = {"sag": drop.sag, "numerical_aperture": drop.aperture_na}
     for name, true in (truth | {"brightness": recording.brightness}).items():

@@ -18,6 +18,7 @@ from formats.stack import Stack
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
 from tests.made_up import a_footage, a_microscope
+from tests.scene_tables import scene_of
 from tests.spread_disc import lit_by_disc, radii
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -28,8 +29,7 @@ START = {"half_angle": 0.055, "b": -4.5}
 
 def scene(**tables: Any) -> Scene:
     """A withdrawal from an even plane, in frames of 96 x 96."""
-    settings: dict[str, Any] = {
-        "schema": 1,
+    settings = {
         "phantom": {"wall": "uniform", "kind": "plane", "spread": "own"},
         "source": {"kind": "cone"},
         "spot": {"incidence_deg": 0.0},
@@ -38,9 +38,7 @@ def scene(**tables: Any) -> Scene:
         "microscope": {"width_px": 96, "height_px": 96, "scale_mm_px": 0.015, "samples": 16},
         "exposures": {"kinds": ["metered"]},
     }
-    return Scene.model_validate(
-        settings | {name: settings.get(name, {}) | table for name, table in tables.items()}
-    )
+    return scene_of(settings, tables)
 
 
 def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) -> np.ndarray:

@@ -21,7 +21,7 @@ EYE: dict[str, Any] = {"pinhole_height_mm": 200.0, "eye_radius_mm": 11.5}
 
 
 def ours(**changed):
-    seen = {"principal_point_px": [900.0, -300.0], "pinhole_height_mm": 11.5}
+    seen: dict[str, Any] = {"principal_point_px": [900.0, -300.0], "pinhole_height_mm": 11.5}
     content = microscope_content(**seen, response="srgb", paper_exposure_s=0.004)
     return {"schema": 1, **content, **changed}
 
