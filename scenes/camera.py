@@ -130,25 +130,15 @@ def mosaic(linear: NDArray[Any], *, bayer: str) -> NDArray[Any]:
 
 
 def demosaiced(raw: NDArray[Any], *, bayer: str) -> NDArray[Any]:
-    """Colours from a Bayer mosaic; a pixel's two missing colours are means of its neighbours.
+    """Colours from a `mosaic`, H x W x 3; a pixel's two missing ones are means of its neighbours.
 
-    Args:
-        raw: H x W, uint8 or uint16.
-        bayer: as for `mosaic`.
-
-    Returns:
-        H x W x 3 (R, G, B). The outermost pixels repeat those next to them.
+    The outermost pixels repeat those next to them.
     """
     return np.asarray(cv2.cvtColor(raw, getattr(cv2, f"COLOR_Bayer{bayer}2RGB")))
 
 
 def after_jpeg(image: NDArray[Any], *, quality: int) -> NDArray[Any]:
-    """An image after JPEG with 4:2:2 colour (half of the columns).
-
-    Args:
-        image: H x W x 3 (R, G, B), uint8.
-        quality: 1 to 100, libjpeg's scale.
-    """
+    """An 8-bit RGB image after JPEG, libjpeg's quality 1 to 100, 4:2:2 colour (half the columns)."""
     sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
     _, encoded = cv2.imencode(".jpg", image[..., ::-1], options)
@@ -252,10 +242,7 @@ def _raw(
     rng: np.random.Generator,
     patterns: FixedPatterns | None,
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
-    """Output of the converter for a mean number of electrons per pixel.
-
-    `full_scale` is the largest output.
-    """
+    """Output of the converter, at most `full_scale`, for a mean number of electrons per pixel."""
     raw = np.empty(light_e.shape, np.uint8 if full_scale < 256 else np.uint16)
     per_dn = full_scale / settings.full_scale_dn
     gain = np.float32(settings.system_gain * per_dn)

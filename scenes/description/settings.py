@@ -118,10 +118,7 @@ UNNAMED = "withdrawal"
 """The motion of a scene without `motion.kind`."""
 
 MOTIONS: dict[str, type[SceneTable]] = {
-    "withdrawal": Withdrawal,
-    "scan": Scan,
-    "hand": Hand,
-    "recorded": Recorded,
+    model.model_fields["kind"].default: model for model in (Withdrawal, Scan, Hand, Recorded)
 }
 
 

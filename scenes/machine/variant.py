@@ -43,7 +43,16 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
         _check_loaded_llvm(needed=needs_llvm)
     else:
         _choose_llvm(needed=needs_llvm)
-    mitsuba = _import_mitsuba()
+    try:
+        import mitsuba
+    except ModuleNotFoundError:
+        raise
+    except (ImportError, NameError) as error:
+        # Dr.Jit 1.5 raises a NameError by mistake while it reports the ImportError.
+        raise RendererUnavailable(
+            f"Mitsuba cannot be loaded ({error.__context__ or error}). Install the missing library "
+            f"(Debian, as root: `{DEBIAN_COMMAND}`)."
+        ) from error
 
     if variant not in mitsuba.variants():
         known = ", ".join(mitsuba.variants())
@@ -61,20 +70,6 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
         raise RendererUnavailable(
             f"load_mitsuba({variant!r}): no NVIDIA GPU with a working driver was found. "
             "Use llvm_ad_rgb, which needs none."
-        ) from error
-    return mitsuba
-
-
-def _import_mitsuba() -> ModuleType:
-    try:
-        import mitsuba
-    except ModuleNotFoundError:
-        raise
-    except (ImportError, NameError) as error:
-        # Dr.Jit 1.5 raises a NameError by mistake while it reports the ImportError.
-        raise RendererUnavailable(
-            f"Mitsuba cannot be loaded ({error.__context__ or error}). Install the missing library "
-            f"(Debian, as root: `{DEBIAN_COMMAND}`)."
         ) from error
     return mitsuba
 

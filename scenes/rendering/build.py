@@ -30,24 +30,17 @@ spot's contour by less than 1e-3 px."""
 
 
 def ellipsoid_mesh(wall: optics.Ellipsoid, surface: dict[str, Any]) -> Any:
-    """The wall seen from inside, with the ellipsoid's own normals.
+    """The wall of a material `surface` seen from inside, with the ellipsoid's own normals.
 
     The picture is laid round the pole: its x and y are the direction from the pole and the
     distance on a sphere of the same pole, as on a spherical eyeball.
-
-    Args:
-        surface: dictionary of its material.
     """
     polar = np.pi * np.arange(1, _RINGS) / _RINGS
     azimuth = 2 * np.pi * np.arange(_SECTORS) / _SECTORS
     around = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
-    rings = np.concatenate(
-        [
-            np.sin(polar)[:, None, None] * around,
-            np.broadcast_to(-np.cos(polar)[:, None, None], (_RINGS - 1, _SECTORS, 1)),
-        ],
-        axis=-1,
-    )
+    rings = np.empty((_RINGS - 1, _SECTORS, 3))
+    rings[..., :2] = np.sin(polar)[:, None, None] * around
+    rings[..., 2] = -np.cos(polar)[:, None]
     unit = np.vstack([rings.reshape(-1, 3), [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
     semi_axes, turn = np.asarray(wall.semi_axes), np.asarray(wall.turn)
     points = (semi_axes * unit) @ turn.T + np.asarray(wall.centre)
@@ -116,11 +109,8 @@ def wall(world: World) -> Any:
         pole = world.wall.frame_at(eccentricity=0.0, azimuth=0.0)
         place = rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
         half = np.diag([PICTURE_MM / 2, PICTURE_MM / 2, 1.0, 1.0])
-        return {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f(place @ half),
-            "bsdf": surface,
-        }
+        to_world = mi.ScalarTransform4f(place @ half)
+        return {"type": "rectangle", "to_world": to_world, "bsdf": surface}
     if isinstance(world.wall, optics.Ellipsoid):
         return ellipsoid_mesh(world.wall, surface)
     if "bitmap" in reflectance:
@@ -271,7 +261,11 @@ def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray]
 
 def _source(world: World) -> dict[str, Any]:
     scene, table = world.scene, world.table
-    placed = {"tip": mi.ScalarPoint3f(0, 0, 0), "axis": mi.ScalarVector3f(0, 0, 1)}
+    common = {
+        "tip": mi.ScalarPoint3f(0, 0, 0),
+        "axis": mi.ScalarVector3f(0, 0, 1),
+        "power": scene.source.power_mw,
+    }
     if table is None:
         # Width on the wall of the square of the image that a camera ray stands for, mm.
         middle = np.asarray(world.microscope.principal_point)
@@ -280,21 +274,19 @@ def _source(world: World) -> dict[str, Any]:
         a_side = math.isqrt(scene.microscope.samples - 1) + 1
         return {
             "type": "eyespot_cone",
-            **placed,
-            "power": scene.source.power_mw,
+            **common,
             "half_angle": world.cone.half_angle,
             "apex_offset": world.cone.apex_offset,
             "sample_width": float(np.linalg.norm(right - left)) / a_side,
         }
     return {
         "type": "eyespot_lens",
-        **placed,
+        **common,
         "values": mi.TensorXf(np.asarray(table.values, dtype=np.float32)),
         "contact_radius": float(table.contact_radius),
         "slope": float(table.slope),
         "nearest": float(table.nearest),
         "farthest": float(table.farthest),
-        "power": scene.source.power_mw,
         "lens": scene.source.lens,
         "medium_index": world.medium_index,
     }
@@ -380,6 +372,7 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         "principal_point": mi.ScalarPoint2f(u0, v0),
         "entry_height": _inside_the_eye(world),
         "vignetting": scene.microscope.vignetting,
+        "aperture_slope": _aperture_slope(scene),
     }
     if isinstance(camera, PathCamera):
         cone = world.pencils
@@ -390,7 +383,6 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
             "px_per_aim": float(camera.px_per_aim),
             "widest": float(camera.widest),
             "pupil": min(float(camera.pupil), float(camera.widest)),
-            "aperture_slope": _aperture_slope(scene),
             **({"pencils": _as_text(*cone.across, *cone.along)} if cone else {}),
         }
     names = ("k1", "k2", "p1", "p2", "k3")
@@ -399,7 +391,6 @@ def _sensor(world: World, sampler: dict[str, Any]) -> dict[str, Any]:
         **common,
         "scale": scene.microscope.scale_mm_px,
         "inverse_working_distance": float(camera.inverse_working_distance),
-        "aperture_slope": _aperture_slope(scene),
         "focus_height": scene.microscope.focus_mm - scene.phantom.radius_mm,
         **dict(zip(names, scene.microscope.distortion, strict=True)),
     }

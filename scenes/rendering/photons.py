@@ -35,9 +35,10 @@ class Glass:
         self.length = float(lens.glue_length)
         index = float(lens.glue_index)
         self.face_radius, self.sine_limit = float(lens.face_radius), float(lens.sine_limit)
-        self.launch_radius = _optional(lens.launch_radius)
-        launch_aperture = _optional(lens.launch_aperture)
-        self.launch_sine = None if launch_aperture is None else launch_aperture / index
+        self.launch_radius, launch_aperture = (
+            None if x is None else float(x) for x in (lens.launch_radius, lens.launch_aperture)
+        )
+        self.launch_sine = launch_aperture and launch_aperture / index
         cap = {"type": "disk", "to_world": mi.ScalarTransform4f().scale(self.aperture)}
         if self.sag > 0:
             radius = 1 / float(lens.curvature)
@@ -106,10 +107,6 @@ def _disc(sample, *, extent: float, waist: float | None):
     within = -math.expm1(-2 * (extent / waist) ** 2)
     radius = waist * dr.sqrt(-0.5 * dr.log(1 - share * within))
     return point * radius * dr.rsqrt(dr.maximum(dr.squared_norm(point), 1e-30))
-
-
-def _optional(value) -> float | None:
-    return None if value is None else float(value)
 
 
 def photon_image(scene, *, photons_per_pixel: int, seed: int) -> np.ndarray:

@@ -341,6 +341,11 @@ class _WindowSensor(mi.Sensor):
         """Random slope of a line of sight against the central one; zero for a pinhole."""
         return self.aperture_slope * mi.warp.square_to_uniform_disk_concentric(sample)
 
+    def _ray(self, at_entry, slope, time):
+        """Line of sight through a point at the entry's height, with its growth per mm down."""
+        start = mi.Point3f(at_entry.x, at_entry.y, self.entry_height)
+        return mi.Ray3f(start, dr.normalize(mi.Vector3f(slope.x, slope.y, -1)), time)
+
     def _part(self, position):
         """Fraction of light that remains after vignetting."""
         size = mi.Vector2f(self.film().size())
@@ -376,12 +381,9 @@ class MicroscopeSensor(_WindowSensor):
         depth = self._depth(self.entry_height)
         aside = self._slope(aperture_sample)
         above = self.entry_height - self.focus_height
-        ray = mi.Ray3f(
-            mi.Point3f(x * depth - above * aside.x, y * depth - above * aside.y, self.entry_height),
-            dr.normalize(mi.Vector3f(self.bend * x + aside.x, self.bend * y + aside.y, -1)),
-            time,
-        )
-        return ray, mi.Color3f(self._part(position_sample))
+        at_entry = mi.Vector2f(x * depth - above * aside.x, y * depth - above * aside.y)
+        slope = mi.Vector2f(self.bend * x + aside.x, self.bend * y + aside.y)
+        return self._ray(at_entry, slope, time), mi.Color3f(self._part(position_sample))
 
     def sample_direction(self, it, sample, active=True):
         """Direction to the pinhole, and the weight of a photon's radiance on the film."""
@@ -478,13 +480,8 @@ class PathSensor(_WindowSensor):
             at_pole += across * aside + along * turned
             slope += grown_across * aside + grown_along * turned
         at_entry = at_pole - slope * (self.entry_height - self.pole_height)
-        ray = mi.Ray3f(
-            mi.Point3f(at_entry.x, at_entry.y, self.entry_height),
-            dr.normalize(mi.Vector3f(slope.x, slope.y, -1)),
-            time,
-        )
-        part = passing * self._part(position_sample)
-        return ray, mi.Color3f(dr.select(squared <= self.pupil**2, part, 0))
+        part = dr.select(squared <= self.pupil**2, passing * self._part(position_sample), 0)
+        return self._ray(at_entry, slope, time), mi.Color3f(part)
 
 
 def _series(terms, place):

@@ -255,20 +255,18 @@ class Bounds:
             light: noise-free, during the exposure.
         """
         ellipse = self._ellipses[frame]
-        window = self._window([ellipse])
-        if window.bottom - window.top < 2 or window.right - window.left < 2:
+        top, bottom, left, right = window = self._window([ellipse])
+        if bottom - top < 2 or right - left < 2:
             return {}
-        top, bottom, left, right = window
         direct, reflectance = self._renderer.fine_light(
             frame,
             self._wall(frame, window),
             exposure_s=exposure_s,
             sub_frames=min(light.sub_frames, _MOST_PARTS),
         )
-        exposure = exposure_s * self._scene.exposures.sensitivity_mm2_sr_mj
         information = light_information(
             light.radiance[top:bottom, left:right],
-            exposure=exposure,
+            exposure=exposure_s * self._scene.exposures.sensitivity_mm2_sr_mj,
             settings=self._scene.camera,
         )
         found = ellipse_information(

@@ -169,13 +169,12 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
     # What the estimator may know of the camera: its data sheet.
     sheet = scene.camera.model_dump(include={*CameraSheet.model_fields})
     sheet |= {"bayer": scene.camera.bayer != "none", "jpeg": scene.camera.jpeg_quality > 0}
-    height: float | None = settings.pinhole_height_mm
+    height: float | None = None
+    matrix: list[list[float]] | None = None
     if isinstance(camera, PathCamera):  # the paraxial pinhole
         height = float(1.0 / camera.inverse_working_distance) - phantom.radius_mm
-    elif not math.isfinite(settings.pinhole_height_mm):
-        height = None
-    matrix = None
-    if isinstance(camera, optics.Microscope) and camera.inverse_working_distance:
+    elif math.isfinite(settings.pinhole_height_mm):
+        height = settings.pinhole_height_mm
         matrix = np.asarray(camera.camera_matrix()).tolist()
     content: dict[str, object] = {
         "width_px": settings.width_px,
@@ -189,9 +188,7 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
         "response": scene.camera.response,
         "camera": sheet,
         "paper_exposure_s": fixed_exposure_s,
-        "plane_normal": np.asarray(wall.inward).tolist()
-        if isinstance(wall, optics.Plane)
-        else None,
+        "plane_normal": wall.inward.tolist() if isinstance(wall, optics.Plane) else None,
     }
     if isinstance(camera, PathCamera):
         pupil = float(camera.pupil)
@@ -345,13 +342,11 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
         max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
     )
     scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
-    x, y = large.window_offset_px
-    fewer = large.scale_mm_px / scale
     view = {
         "width_px": width,
         "height_px": height,
         "scale_mm_px": scale,
-        "window_offset_px": (fewer * x, fewer * y),
+        "window_offset_px": tuple(large.scale_mm_px / scale * x for x in large.window_offset_px),
         "samples": 1,
     }
     small = scene.model_copy(update={"microscope": large.model_copy(update=view)})
