@@ -47,7 +47,6 @@ def light_information(
     Args:
         light: noise-free light, H x W x 3, as for `expose`.
         exposure: full wells per unit of `light`.
-        settings: the camera; behind a Bayer filter each pixel has one colour.
 
     Returns:
         Per squared unit of `light`, H x W x 3; 0 for colours that a pixel does not measure.
@@ -138,7 +137,7 @@ def demosaiced(raw: NDArray[Any], *, bayer: str) -> NDArray[Any]:
 
 
 def after_jpeg(image: NDArray[Any], *, quality: int) -> NDArray[Any]:
-    """An 8-bit RGB image after JPEG, libjpeg's quality 1 to 100, 4:2:2 colour (half the columns)."""
+    """An 8-bit RGB image after JPEG with 4:2:2 colour; the quality is libjpeg's, 1 to 100."""
     sampling = cv2.IMWRITE_JPEG_SAMPLING_FACTOR_422
     options = [cv2.IMWRITE_JPEG_QUALITY, quality, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, sampling]
     _, encoded = cv2.imencode(".jpg", image[..., ::-1], options)

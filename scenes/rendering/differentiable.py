@@ -216,13 +216,9 @@ class PhotonImage:
         return image, jacobian
 
     def vjp(self, parameters: np.ndarray, cotangent: np.ndarray) -> np.ndarray:
-        """Derivatives of sum(cotangent * image) in reverse mode; its time does not depend on p.
+        """The p derivatives of sum(cotangent * image), with a cotangent of H x W x 3.
 
-        Args:
-            cotangent: H x W x 3.
-
-        Returns:
-            p derivatives.
+        In reverse mode; its time does not depend on p.
         """
         border = [(_BORDER_PX, _BORDER_PX)] * 2 + [(0, 0)]
         weight = mi.Float(np.pad(cotangent, border).ravel().astype(np.float32))
@@ -302,11 +298,8 @@ def _spline(offset):
 
 
 def _refuse_occluders(scene: Scene) -> None:
-    for key, visible in (
-        ("instrument", scene.instrument.visible),
-        ("second_tool", scene.second_tool.visible),
-    ):
-        if visible:
+    for key in ("instrument", "second_tool"):
+        if getattr(scene, key).visible:
             raise SceneError(
                 f"PhotonImage: {key}.visible = true would hide photons, and derivatives would not "
                 f"include the moving edge of its shadow (errors up to 20 %). Set {key}.visible to "

@@ -101,8 +101,7 @@ class Reach:
         corners, sight = (
             np.array(a, float).T.reshape(rows + 1, columns + 1, 3) for a in (seen.p, ray.d)
         )
-        bare = np.array(seen.shape == wall_shape(mitsuba_scene))
-        bare = bare.reshape(rows + 1, columns + 1)
+        bare = np.array(seen.shape == wall_shape(mitsuba_scene)).reshape(rows + 1, columns + 1)
         # Of each tile: the middle of its wall; the radius round it that contains wall and rays; and
         # its growth per mm along the rays towards the camera, 0 where they converge there.
         four, rays = _corners(corners), _corners(sight)

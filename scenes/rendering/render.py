@@ -229,17 +229,14 @@ class Renderer:
         added: float = 0.0,
     ) -> np.ndarray:
         """Radiance within pixels, with more even light; NaN where no wall is seen."""
-        from scenes.rendering.loaded_scene import (  # needs Mitsuba's variant
-            fine_image,
-            more_even_light,
-        )
+        from scenes.rendering import loaded_scene as loaded  # needs Mitsuba's variant
 
         tip, axis, moment = pose
         colours = []
         for images in self.images.by_colour:
             images.place(tip=tip, axis=axis, moment=moment)
-            with more_even_light(images.mitsuba_scene, added):
-                radiance, wall = fine_image(images.mitsuba_scene, window, factor=factor)
+            with loaded.more_even_light(images.mitsuba_scene, added):
+                radiance, wall = loaded.fine_image(images.mitsuba_scene, window, factor=factor)
             colours.append(np.where(wall[..., None] > 0, radiance, np.float32(np.nan)))
         if len(colours) == 1:
             return colours[0]

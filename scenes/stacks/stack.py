@@ -310,9 +310,6 @@ class LiveCamera:
         return self._camera.raw(np.asarray(light), exposure_s=exposure_s, noise_seed=seed)
 
 
-_SHRINK = 2
-
-
 def write_preview(scene: Scene, path: Path, *, variant: str = "llvm_ad_rgb") -> None:
     """Render `preview` into a PNG file, which must not exist."""
     with written_whole(path) as partial:
@@ -338,9 +335,7 @@ def preview(scene: Scene, *, variant: str = "llvm_ad_rgb") -> np.ndarray:
     (tip,), (axis,) = world.motion.at(world.times[[world.times.size // 2]])
     large = scene.microscope
     # The same field of view with fewer pixels; even numbers, as a Bayer mosaic needs.
-    width, height = (
-        max(16, size // _SHRINK // 2 * 2) for size in (large.width_px, large.height_px)
-    )
+    width, height = (max(16, size // 4 * 2) for size in (large.width_px, large.height_px))
     scale = large.scale_mm_px * max(large.width_px / width, large.height_px / height)
     view = {
         "width_px": width,

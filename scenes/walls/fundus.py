@@ -283,7 +283,6 @@ def fundus(
     millimetres, so that a seed gives the same eye at every resolution.
 
     Args:
-        seed: random seed of vessels and mottling.
         extent_mm: width and height of the map, mm of arc, in (0, 70].
         pixels: width and height of the map, px.
         palette: "retina" (a living eye, 0.3-12 %) or "printed paper" (a print of its photograph).

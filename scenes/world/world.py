@@ -24,7 +24,7 @@ from scenes.world.geometry import (
     scene_pencils,
     scene_reflections,
 )
-from scenes.world.motion import Trajectory, frame_times, trajectory
+from scenes.world.motion import Poses, Trajectory, frame_times, trajectory
 
 _LEAST_POWER = 1e-3
 """Of the mean: a swing of the power does not switch the source off."""
@@ -184,7 +184,7 @@ class World(SceneGeometry):
         # The tip must stay out of the wall between frames, too.
         often = np.arange(0.0, times.max(), 1 / self.scene.clocks.kinematics_hz)
         both = np.union1d(often, times)
-        _check_poses(self, times=both, **self.motion.at(both)._asdict())
+        _check_poses(self, both, self.motion.at(both))
         return times
 
     @cached_property
@@ -199,12 +199,11 @@ class World(SceneGeometry):
         Raises:
             SceneError: as for `times`; or a part of the spot has no light, or is not in the window.
         """
-        poses = self.motion.at(self.times)._asdict()
         truth = optics.spot_truth(
             self.wall,
             self.microscope,
             self.table,
-            **poses,
+            **self.motion.at(self.times)._asdict(),
             half_angle=self.cone.half_angle,
             apex_offset=self.cone.apex_offset,
         )
@@ -214,8 +213,7 @@ class World(SceneGeometry):
             half_max=_shifted(truth.half_max, views),
             contour_px=np.asarray(truth.contour_px) + views[:, None],
         )
-        contours, images = np.asarray(truth.contour), np.asarray(truth.contour_px)
-        _check_spots(self, times=self.times, contours=contours, contours_px=images, **poses)
+        _check_spots(self, truth)
         return truth
 
     @cached_property
@@ -286,13 +284,10 @@ _CONTACT_MM = 1e-6
 """Depth in the wall that counts as rounding error."""
 
 
-def _check_poses(
-    geometry: SceneGeometry, *, times: np.ndarray, tip: np.ndarray, axis: np.ndarray
-) -> None:
+def _check_poses(geometry: SceneGeometry, times: np.ndarray, poses: Poses) -> None:
     """Refuse a motion in which the tip, or a visible fibre's rim, enters the wall."""
-    instrument = geometry.scene.instrument
+    instrument, wall, (tip, axis) = geometry.scene.instrument, geometry.wall, poses
     rim = instrument.fibre_diameter_mm / 2 if instrument.visible else 0.0
-    wall = geometry.wall
     if isinstance(wall, optics.Sphere):
         ahead = np.sum(tip * axis, axis=1)
         aside = np.linalg.norm(tip - ahead[:, None] * axis, axis=1)
@@ -329,19 +324,13 @@ def _check_poses(
         )
 
 
-def _check_spots(
-    geometry: SceneGeometry,
-    *,
-    times: np.ndarray,
-    contours: np.ndarray,
-    contours_px: np.ndarray,
-    tip: np.ndarray,
-    axis: np.ndarray,
-) -> None:
+def _check_spots(world: World, truth: optics.SpotTruth) -> None:
     """Refuse a scene in which a part of a spot has no light, is hidden, or leaves the window.
 
     No light is behind the tip. A spot may leave the window if window_offset_px is set.
     """
+    times, tip, axis = world.times, np.asarray(truth.beam.tip), np.asarray(truth.beam.axis)
+    contours, contours_px = np.asarray(truth.contour), np.asarray(truth.contour_px)
     ahead = np.sum((contours - tip[:, None]) * axis[:, None], axis=-1).min(axis=1)
     if not np.all(ahead > -_CONTACT_MM):
         first = int(np.argmax(ahead <= -_CONTACT_MM))
@@ -349,22 +338,22 @@ def _check_spots(
             f"at {times[first]:.3f} s a part of the spot's edge lies {-ahead[first]:.3f} mm behind "
             "the tip, where there is no light. Raise the distance in [motion]."
         )
-    camera, settings = geometry.microscope, geometry.scene.microscope
+    camera, settings = world.microscope, world.scene.microscope
     if isinstance(camera, PathCamera) and not np.all(seen := np.asarray(camera.sees(contours))):
         first = int(np.argmin(seen.all(axis=1)))
         reach = np.hypot(contours[first, :, 0], contours[first, :, 1]).max()
-        viewing = geometry.scene.viewing
+        viewing = world.scene.viewing
         hides, remedy = f"a pupil of {viewing.pupil_mm:g} mm", "raise viewing.pupil_mm"
         if camera.widest < camera.pupil:
             # Lines of sight farther out miss a surface, or are reflected totally.
             hides, remedy = "the path, whose surfaces end there,", "choose another viewing.lens"
         raise SceneError(
             f"at {times[first]:.3f} s a part of the spot is hidden: {hides} shows c <= "
-            f"{float(camera.field(geometry.wall)):.2f} mm through viewing.lens {viewing.lens!r}, "
+            f"{float(camera.field(world.wall)):.2f} mm through viewing.lens {viewing.lens!r}, "
             f"and the spot reaches {reach:.2f} mm. Lower spot.eccentricity_mm, or {remedy}."
         )
     if isinstance(camera, optics.Microscope) and any(settings.distortion):
-        edge = geometry.window_border
+        edge = world.window_border
         point, _ = camera.ray(edge)
         error = np.abs(np.asarray(camera.project(point)) - edge).max()
         # `not <` includes NaN: where the image is folded, the inverse does not converge.
