@@ -13,6 +13,7 @@ crosses the meridian through the wall point, where it touches a ring, or where i
 limit of the light to another.
 """
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
@@ -67,9 +68,6 @@ def ring_breaks(rays: RingRays) -> Breaks:
     """Rings of the cap at which the number or the bounds of lit arcs change, with both ends.
 
     Breaks have derivatives, because a whole arc ends at a break if the core's edge is along a ring.
-
-    Args:
-        rays: rays from the wall point.
     """
     aperture = rays.lens.aperture_radius
     still = lax.stop_gradient(rays)
@@ -166,10 +164,7 @@ def _lit_rings(
 ) -> tuple[Array, Array, Array, Array]:
     """Bounds of the rings that may be lit, and of those seen lit, from a scan of whole rings.
 
-    Args:
-        rays: rays by ring and tau.
-        inner: first ring lit on the meridian.
-        outer: last one; equal to the first if none is lit.
+    On the meridian `inner` is the first lit one and `outer` the last; they are equal if none is.
     """
     tau = np.linspace(0.0, 1.0, _COARSE_TURNS)[:, None]
     darkness = jnp.min(rays(ring, jnp.broadcast_to(tau, (tau.size, ring.size))).excess, axis=0)
@@ -204,7 +199,6 @@ def vector_irradiance(
     front of it. Light that the cap reflects back into the glue is lost.
 
     Args:
-        medium_index: n0, refractive index of the medium.
         radius: distance of the wall point from the axis, mm.
         distance: s, distance of the wall point from the tip along the axis, mm, positive.
 
@@ -220,26 +214,37 @@ def vector_irradiance(
         return jnp.zeros(radius.shape), jnp.zeros(radius.shape)
     wall = jnp.stack([radius.ravel(), distance.ravel()])
     leaves = jax.tree.leaves((lens, medium_index, wall))
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in leaves)
-    # Whole batches need one compilation for any number of wall points.
-    width = min(size, _BATCH) if traced else _BATCH
-    wall = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
-    batches = wall.reshape(2, -1, width).transpose(1, 0, 2)
-
-    def evaluate(batch):
-        return np.asarray(_batch_field(lens, medium_index, *batch))
-
-    if traced:
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
+        batches = _batches(wall, min(size, _BATCH))
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
+        field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     else:
-        # One batch is too small for several cores, so each core takes a batch of its own. The first
-        # batch runs alone, so that only one thread compiles.
-        first, *rest = np.asarray(batches)
-        with ThreadPoolExecutor() as pool:
-            fields = [evaluate(first), *pool.map(evaluate, rest)]
-        field = jnp.asarray(np.stack(fields))
-    field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
+        field = jnp.asarray(in_batches(partial(_batch_field, lens, medium_index), wall))
     return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
+
+
+def in_batches(
+    evaluate: Callable[..., Array], points: Float[ArrayLike, "2 n"]
+) -> Float[np.ndarray, "k n"]:
+    """Values of a compiled function at points, k x n.
+
+    Whole batches need one compilation for any number of points. One batch is too small for several
+    cores, so each core takes a batch of its own. The first batch runs alone, so that only one
+    thread compiles.
+    """
+
+    def values(batch: np.ndarray) -> np.ndarray:
+        return np.asarray(evaluate(*batch))
+
+    first, *rest = np.asarray(_batches(points, _BATCH))
+    with ThreadPoolExecutor() as pool:
+        parts = [values(first), *pool.map(values, rest)]
+    return np.concatenate(parts, axis=-1)[:, : np.shape(points)[1]]
+
+
+def _batches(points: Float[ArrayLike, "2 n"], width: int) -> Float[Array, "batches 2 width"]:
+    filled = jnp.pad(points, ((0, 0), (0, -np.shape(points)[1] % width)), mode="edge")
+    return filled.reshape(2, -1, width).transpose(1, 0, 2)
 
 
 @jax.jit
@@ -290,9 +295,7 @@ def _lit_arcs(
 ) -> Float[Array, "2 2 rings"]:
     """First and last tau in [0, 1] of the at most two lit arcs of half a ring; may be empty.
 
-    Args:
-        rays: rays by ring and tau.
-        openings: places at which an arc can be shorter than the scan's cells.
+    At the `openings` an arc can be shorter than the scan's cells.
     """
 
     def excess(tau: Array) -> Array:

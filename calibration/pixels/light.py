@@ -22,7 +22,7 @@ import optics
 from calibration.pixels.data import CONE, LENS, POSE, Footage, beam_names
 from calibration.spots.cone_trials import beam_directions, phantom_wall
 from estimator.pixels.beam import blurred, blurred_with_growth
-from optics.wall_light.cells import CellBeam
+from optics.wall_light.cells import CellBeam, square_lattice
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import (
     FLATTEST,
@@ -37,7 +37,6 @@ from optics.wall_light.pose_light import (
     irradiance_alone,
     irradiance_and_slopes,
     pixels_see,
-    square_lattice,
 )
 
 NEAREST_MM = 0.3

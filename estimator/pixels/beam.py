@@ -18,7 +18,7 @@ from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from formats.camera import USUAL_CUT
 from formats.microscope import MicroscopeFile
 from optics.instrument import BareFibre
-from optics.wall_light.cells import Lattice
+from optics.wall_light.cells import Lattice, square_lattice
 from optics.wall_light.pose_light import (
     BeamFrame,
     Steps,
@@ -26,7 +26,6 @@ from optics.wall_light.pose_light import (
     irradiance_alone,
     irradiance_and_slopes,
     pixels_see,
-    square_lattice,
 )
 
 LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0

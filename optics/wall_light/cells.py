@@ -7,10 +7,11 @@ its cells. The light that leaves one cell enters the other: no light is lost or 
 
 from typing import NamedTuple, Protocol
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 import optics
 
@@ -66,26 +67,25 @@ class Lattice(NamedTuple):
     area: Float[Array, "rows columns"]
 
 
-def image_lattice(
+@eqx.filter_jit
+def square_lattice(
     camera: optics.Camera,
     surface: optics.Surface,
     *,
-    corner: Float[Array, "2"],
-    right: Float[Array, "2"],
-    down: Float[Array, "2"],
-    rows: int,
-    columns: int,
+    corner: Float[ArrayLike, "2"],
+    right: Float[ArrayLike, "2"],
+    count: int,
 ) -> Lattice:
-    """The wall behind cells of an image.
+    """The wall behind count x count cells of an image.
 
     Args:
         camera: the microscope, without distortion.
-        corner: (u, v) of the first cell's outer corner, px; pixel centres are integers.
-        right: way to the next column, px.
-        down: way to the next row, px, a quarter turn from `right`.
-        rows: number of cells downwards.
-        columns: number of cells to the right.
+        corner: (u, v) of the first cell's outer corner, px; pixel centres are integers. Pass
+            arrays, so that it is compiled once.
+        right: way to the next column, px; that to the next row is a quarter turn from it.
     """
+    corner, right = jnp.asarray(corner), jnp.asarray(right)
+    down = jnp.stack([-right[1], right[0]])
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     place, share = 0.5 * (nodes + 1.0), 0.5 * weights
 
@@ -103,7 +103,8 @@ def image_lattice(
         )
         return Sides(begin, end, point, share[:, None] * step)
 
-    v, u = jnp.meshgrid(jnp.arange(rows + 1.0), jnp.arange(columns + 1.0), indexing="ij")
+    number = jnp.arange(count + 1.0)
+    v, u = jnp.meshgrid(number, number, indexing="ij")
     corners = corner + u[..., None] * right + v[..., None] * down
     centres = (corners[:-1, :-1] + 0.5 * (right + down)).reshape(-1, 2)
 
@@ -120,7 +121,7 @@ def image_lattice(
     return Lattice(
         across=line(corners[:, :-1], corners[:, 1:]),
         along=line(corners[:-1], corners[1:]),
-        area=area.reshape(rows, columns),
+        area=area.reshape(count, count),
     )
 
 
@@ -130,7 +131,7 @@ def lattice_irradiance(
     """Mean irradiance of each cell per unit power, 1/mm².
 
     Args:
-        wall: from `image_lattice`.
+        wall: from `square_lattice`.
         tip: S, mm.
         axis: unit vector from the tip towards the wall.
     """

@@ -17,7 +17,7 @@ sharp image of its core.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -32,6 +32,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
 from formats.inputs import InputError
+from optics.irradiance import in_batches
 from optics.wall_light.cells import Sides, off_axis_part
 
 PARAMETERS = (
@@ -96,6 +97,10 @@ class Grid(NamedTuple):
     nearest: ScalarLike
     farthest: ScalarLike
 
+    def envelope(self, distance: Float[ArrayLike, "*n"]) -> Float[ArrayLike, "*n"]:
+        """Radius outside which there is no light, mm."""
+        return self.contact_radius + self.slope * distance
+
 
 class LensTable(eqx.Module):
     """Mean light within a radius, to first order in the lens's parameters, cubic between samples.
@@ -124,7 +129,7 @@ class LensTable(eqx.Module):
     ) -> Float[Array, "*n"]:
         """M, 1/mm² per unit power; 0 behind the tip."""
         rows, columns = self.values.shape
-        envelope = self.grid.contact_radius + self.grid.slope * distance
+        envelope = jnp.asarray(self.grid.envelope(distance))
         x = radius / envelope
         reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
         y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
@@ -183,9 +188,7 @@ class LensTable(eqx.Module):
         Args:
             distance: of the plane from the tip, mm.
         """
-        contact, slope = map(np.asarray, self.grid[:2])
-        reach = float(contact + slope * distance)
-        radius = np.linspace(0.0, reach, 400)
+        radius = np.linspace(0.0, float(self.grid.envelope(distance)), 400)
         mean = np.asarray(self(radius=jnp.asarray(radius), distance=jnp.full(400, distance)))
         rings = np.diff(mean * radius**2) / np.diff(radius**2)
         return float(radius[1:][rings >= 0.5 * rings.max()][-1])
@@ -291,7 +294,6 @@ halved again."""
 _COARSE_LEVELS = 2
 """How often a coarse table's cells are halved by quadrature; then the spline gives all samples."""
 _MOST_HALVINGS = 7
-_BATCH = 64  # points per call, few enough to stay in the cache, as in optics.irradiance
 
 
 def halvings_for(
@@ -458,34 +460,29 @@ class _Field:
         samples = known.copy()
         row, column = np.nonzero(wanted)
         rows, columns = wanted.shape
-        s, envelope = self._envelope(row, rows)
+        s = self._distance(row, rows)
+        envelope = self.grid.envelope(s)
         points = np.stack([envelope * column / (columns - 1), s])
-        points = np.pad(points, ((0, 0), (0, -row.size % _BATCH)), mode="edge")
-        batches = points.reshape(2, -1, _BATCH).transpose(1, 0, 2)
-
-        def evaluate(batch: np.ndarray) -> np.ndarray:
-            own = (self.names, self.at, self.fixed, self.medium_index)
-            return np.asarray(_with_slopes(*own, *batch))
-
-        # A batch is too small for several cores. The first batch runs alone, to compile only once.
-        with ThreadPoolExecutor() as pool:
-            parts = [evaluate(batches[0]), *pool.map(evaluate, batches[1:])]
-        samples[..., row, column] = np.concatenate(parts, axis=-1)[..., : row.size] * envelope**2
+        light = in_batches(partial(self._with_slopes, _axial), points)
+        samples[..., row, column] = light * envelope**2
         return samples
 
-    def _envelope(self, row: np.ndarray, rows: int) -> tuple[np.ndarray, np.ndarray]:
-        """Distance of rows from the tip, and the envelope's radius there, mm."""
+    def _distance(self, row: np.ndarray, rows: int) -> np.ndarray:
+        """Distance of rows from the tip, mm."""
         grid = self.grid
-        s = np.asarray(grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1)))
-        return s, np.asarray(grid.contact_radius + grid.slope * s)
+        return np.asarray(grid.nearest * (grid.farthest / grid.nearest) ** (row / (rows - 1)))
 
     def widths(self, shape: tuple[int, int]) -> Float[np.ndarray, "rows"]:
         """Width of a cell in each row of a grid of this shape, mm."""
-        return self._envelope(np.arange(shape[0]), shape[0])[1] / (shape[1] - 1)
+        rows, columns = shape
+        return np.asarray(self.grid.envelope(self._distance(np.arange(rows), rows))) / (columns - 1)
 
     def transmitted(self) -> Float[np.ndarray, "p+1"]:
         """Fraction of the power that leaves the cap, and its derivatives."""
-        return np.asarray(_transmitted(self.names, self.at, self.fixed, self.medium_index))
+        return np.asarray(self._with_slopes(optics.transmitted_power))
+
+    def _with_slopes(self, light: Callable[..., Array], *where: np.ndarray) -> Array:
+        return _with_slopes(light, self.names, self.at, self.fixed, self.medium_index, *where)
 
 
 def _means_within(
@@ -515,39 +512,31 @@ def _halved(samples: Float[np.ndarray, "p n m"]) -> Float[np.ndarray, "p 2n-1 2m
     return samples
 
 
+def _axial(lens: optics.GlueLens, radius: Array, distance: Array, *, medium_index: Array) -> Array:
+    """V_s at some points."""
+    return optics.vector_irradiance(
+        lens, medium_index=medium_index, radius=radius, distance=distance
+    )[1]
+
+
 @eqx.filter_jit
 def _with_slopes(
+    light: Callable[..., Array],
     names: tuple[str, ...],
     at: Float[Array, "p"],
     fixed: dict[str, Array],
     medium_index: Float[Array, ""],
-    radius: Float[Array, "n"],
-    distance: Float[Array, "n"],
-) -> Float[Array, "p+1 n"]:
-    """V_s at some points, followed by its derivatives."""
+    *where: Float[Array, "n"],
+) -> Float[Array, "p+1 *n"]:
+    """Light of a lens, followed by its derivatives with respect to the named parameters."""
 
-    def field(free: Array) -> Array:
+    def of(free: Array) -> Array:
         lens = lens_of(fixed | dict(zip(names, free, strict=True)))
-        return optics.vector_irradiance(
-            lens, medium_index=medium_index, radius=radius, distance=distance
-        )[1]
+        return light(lens, *where, medium_index=medium_index)
 
-    return _value_and_slopes(field, at)
-
-
-@eqx.filter_jit
-def _transmitted(names, at, fixed, medium_index) -> Float[Array, "p+1"]:
-    def share(free: Array) -> Array:
-        lens = lens_of(fixed | dict(zip(names, free, strict=True)))
-        return optics.transmitted_power(lens, medium_index=medium_index)
-
-    return _value_and_slopes(share, at)
-
-
-def _value_and_slopes(function: Callable[[Array], Array], at: Float[Array, "p"]) -> Array:
-    if not at.size:
-        return function(at)[None]
-    value, slopes = jax.vmap(
-        lambda direction: jax.jvp(function, (at,), (direction,)), out_axes=(None, 0)
-    )(jnp.eye(at.size))
+    if not names:
+        return of(at)[None]
+    value, slopes = jax.vmap(lambda way: jax.jvp(of, (at,), (way,)), out_axes=(None, 0))(
+        jnp.eye(at.size)
+    )
     return jnp.concatenate([value[None], slopes])

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 import optics
-from optics.wall_light.cells import Lattice, image_lattice, lattice_irradiance
+from optics.wall_light.cells import Lattice, lattice_irradiance
 
 POSE = 5
 """Numbers of a pose's change: two shifts of the spot along the wall, mm; a growth of the distance,
@@ -53,10 +53,10 @@ class BeamFrame(NamedTuple):
         slopes[3, 3] = slopes[4, 4] = 1.0
         return slopes
 
-    def moved(self, change: Float[np.ndarray, "5"]) -> tuple[np.ndarray, np.ndarray]:
-        """Tip and axis after a change."""
+    def moved(self, change: Any) -> tuple[Any, Any]:
+        """Tip and axis after a change, five numbers of NumPy or JAX."""
         axis = self.axis + change[3] * self.first + change[4] * self.second
-        axis /= np.linalg.norm(axis)
+        axis = axis / (axis @ axis) ** 0.5
         spot = self.spot + change[0] * self.right + change[1] * self.down
         return spot - (self.distance + change[2]) * axis, axis
 
@@ -97,28 +97,6 @@ def pixels_see(
     """Wall points that pixels see, mm, and the inward normals there."""
     meeting = wall.intersect(*camera.ray(pixels))
     return meeting.point, meeting.normal
-
-
-@eqx.filter_jit
-def square_lattice(
-    camera: optics.Camera,
-    wall: optics.Surface,
-    *,
-    corner: Float[ArrayLike, "2"],
-    right: Float[ArrayLike, "2"],
-    count: int,
-) -> Lattice:
-    """A compiled `image_lattice` of count x count cells; pass `corner` and `right` as arrays."""
-    way = jnp.asarray(right)
-    return image_lattice(
-        camera,
-        wall,
-        corner=jnp.asarray(corner),
-        right=way,
-        down=jnp.stack([-way[1], way[0]]),
-        rows=count,
-        columns=count,
-    )
 
 
 @eqx.filter_jit
@@ -171,14 +149,9 @@ def _light_of(
     steps: Steps | None,
 ) -> Callable[[Array], Array]:
     """The irradiance as a function of the changes of pose and beam."""
-    tip, axis = jnp.asarray(beam.tip), jnp.asarray(beam.axis)
-    spot = tip + beam.distance * axis
 
     def light(z: Array) -> Array:
-        turned = axis + z[3] * jnp.asarray(beam.first) + z[4] * jnp.asarray(beam.second)
-        turned = turned / jnp.linalg.norm(turned)
-        moved = spot + z[0] * jnp.asarray(beam.right) + z[1] * jnp.asarray(beam.down)
-        moved -= (beam.distance + z[2]) * turned
+        moved, turned = beam.moved(z)
         changed = source.changed(jnp.asarray(spread) @ z[POSE:])
         if steps is None:
             return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()

@@ -24,7 +24,7 @@ from calibration.spots.cone_trials import JointPrior
 from formats.camera import Response
 from formats.inputs import InputError
 from formats.stack import Stack, read_stack
-from optics.wall_light.cells import CellBeam, lattice_irradiance
+from optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import (
     TABLE_ERROR,
@@ -37,7 +37,6 @@ from optics.wall_light.lens import (
     lens_samples,
     lens_table,
 )
-from optics.wall_light.pose_light import square_lattice
 from scenes import Renderer, Scene, render_stack
 from scenes.camera import expose
 from scenes.description.settings import CameraSettings

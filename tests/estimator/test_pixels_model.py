@@ -29,8 +29,9 @@ from estimator.pixels.picture import _most_even
 from estimator.pixels.solver import together
 from estimator.pixels.tracker import _like
 from formats.spots import Outline
+from optics.wall_light.cells import square_lattice
 from optics.wall_light.cone import UniformCone
-from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes, square_lattice
+from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes
 from tests.made_up import a_microscope
 
 HALF_ANGLE, APEX, SCALE = math.atan(1 / 20), -5.117, 0.0067
