@@ -136,6 +136,14 @@ def generator_angles(count: int) -> np.ndarray:
     return np.arange(count) * (2.0 * np.pi / count)
 
 
+def directions_across(
+    axis: Float[ArrayLike, "*batch 3"], angle: Float[ArrayLike, "*batch"]
+) -> Float[Array, "*batch 3"]:
+    """Unit vectors across an axis, at angles (rad) around it from its `perpendicular_frame`."""
+    first, second = perpendicular_frame(axis)
+    return jnp.cos(angle)[..., None] * first + jnp.sin(angle)[..., None] * second
+
+
 def perpendicular_frame(
     axis: Float[ArrayLike, "*batch 3"],
 ) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:

@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 from scipy.special import roots_genlaguerre
 
-from optics.beam import Beam, generator_angles, perpendicular_frame
+from optics.beam import Beam, directions_across, generator_angles, perpendicular_frame
 from optics.camera import Camera
 from optics.contour import CONTOUR_POINTS, cone_contour
 from optics.ellipse import Ellipse, ellipse_of_contour
@@ -60,15 +60,18 @@ def wall_irradiance(
     Returns:
         E per unit power, 1/mm^2, and the wall points, mm.
     """
-    first, second = perpendicular_frame(beam.axis)
-    around = jnp.cos(angle)[..., None] * first + jnp.sin(angle)[..., None] * second
-    wall = surface.intersect(
-        beam.tip + radius[..., None] * around, jnp.broadcast_to(beam.axis, around.shape)
-    )
+    around = directions_across(beam.axis, angle)
+    wall = _ahead(beam, surface, radius, around)
     lateral, axial = table(radius=radius, distance=wall.distance)
     vector = lateral[..., None] * around + axial[..., None] * beam.axis
     irradiance = -dot(wall.normal, vector)
     return jnp.where(wall.status == HIT, jnp.maximum(irradiance, 0.0), 0.0), wall.point
+
+
+def _ahead(beam: Beam, surface: Surface, radius: Array, around: Array) -> Intersection:
+    """The wall ahead of places at a distance from the axis, in directions across it."""
+    start = beam.tip + radius[..., None] * around
+    return surface.intersect(start, jnp.broadcast_to(beam.axis, start.shape))
 
 
 def half_maximum_contour(
@@ -108,12 +111,7 @@ _RINGS, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
 
 
 def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array, "*batch"]:
-    """Share of a point's light that leaves the wall within a radius (mm); P of the module.
-
-    Args:
-        radius: mm, not negative.
-        length: L, mm.
-    """
+    """Share of a point's light that leaves the wall within a radius; P(r) of the module, mm."""
     reach = radius / length
     return 1.0 - (1.0 + reach) * jnp.exp(-reach)
 
@@ -139,12 +137,7 @@ _PEAK_RADII, _PEAK_ANGLES = 48, 12
 
 
 class SpreadSpot(NamedTuple):
-    """Ellipses of a spot on a wall that spreads light, px.
-
-    Attributes:
-        cone: of the cone's edge.
-        half_max: of the half-maximum contour.
-    """
+    """Ellipses of the cone's edge and of half the maximum on a wall that spreads light, px."""
 
     cone: Ellipse
     half_max: Ellipse
@@ -190,12 +183,8 @@ def lit_share(
         outward: the wall's normals there.
         length: L, mm.
     """
-    first, second = perpendicular_frame(outward)
-    angle = jnp.asarray((np.arange(_SIDES) + 0.5) * (2.0 * np.pi / _SIDES))
-    along = (
-        jnp.cos(angle)[:, None] * first[..., None, :]
-        + jnp.sin(angle)[:, None] * second[..., None, :]
-    )
+    angle = (np.arange(_SIDES) + 0.5) * (2.0 * np.pi / _SIDES)
+    along = directions_across(outward[..., None, :], angle)
     start = (points - beam.apex)[..., None, :]
     axis = jnp.broadcast_to(beam.axis, start.shape)
     square = jnp.cos(beam.half_angle) ** 2
@@ -226,25 +215,19 @@ def spread_contours(
         Wall points of both, mm; NaN where a light is spread over so much more than the spot that
         there is no such contour.
     """
-    angles = jnp.asarray(generator_angles(CONTOUR_POINTS))
-    first, second = perpendicular_frame(beam.axis)
-    around = jnp.cos(angles)[:, None] * first + jnp.sin(angles)[:, None] * second
+    around = directions_across(beam.axis, generator_angles(CONTOUR_POINTS))
 
     def radius_of(points: Float[Array, "n 3"]) -> Float[Array, "n"]:
         return jnp.sum((points - beam.tip) * around, axis=-1)
 
-    def wall_at(radius: Array, around: Array) -> Intersection:
-        start = beam.tip + radius[..., None] * around
-        return surface.intersect(start, jnp.broadcast_to(beam.axis, start.shape))
-
     def share(radius: Array, around: Array) -> Array:
-        wall = wall_at(radius, around)
+        wall = _ahead(beam, surface, radius, around)
         return lit_share(beam, wall.point, -wall.normal, length)
 
     def light(radius: Array, around: Array) -> Array:
         if table is None:  # uniform up to its edge, as for `spot_truth`
             return share(radius, around)
-        wall = wall_at(radius, around)
+        wall = _ahead(beam, surface, radius, around)
         return _spread_irradiance(table, beam, wall.point, wall.normal, length)
 
     edge = cone_contour(beam, surface).point
@@ -262,7 +245,8 @@ def spread_contours(
         low, high = bisected(
             lambda radius: value(radius, around) >= level, low, high, steps=_SPREAD_BISECTIONS
         )
-        return wall_at(jnp.where(exists, 0.5 * (low + high), jnp.nan), around).point
+        edge = jnp.where(exists, 0.5 * (low + high), jnp.nan)
+        return _ahead(beam, surface, edge, around).point
 
     return contour(share, 0.5, radius_of(edge)), contour(light, level, radius_of(unspread))
 

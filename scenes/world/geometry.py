@@ -10,6 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 import optics
+from optics.beam import directions_across, generator_angles
 from optics.viewing.camera import PathCamera, path_camera
 from optics.viewing.eye import load_eye, load_viewing_lens
 from optics.viewing.path import ViewingPath, viewing_path
@@ -308,6 +309,4 @@ class SceneGeometry:
 
 def circle_across(axis: np.ndarray) -> np.ndarray:
     """Unit vectors across axes, ... x 64 x 3: the directions to the points of a tip's rim."""
-    angle = 2 * np.pi * np.arange(_RIM_POINTS) / _RIM_POINTS
-    first, second = (np.asarray(v)[..., None, :] for v in optics.perpendicular_frame(axis))
-    return np.cos(angle)[:, None] * first + np.sin(angle)[:, None] * second
+    return np.asarray(directions_across(axis[..., None, :], generator_angles(_RIM_POINTS)))
