@@ -56,9 +56,8 @@ class Camera(eqx.Module):
 
         Args:
             point: eye frame, mm.
-            width: width of the window, px.
-            height: height of the window, px.
-            offset: offset of the window's middle from the point's image, px.
+            width: of the window, px, as its height.
+            offset: of the window's middle from the point's image, px.
         """
         middle = jnp.array([(width - 1) / 2.0, (height - 1) / 2.0])
         shift = middle - jnp.array(offset) - self.project(point)
@@ -92,14 +91,11 @@ class Microscope(Camera):
     which is $u_0 + f X/(z_F - Z)$ with $f = (z_F + r)/\delta$, and stays finite for the telecentric
     microscope ($\kappa = 0$). With $\kappa < 0$ the lines of sight meet behind the retina, so that
     magnification grows with depth, as it does through a contact lens. Integer pixel coordinates are
-    pixel centres (OpenCV's convention).
+    pixel centres (OpenCV's convention). The attributes of `Camera` are not repeated.
 
     Attributes:
-        scale: delta, mm per px at the height of the pole.
         inverse_working_distance: kappa, 1/mm; 0 is telecentric, below 0 the pinhole lies behind
             the retina.
-        pole_height: Z of the retinal pole, mm (-r for the eyeball).
-        principal_point: (u0, v0), px; may lie outside the window.
         distortion: Brown-Conrady (k1, k2, p1, p2, k3) in OpenCV's order and normalisation
             (Brown 1966); without effect for a telecentric microscope.
     """
@@ -125,14 +121,7 @@ class Microscope(Camera):
         return 1.0 - self.inverse_working_distance * (points[..., 2] - self.pole_height)
 
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
-        """Image of points of the eye frame.
-
-        Args:
-            points: X, Y, Z in mm, in front of the pinhole (`depth` > 0).
-
-        Returns:
-            (u, v) in px of the window.
-        """
+        """Image of points in front of the pinhole (`depth` > 0), as `Camera.project` describes."""
         points = jnp.asarray(points)
         x, y, _ = components(points)
         per_mm = 1.0 / (self.scale * self.depth(points))
@@ -209,9 +198,9 @@ def _distort(
     """Distorted offset from the principal point, px, of an ideal offset in px."""
     k1, k2, p1, p2, k3 = distortion
     x, y = offset[..., 0], offset[..., 1]
-    r2 = (x * x + y * y) * inverse_focal**2
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     squared = x * x + y * y
+    r2 = squared * inverse_focal**2
+    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
     return jnp.stack(
         [
             x * radial + inverse_focal * (2 * p1 * x * y + p2 * (squared + 2 * x * x)),

@@ -158,26 +158,18 @@ def _solved(
         lower: rows of the lower triangle, each entry a batch.
         target: right-hand side.
     """
-    n = len(target)
     factor: list[list[Float[Array, "*batch"]]] = []
-    for i in range(n):
+    for given in (*lower, target):  # with the target below, its row solves the lower triangle
         row: list[Float[Array, "*batch"]] = []
-        for j in range(i + 1):
-            value = lower[i][j]
-            for k in range(j):
-                value = value - row[k] * (row[k] if i == j else factor[j][k])
-            row.append(jnp.sqrt(value) if i == j else value / factor[j][j])
+        for j, value in enumerate(given):
+            above = factor[j] if j < len(factor) else row
+            for left, right in zip(row, above, strict=False):
+                value = value - left * right
+            row.append(value / above[j] if j < len(factor) else jnp.sqrt(value))
         factor.append(row)
-    forward: list[Float[Array, "*batch"]] = []
-    for i in range(n):
-        value = target[i]
-        for k in range(i):
-            value = value - factor[i][k] * forward[k]
-        forward.append(value / factor[i][i])
-    solution = forward
-    for i in reversed(range(n)):
-        value = solution[i]
-        for k in range(i + 1, n):
-            value = value - factor[k][i] * solution[k]
-        solution = [*solution[:i], value / factor[i][i], *solution[i + 1 :]]
+    *factor, solution = factor
+    for i in reversed(range(len(target))):
+        for k in range(i + 1, len(target)):
+            solution[i] = solution[i] - factor[k][i] * solution[k]
+        solution[i] = solution[i] / factor[i][i]
     return solution

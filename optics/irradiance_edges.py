@@ -23,6 +23,7 @@ _STEPS = 6  # Newton or bisection steps towards a boundary
 _APPROACHES = 2  # pairs of steps towards an extremum
 
 Excess = Callable[[Array], Array]
+"""The excess at positions along a scan."""
 
 
 def scan_boundaries(
@@ -73,7 +74,6 @@ def approach_extremes(
     unseen. The sample there is moved to the extremum itself, so no boundary that was seen is lost.
 
     Args:
-        excess: the excess along the scan.
         x: positions of the samples, in order.
         count: number of extremes to approach: those that may pass zero farthest.
 
@@ -142,11 +142,6 @@ def settle(excess: Excess, lit: Array, dark: Array) -> Array:
     Newton steps, with bisection if a step leaves the pair, because the excess has kinks where
     another limit becomes the largest.
 
-    Args:
-        excess: the excess along the scan.
-        lit: positions where it is negative.
-        dark: positions where it is not.
-
     Returns:
         Positions from which one more Newton step leads to the boundary, without derivatives.
     """
@@ -176,12 +171,7 @@ def settle(excess: Excess, lit: Array, dark: Array) -> Array:
 
 
 def implicit_root(excess: Excess, root: Array) -> Array:
-    """Take one more Newton step, which gives roots the implicit function's derivative.
-
-    Args:
-        excess: the excess along the scan.
-        root: the positions found, without derivatives.
-    """
+    """Take one more Newton step, which gives roots the implicit function's derivative."""
     value, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
     slope = lax.stop_gradient(slope)
     return root - jnp.where(slope == 0.0, 0.0, value / jnp.where(slope == 0.0, 1.0, slope))
@@ -234,7 +224,6 @@ class RingRays(eqx.Module):
     to differentiate its steps only to discard the result takes most of the time of compilation.
 
     Attributes:
-        medium_index: n0.
         radius: distance of the wall point from the axis, mm.
         distance: distance of the wall point from the tip's plane, mm.
     """
@@ -366,13 +355,14 @@ def find_turns(
 ) -> tuple[Bool[Array, "turns"], Array, Array, Array]:
     """Rings that the lit part's edge touches, and rings on which two limits meet on it.
 
-    Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
-
     Newton's method in two variables, from the cells of a grid that seem to contain a turn.
 
     Args:
         rays: rays by ring and tau.
         ring_at: the range that may be lit.
+
+    Returns:
+        Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.
     """
     still = lax.stop_gradient((rays, ring_at))
 

@@ -74,19 +74,12 @@ class GlueLens(eqx.Module):
         """Distance from the vertex to the paraxial focus in the medium, n0 R/(n_g - n0), mm.
 
         Infinite for a flat end or an index-matched medium, negative for a diverging cap.
-
-        Args:
-            medium_index: n0, refractive index of the medium.
         """
         index_step = self.glue_index - medium_index
         return jnp.asarray(medium_index) / (self.curvature * index_step)
 
     def sagitta(self, radius: ArrayLike) -> Float[Array, "*batch"]:
-        """Depth of the cap's surface below its vertex, κρ²/(1 + √(1 - κ²ρ²)), mm.
-
-        Args:
-            radius: distance from the axis, mm, in [0, aperture_radius].
-        """
+        """Depth of the cap below its vertex at a radius ρ (mm), κρ²/(1 + √(1 - κ²ρ²)), mm."""
         squared = jnp.square(radius)
         root = jnp.sqrt(1.0 - jnp.square(self.curvature) * squared)
         return self.curvature * squared / (1.0 + root)
@@ -161,12 +154,9 @@ def glue_lens(
 
 
 def _check(lens: GlueLens) -> None:
-    known = {name: float(x) for name, x in vars(lens).items() if x is not None}
-    aperture_radius, sag, glue_length = (
-        known[name] for name in ("aperture_radius", "sag", "glue_length")
+    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = (
+        float(x) for x in jax.tree.leaves(lens)[:6]
     )
-    glue_index, numerical_aperture = known["glue_index"], known["numerical_aperture"]
-    core_radius = known["core_radius"]
     rules = (
         (
             0.0 < core_radius <= _LARGEST_MM,

@@ -13,6 +13,7 @@ import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, Int
+from scipy.ndimage import binary_dilation
 
 from optics.irradiance import vector_irradiance
 from optics.irradiance_edges import implicit_root, scan_boundaries, settle
@@ -53,7 +54,6 @@ def emitted_rays(
     """Trace rays from the core's face through the cap into the medium.
 
     Args:
-        medium_index: n0, refractive index of the medium.
         points: start points on the core's face, mm from its centre.
         directions: components of the directions perpendicular to the axis, inside the glue. Their
             length is the sine of the angle to the axis, at most NA/n_g for light of the core.
@@ -67,11 +67,8 @@ def emitted_rays(
         index_incident=lens.glue_index,
         index_transmitted=medium_index,
     )
-    status = jnp.where(
-        meeting.hits,
-        jnp.where(passes, TRANSMITTED, TOTAL_INTERNAL_REFLECTION),
-        MISSED_APERTURE,
-    )
+    at_cap = jnp.where(passes, TRANSMITTED, TOTAL_INTERNAL_REFLECTION)
+    status = jnp.where(meeting.hits, at_cap, MISSED_APERTURE)
     transmittance = jnp.where(status == TRANSMITTED, transmittance, 0.0)
     return EmittedRays(meeting.point, direction, transmittance, status)
 
@@ -83,9 +80,6 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
     $\Phi = \int\!\!\int L\,T\,d^2p\,d^2q$ over the core's face and the two components **q** of the
     direction perpendicular to the axis, with the Fresnel transmittance T. The other light is
     reflected into the glue or meets the side of the drop.
-
-    Args:
-        medium_index: n0, refractive index of the medium.
     """
     node, weight = np.polynomial.legendre.leggauss(_SINES)
     turn_node, turn_weight = np.polynomial.legendre.leggauss(_TURNS)
@@ -180,23 +174,16 @@ compute their place twice with different rounding, so rounding must not decide o
 
 
 class LensField(eqx.Module):
-    """Light of a lens in a medium, by quadrature at every call: exact, differentiable, slow.
-
-    Attributes:
-        medium_index: n0.
-    """
+    """Light of a lens in a medium, by quadrature at every call: exact, differentiable, slow."""
 
     lens: GlueLens
     medium_index: ArrayLike
 
     def envelope(self, distance: ArrayLike) -> Float[Array, "*batch"]:
-        """Radius outside which there is no light at a distance from the tip, mm.
+        """Radius outside which there is no light at a distance s (mm) from the tip, mm.
 
         It has no derivative with respect to the lens, because that is infinite at the critical
         angle.
-
-        Args:
-            distance: s, mm.
         """
         contact_radius, slope = lax.stop_gradient(_envelope(self.lens, self.medium_index))
         return contact_radius + slope * jnp.asarray(distance)
@@ -250,31 +237,27 @@ class IrradianceTable(eqx.Module):
         """Radius outside which there is no light at a distance s (mm) from the tip, mm."""
         return self.contact_radius + self.slope * jnp.asarray(distance)
 
+    @jax.jit
     def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
         """Look up V_rho and V_s, with arguments and results as those of `LensField`."""
-        return _look_up(self, jnp.asarray(radius), jnp.asarray(distance))
-
-
-@jax.jit
-def _look_up(table: IrradianceTable, radius: Array, distance: Array) -> tuple[Array, Array]:
-    radius, distance = jnp.broadcast_arrays(radius, distance)
-    rows, columns, _ = table.values.shape
-    envelope = table.envelope(distance)
-    x = radius / envelope
-    y = jnp.log(jnp.clip(distance, table.nearest, table.farthest) / table.nearest)
-    column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
-    row = y / jnp.log(table.farthest / table.nearest) * (rows - 1)
-    j = jnp.clip((column - _BESIDE).astype(int), 0, columns - 2)
-    i = jnp.clip((row - _BESIDE).astype(int), 0, rows - 2)
-    across, along = (column - j)[..., None], (row - i)[..., None]
-    near = table.values[i, j] * (1.0 - across) + table.values[i, j + 1] * across
-    far = table.values[i + 1, j] * (1.0 - across) + table.values[i + 1, j + 1] * across
-    lit = (x <= 1.0) & (distance >= 0.0)
-    scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)[..., None]
-    field = (near * (1.0 - along) + far * along) * scale
-    return field[..., 0], field[..., 1]
+        radius, distance = jnp.broadcast_arrays(radius, distance)
+        rows, columns, _ = self.values.shape
+        envelope = self.envelope(distance)
+        x = radius / envelope
+        y = jnp.log(jnp.clip(distance, self.nearest, self.farthest) / self.nearest)
+        column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
+        row = y / jnp.log(self.farthest / self.nearest) * (rows - 1)
+        j = jnp.clip((column - _BESIDE).astype(int), 0, columns - 2)
+        i = jnp.clip((row - _BESIDE).astype(int), 0, rows - 2)
+        across, along = (column - j)[..., None], (row - i)[..., None]
+        near = self.values[i, j] * (1.0 - across) + self.values[i, j + 1] * across
+        far = self.values[i + 1, j] * (1.0 - across) + self.values[i + 1, j + 1] * across
+        lit = (x <= 1.0) & (distance >= 0.0)
+        scale = jnp.where(lit, 1.0 / jnp.square(envelope), 0.0)[..., None]
+        field = (near * (1.0 - along) + far * along) * scale
+        return field[..., 0], field[..., 1]
 
 
 def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTable:
@@ -283,9 +266,6 @@ def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTa
     Each refinement halves the cells. It computes new points only near points at which cubic
     interpolation from the coarser grid was wrong, so smooth light needs few points. This function
     cannot be traced; differentiate `vector_irradiance` or a `LensField` instead.
-
-    Args:
-        medium_index: n0, refractive index of the medium.
     """
     field = LensField(lens, medium_index)
     contact_radius = field.envelope(0.0)
@@ -297,7 +277,8 @@ def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTa
         if doubling > 0:
             rows, columns = 2 * rows, 2 * columns
             values = _halved(_halved(values, axis=0), axis=1)
-            wanted = np.kron(_with_neighbours(wanted), np.ones((2, 2), dtype=bool))
+            close = binary_dilation(wanted, np.ones((3, 3)))
+            wanted = np.kron(close, np.ones((2, 2), dtype=bool))
             wanted = wanted[: rows + 1, : columns + 1]
             wanted[::2, ::2] = False
         distance = _NEAREST * (_FARTHEST / _NEAREST) ** np.linspace(0.0, 1.0, rows + 1)
@@ -326,13 +307,6 @@ def _halved(values: Float[np.ndarray, "*shape"], *, axis: int) -> Float[np.ndarr
     finer[::2] = values
     finer[1::2] = (9.0 * (padded[1:-2] + padded[2:-1]) - padded[:-3] - padded[3:]) / 16.0
     return np.moveaxis(finer, 0, axis)
-
-
-def _with_neighbours(mask: Bool[np.ndarray, "n m"]) -> Bool[np.ndarray, "n m"]:
-    """The mask and all adjacent points, including diagonal ones."""
-    padded = np.pad(mask, 1)
-    along = padded[:-2] | padded[1:-1] | padded[2:]
-    return along[:, :-2] | along[:, 1:-1] | along[:, 2:]
 
 
 @jax.jit

@@ -29,7 +29,7 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 
 from optics.beam import Beam, generator_angles, perpendicular_frame
 from optics.camera import Camera
-from optics.contour import ellipse_mismatch, mismatch_covariance, spot_contour
+from optics.contour import FEW_POINTS, ellipse_mismatch, mismatch_covariance, spot_contour
 from optics.ellipse import Ellipse, ellipse_of_contour, ellipse_points
 from optics.surface import Intersection, Surface, dot
 
@@ -211,10 +211,6 @@ def _covariance(normal: Float[Array, "5 5"]) -> Float[Array, "5 5"]:
     return inverse / (scale * scale[:, None])
 
 
-_POINTS = 32
-"""A quarter of the usual, for a quarter of the time: 1e-7 px."""
-
-
 @eqx.filter_jit
 def pose_from_ellipse(
     ellipse: Ellipse,
@@ -236,13 +232,13 @@ def pose_from_ellipse(
         prior: of the direction; tells the mirror solution, which has the same ellipse or almost
             the same, from the true one.
     """
-    points = ellipse_points(ellipse, jnp.asarray(generator_angles(_POINTS)))
+    points = ellipse_points(ellipse, jnp.asarray(generator_angles(FEW_POINTS)))
     met = surface.intersect(*microscope.ray(points))
     whitening = jnp.linalg.inv(jnp.linalg.cholesky(mismatch_covariance(ellipse, covariance)))
 
     def mismatch(tip, axis):
         beam = Beam(tip=tip, axis=axis, half_angle=half_angle, apex_offset=apex_offset)
-        return ellipse_mismatch(spot_contour(beam, surface, microscope, points=_POINTS), ellipse)
+        return ellipse_mismatch(spot_contour(beam, surface, microscope, points=FEW_POINTS), ellipse)
 
     def misfit_px(tip, axis):
         # Mean squares of 1, cos and sin over the ellipse's angle.

@@ -11,14 +11,9 @@ MEDIA = {"air": 1.0, "water": 1.333, "vitreous": 1.336}
 def refracted_cosine(*, cos_incident: ArrayLike, index_ratio: ArrayLike) -> Float[Array, "*batch"]:
     r"""Cosine of the refraction angle, 0 under total internal reflection.
 
-    $\cos\theta_t = \sqrt{1 - m^2 (1 - \cos^2\theta_i)}$ with $m = n_i/n_t$ (Snell's law).
-
-    Args:
-        cos_incident: cosine of the angle of incidence.
-        index_ratio: m, index on the incident side over the index on the other side.
-
-    Returns:
-        Cosine of the angle of refraction; its derivative is 0 under total internal reflection.
+    $\cos\theta_t = \sqrt{1 - m^2 (1 - \cos^2\theta_i)}$ with $m = n_i/n_t$ (Snell's law), the
+    index on the incident side over that on the other. Under total internal reflection its
+    derivative is 0, too.
     """
     squared = 1.0 - jnp.square(index_ratio) * (1.0 - jnp.square(cos_incident))
     refracts = squared > 0.0
@@ -41,8 +36,6 @@ def fresnel_transmittance(
     Args:
         cos_incident: cosine of the angle of incidence, in [0, 1].
         cos_transmitted: cosine of the angle of refraction, 0 under total internal reflection.
-        index_incident: refractive index on the incident side.
-        index_transmitted: refractive index on the other side.
 
     Returns:
         T in [0, 1]; 0 under total internal reflection.

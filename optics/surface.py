@@ -128,6 +128,19 @@ class Sphere(eqx.Module):
         return self.radius - jnp.linalg.norm(point)
 
 
+def _frame(
+    surface: "Plane | Ellipsoid", *, eccentricity: ScalarLike, azimuth: ScalarLike
+) -> WallFrame:
+    """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
+    angle = jnp.asarray(azimuth, float)
+    radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
+    down = jnp.array([0.0, 0.0, -1.0])
+    hit = surface.intersect(jnp.asarray(eccentricity) * radial, down)
+    tangent = radial - down * jnp.dot(radial, hit.normal) / jnp.dot(down, hit.normal)
+    meridional = tangent / jnp.linalg.norm(tangent)
+    return WallFrame(hit.point, -hit.normal, meridional, jnp.cross(hit.normal, meridional))
+
+
 class Plane(eqx.Module):
     """Plane phantom.
 
@@ -155,9 +168,7 @@ class Plane(eqx.Module):
         point = ray_point(origin, direction, distance)
         return Intersection(distance, point, jnp.broadcast_to(self.inward, point.shape), status)
 
-    def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
-        """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        return _frame(self, eccentricity, azimuth)
+    frame_at = _frame
 
     def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from a point to the plane, mm; negative behind it."""
@@ -220,9 +231,7 @@ class Ellipsoid(eqx.Module):
         status = jnp.where(meets, jnp.where(distance > 0, HIT, BEHIND), MISS)
         return Intersection(distance, point, self._inward(point), status)
 
-    def frame_at(self, *, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
-        """Frame at the wall point with the given distance from the axis (mm) and azimuth (rad)."""
-        return _frame(self, eccentricity, azimuth)
+    frame_at = _frame
 
     def nearest_distance(self, point: Float[Array, "3"]) -> Float[Array, ""]:
         """Distance from a point inside the eye to the nearest wall point, mm.
@@ -248,24 +257,13 @@ class Ellipsoid(eqx.Module):
         return jnp.stack([(r[0] * x + r[1] * y + r[2] * z) / a for r, a in rows], axis=-1)
 
     def _inward(self, point: Float[Array, "*batch 3"]) -> Float[Array, "*batch 3"]:
-        x, y, z = components(self._unit(point - self.centre))
-        own = [-u / a for u, a in zip((x, y, z), self.semi_axes, strict=True)]
+        unit = components(self._unit(point - self.centre))
+        own = [-u / a for u, a in zip(unit, self.semi_axes, strict=True)]
         turned = jnp.stack([sum(row[k] * own[k] for k in range(3)) for row in self.turn], axis=-1)
         return turned / jnp.linalg.norm(turned, axis=-1, keepdims=True)
 
 
 Surface = Sphere | Plane | Ellipsoid
-
-
-def _frame(surface: Plane | Ellipsoid, eccentricity: ScalarLike, azimuth: ScalarLike) -> WallFrame:
-    """Frame at the wall point straight below a point of the equator's plane."""
-    angle = jnp.asarray(azimuth, float)
-    radial = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)])
-    down = jnp.array([0.0, 0.0, -1.0])
-    hit = surface.intersect(jnp.asarray(eccentricity) * radial, down)
-    tangent = radial - down * jnp.dot(radial, hit.normal) / jnp.dot(down, hit.normal)
-    meridional = tangent / jnp.linalg.norm(tangent)
-    return WallFrame(hit.point, -hit.normal, meridional, jnp.cross(hit.normal, meridional))
 
 
 def _leaning(tilt: Float[Array, ""], azimuth: Float[Array, ""]) -> Float[Array, "3 3"]:
@@ -286,7 +284,5 @@ def pole_plane(
         tilt: angle between its normal and the microscope's axis, rad.
         tilt_azimuth: azimuth of the direction in which the normal tilts, rad.
     """
-    lean, towards = jnp.asarray(tilt, float), jnp.asarray(tilt_azimuth, float)
-    sideways = jnp.sin(lean)
-    inward = jnp.stack([sideways * jnp.cos(towards), sideways * jnp.sin(towards), jnp.cos(lean)])
+    inward = _leaning(jnp.asarray(tilt, float), jnp.asarray(tilt_azimuth, float))[:, 2]
     return Plane(point=jnp.stack([0.0, 0.0, -jnp.asarray(eye_radius)]), inward=inward)

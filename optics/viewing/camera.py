@@ -46,12 +46,10 @@ class PathCamera(Camera):
 
         $$ t\,(a(t^2) - b(t^2)\,\Delta) = \rho. $$
 
-    It takes the place of a `Microscope` wherever points are projected.
+    It takes the place of a `Microscope` wherever points are projected. The attributes of `Camera`
+    are not repeated.
 
     Attributes:
-        scale: delta, mm per px at the pole.
-        principal_point: (u0, v0), px.
-        pole_height: Z of the retinal pole, mm.
         crossing: Chebyshev coefficients of a.
         steepness: Chebyshev coefficients of b, 1/mm.
         passing: Chebyshev coefficients of the transmittance.
@@ -88,14 +86,7 @@ class PathCamera(Camera):
         return jnp.hypot(hit[0], hit[1])
 
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
-        """Image of points inside the eye.
-
-        Args:
-            points: X, Y, Z in mm, eye frame; `sees` says which are visible.
-
-        Returns:
-            (u, v) in px of the window. Points outside the field have values without meaning.
-        """
+        """Image of points as `Camera.project`; without meaning for points that it does not see."""
         x, y, z = components(jnp.asarray(points))
         per_mm = self._aim_per_mm(x * x + y * y, z - self.pole_height) * self.px_per_aim
         return self.principal_point + jnp.stack([x * per_mm, -y * per_mm], axis=-1)
@@ -246,9 +237,8 @@ class SideCamera(Camera):
         path: the viewing path; without elements, a pinhole alone. Its `pinhole_closeness` is
             the pinhole's height, measured along the axis.
         aside: X and Y of the pinhole, mm.
-        scale: delta of the pinhole on the axis, mm per px at the pole.
+        scale: of the pinhole on the axis.
         principal_point: image of the cornea's vertex, px.
-        pole_height: Z of the retinal pole, mm.
         px_per_aim: pixels per mm in the plane of the cornea's vertex; negative if the image is
             turned upright.
     """

@@ -266,18 +266,14 @@ def _eye(file: EyeFile, wavelength_nm: float, refraction_d: float) -> Eye:
         *(Conic(depth=depth) for depth in depths[1:-1]),
         conic(lens.back_radius_mm, lens.back_asphericity, depths[-1]),
     ]
+    cornea_front = conic(cornea.front_radius_mm, cornea.front_asphericity, 0.0)
+    cornea_back = conic(cornea.back_radius_mm, cornea.back_asphericity, thickness)
     gradients: Any = lens.gradient or [None] * len(lens.thickness_mm)
     media = [*map(medium, indices.lens, gradients), medium(indices.vitreous)]
     return Eye(
         cornea=(
-            Refracting(
-                conic(cornea.front_radius_mm, cornea.front_asphericity, 0.0),
-                medium(indices.cornea),
-            ),
-            Refracting(
-                conic(cornea.back_radius_mm, cornea.back_asphericity, thickness),
-                medium(indices.aqueous),
-            ),
+            Refracting(cornea_front, medium(indices.cornea)),
+            Refracting(cornea_back, medium(indices.aqueous)),
         ),
         iris_depth=jnp.asarray(front, float),
         lens=tuple(map(Refracting, surfaces, media)),
