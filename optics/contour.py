@@ -23,8 +23,7 @@ def cone_contour(beam: Beam, surface: Surface, *, points: int = CONTOUR_POINTS) 
     """Edge of the lit spot on the wall: where the cone's generators meet it.
 
     Args:
-        beam: the cone; its generators start at the virtual apex.
-        points: number of generators, uniform about the axis.
+        points: number of generators, uniform about the axis, from the virtual apex.
 
     Returns:
         Wall points in mm with a status each; for a sphere the curve is a quartic.

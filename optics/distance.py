@@ -89,7 +89,6 @@ def distance_by_area(
 
     Args:
         ellipse: measured, px; its angle and the ratio of its axes have no effect.
-        camera: a microscope, or a viewing path.
         axis: unit vector of the beam from the tip towards the wall.
         half_angle: of the cone, rad.
         apex_offset: b, mm.

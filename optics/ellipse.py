@@ -149,14 +149,10 @@ def _from_conic(
 def _solved(
     lower: list[list[Float[Array, "*batch"]]], target: list[Float[Array, "*batch"]]
 ) -> list[Float[Array, "*batch"]]:
-    """Solution of a small positive definite system, unrolled.
+    """Solution of a small positive definite system, given by its lower triangle, unrolled.
 
     A batched LAPACK call costs about 2 us a system on a CPU; unrolled, the arithmetic is
     vectorised over the batch and costs a twentieth of it.
-
-    Args:
-        lower: rows of the lower triangle, each entry a batch.
-        target: right-hand side.
     """
     factor: list[list[Float[Array, "*batch"]]] = []
     for given in (*lower, target):  # with the target below, its row solves the lower triangle

@@ -29,11 +29,7 @@ Excess = Callable[[Array], Array]
 def scan_boundaries(
     x: Float[Array, "samples *batch"], values: Float[Array, "samples *batch"], *, count: int
 ) -> tuple[Bool[Array, "count *batch"], Array, Array]:
-    """Find the first boundaries between lit and dark along a scan.
-
-    Args:
-        x: positions of the samples, in order.
-        count: number of boundaries to find.
+    """Find the first `count` boundaries between lit and dark along a scan of ordered samples.
 
     Returns:
         Whether each boundary exists, and the samples on its lit and on its dark side.
@@ -68,14 +64,11 @@ def approach_extremes(
     *,
     count: int,
 ) -> tuple[Float[Array, "samples *batch"], Float[Array, "samples *batch"]]:
-    """Move samples to extremes near which a lit or dark stretch is shorter than a cell.
+    """Move ordered samples to extremes near which a lit or dark stretch is shorter than a cell.
 
     Where the samples have a positive minimum or a negative maximum, the excess may pass zero twice
     unseen. The sample there is moved to the extremum itself, so no boundary that was seen is lost.
-
-    Args:
-        x: positions of the samples, in order.
-        count: number of extremes to approach: those that may pass zero farthest.
+    The `count` extremes that may pass zero farthest are approached.
 
     Returns:
         Positions and values of all samples, without derivatives.
@@ -355,11 +348,7 @@ def find_turns(
 ) -> tuple[Bool[Array, "turns"], Array, Array, Array]:
     """Rings that the lit part's edge touches, and rings on which two limits meet on it.
 
-    Newton's method in two variables, from the cells of a grid that seem to contain a turn.
-
-    Args:
-        rays: rays by ring and tau.
-        ring_at: the range that may be lit.
+    Newton's method in two variables, from the cells of a grid on the range that may be lit.
 
     Returns:
         Whether each candidate is one, its ring, its tau, and the drift of the arc that opens there.

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float, Int
+from jaxtyping import Array, Float, Int
 from scipy.ndimage import binary_dilation
 
 from optics.irradiance import vector_irradiance
@@ -58,19 +58,18 @@ def emitted_rays(
         directions: components of the directions perpendicular to the axis, inside the glue. Their
             length is the sine of the angle to the axis, at most NA/n_g for light of the core.
     """
-    meeting = _meet_cap(lens, points, directions)
-    axis = jnp.array([0.0, 0.0, 1.0])
-    normal = jnp.where(meeting.hits[..., None], lens.curvature * meeting.point + axis, axis)
+    point, normal, direction, meets = _meet_cap(lens, points, directions)
+    hits = meets & (_squared_radius(point) <= jnp.square(lens.aperture_radius))
     direction, transmittance, passes = refract(
-        direction=meeting.direction,
-        normal=normal,
+        direction=direction,
+        normal=jnp.where(hits[..., None], normal, jnp.array([0.0, 0.0, 1.0])),
         index_incident=lens.glue_index,
         index_transmitted=medium_index,
     )
     at_cap = jnp.where(passes, TRANSMITTED, TOTAL_INTERNAL_REFLECTION)
-    status = jnp.where(meeting.hits, at_cap, MISSED_APERTURE)
+    status = jnp.where(hits, at_cap, MISSED_APERTURE)
     transmittance = jnp.where(status == TRANSMITTED, transmittance, 0.0)
-    return EmittedRays(meeting.point, direction, transmittance, status)
+    return EmittedRays(point, direction, transmittance, status)
 
 
 @jax.jit
@@ -92,12 +91,11 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
         return jnp.stack([height, jnp.zeros_like(height)], axis=-1)
 
     def excess(height):
-        meeting = _meet_cap(lens, place(height), direction)
-        sine_out = jnp.square(lens.glue_index / jnp.asarray(medium_index)) * (
-            1.0 - jnp.square(meeting.cos_incident)
-        )
-        rim = jnp.sum(jnp.square(meeting.point[..., :2]), axis=-1) / lens.aperture_radius**2
-        return jnp.where(meeting.meets, jnp.maximum(sine_out, rim), 2.0) - 1.0
+        point, normal, ray, meets = _meet_cap(lens, place(height), direction)
+        sine_in = 1.0 - jnp.square(jnp.sum(ray * normal, axis=-1))
+        sine_out = jnp.square(lens.glue_index / jnp.asarray(medium_index)) * sine_in
+        rim = _squared_radius(point) / lens.aperture_radius**2
+        return jnp.where(meets, jnp.maximum(sine_out, rim), 2.0) - 1.0
 
     # For each direction, find the heights on the face between which no light is lost.
     share = np.linspace(0.0, 1.0, _HEIGHT_CELLS + 1).reshape(-1, 1, 1)
@@ -121,18 +119,13 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
     return jnp.sum(measure * radiance * rays.transmittance)
 
 
-class _Meeting(NamedTuple):
-    """Where rays inside the glue meet the sphere of the cap."""
+def _meet_cap(
+    lens: GlueLens, points: Array, directions: Array
+) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"], Float[Array, "*batch 3"], Array]:
+    """Where rays from the core's face meet the cap's sphere: points, and its unit normals there.
 
-    point: Float[Array, "*batch 3"]
-    direction: Float[Array, "*batch 3"]
-    cos_incident: Float[Array, "*batch"]
-    meets: Bool[Array, "*batch"]
-    hits: Bool[Array, "*batch"]
-
-
-def _meet_cap(lens: GlueLens, points: Array, directions: Array) -> _Meeting:
-    """Intersect rays from the core's face with the cap; hits are those within the aperture."""
+    Then the rays' unit directions, and whether they meet the sphere's upper half, as the cap is.
+    """
     points, directions = jnp.broadcast_arrays(
         jnp.asarray(points, dtype=float), jnp.asarray(directions, dtype=float)
     )
@@ -149,16 +142,11 @@ def _meet_cap(lens: GlueLens, points: Array, directions: Array) -> _Meeting:
     path = -offset / jnp.where(denominator == 0.0, 1.0, denominator)
     point = start + path[..., None] * direction
     normal = curvature * point + jnp.array([0.0, 0.0, 1.0])
-    radius_squared = jnp.sum(jnp.square(point[..., :2]), axis=-1)
-    # Below its equator the sphere is not the cap.
-    upper = meets & (normal[..., 2] > 0.0)
-    return _Meeting(
-        point=point,
-        direction=direction,
-        cos_incident=jnp.sum(direction * normal, axis=-1),
-        meets=upper,
-        hits=upper & (radius_squared <= jnp.square(lens.aperture_radius)),
-    )
+    return point, normal, direction, meets & (normal[..., 2] > 0.0)
+
+
+def _squared_radius(point: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
+    return jnp.sum(jnp.square(point[..., :2]), axis=-1)
 
 
 _NEAREST, _FARTHEST = 0.01, 24.0
@@ -392,11 +380,9 @@ def effective_cone(
     to_distance: float,
     level: ArrayLike | None = None,
 ) -> EffectiveCone:
-    """Fit d = kR + b by least squares over evenly spaced distances (Zhou et al. 2020, eq. 1).
+    """Fit d = kR + b by least squares over evenly spaced distances d, mm (Zhou et al. 2020, eq. 1).
 
     Args:
-        from_distance: smallest d, mm.
-        to_distance: largest d, mm.
         level: irradiance of the isophote with radius R, 1/mm² per unit power; None for the half
             maximum. Distances at which the irradiance is below it everywhere are left out.
     """
@@ -422,11 +408,7 @@ def effective_cone(
 def ambiguous_distances(
     light: Light, *, from_distance: float, to_distance: float
 ) -> list[tuple[float, float]]:
-    """Intervals of distances that share their half-maximum radius with another distance.
-
-    Args:
-        from_distance: smallest d, mm.
-        to_distance: largest d, mm.
+    """Intervals of distances (mm) that share their half-maximum radius with another distance.
 
     Returns:
         (first, last) of every interval, mm, at a resolution of 1200 samples; empty if every radius

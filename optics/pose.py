@@ -124,10 +124,8 @@ def _best_and_mirror(
     both = jax.vmap(solve)(*starts)
     # If a cone's apex is on the wall, its contour is a point, whose mismatch is always 0.
     ahead = jnp.where(both.distance > 0, both.cost, jnp.inf)
-    first, second = (jax.tree.map(itemgetter(k), both) for k in (0, 1))
-    swap = ahead[1] < ahead[0]
-    best = jax.tree.map(lambda a, b: jnp.where(swap, b, a), first, second)
-    mirror = jax.tree.map(lambda a, b: jnp.where(swap, a, b), first, second)
+    first = (ahead[1] < ahead[0]).astype(int)
+    best, mirror = (jax.tree.map(itemgetter(k), both) for k in (first, 1 - first))
     axis_error = jnp.sqrt(jnp.linalg.norm(best.covariance[3:, 3:], ord=2))
     return PoseEstimate(best, mirror, axis_error < _OBSERVABLE_AXIS_ERROR)
 

@@ -52,7 +52,6 @@ def wall_irradiance(
     E = -n . V with the wall's inward normal n; zero behind the plane of the tip.
 
     Args:
-        table: vector irradiance per unit power.
         beam: tip and axis; its cone is not used.
         radius: rho, distance of the wall point from the axis, mm.
         angle: angle around the axis, rad.
@@ -80,8 +79,6 @@ def half_maximum_contour(
     """Outermost curve on the wall at half of the peak of the direct irradiance.
 
     Args:
-        table: vector irradiance of the lens.
-        beam: tip and axis.
         surface: the wall, Lambertian and uniform.
         points: number of points, uniform in angle around the beam's axis.
 

@@ -141,12 +141,7 @@ class PathCamera(Camera):
     def _aim_per_mm(
         self, squared: Float[Array, "*batch"], above: Float[Array, "*batch"]
     ) -> Float[Array, "*batch"]:
-        """t/rho of the line of sight that meets a point, by Newton's method.
-
-        Args:
-            squared: rho², mm².
-            above: height above the pole, mm.
-        """
+        """t/rho of the line of sight that meets a point of this rho² (mm²) above the pole (mm)."""
         # The point's own series, so that each step evaluates one series and its derivative.
         terms = [a - b * above for a, b in zip(self.crossing, self.steepness, strict=True)]
         growth = 4.0 * squared / self.widest**2
@@ -356,11 +351,7 @@ def bare_path(*, eye_radius: ScalarLike, pinhole_height: ScalarLike) -> ViewingP
 def wall_point(
     camera: PathCamera, wall: Surface, pixels: Float[ArrayLike, "*batch 2"]
 ) -> Float[Array, "*batch 3"]:
-    """Point of the wall that pixels see through a path, mm; NaN where the iris or the field ends.
-
-    Args:
-        pixels: (u, v), px.
-    """
+    """Point of the wall that pixels see through a path, mm; NaN beyond the iris or the field."""
     point = wall.intersect(*camera.ray(pixels)).point
     seen = camera.transmittance(jnp.asarray(pixels)) > 0
     return jnp.where(seen[..., None], point, jnp.nan)
@@ -383,7 +374,6 @@ def local_magnification(
     pinhole and a sphere.
 
     Args:
-        camera: a viewing path, or a microscope.
         eccentricity: c of the points, mm.
         azimuth: of the points, rad.
 
@@ -417,7 +407,6 @@ def coaxial_falloff(camera: PathCamera, wall: Surface) -> tuple[np.ndarray, floa
     (rho/t)(drho/dt) across a horizontal plane.
 
     Args:
-        camera: the microscope behind the path.
         wall: seen along X; a stretched eyeball's other meridians are taken as that one.
 
     Returns:

@@ -259,19 +259,16 @@ def _taps(place: Array, count: int) -> tuple[Array, tuple[Array, ...], tuple[Arr
     """First of the four samples around a position; weights of their cubic and of its slope."""
     first = jnp.clip(place.astype(int) - 1, 0, count - 4)
     t = place - first
-    weights = (
-        (t - 1) * (t - 2) * (t - 3) / -6,
-        t * (t - 2) * (t - 3) / 2,
-        t * (t - 1) * (t - 3) / -2,
-        t * (t - 1) * (t - 2) / 6,
-    )
-    slopes = (
-        (3 * t * t - 12 * t + 11) / -6,
-        (3 * t * t - 10 * t + 6) / 2,
-        (3 * t * t - 8 * t + 3) / -2,
-        (3 * t * t - 6 * t + 2) / 6,
-    )
-    return first, weights, slopes
+
+    def weights(t: Array) -> tuple[Array, ...]:
+        return (
+            (t - 1) * (t - 2) * (t - 3) / -6,
+            t * (t - 2) * (t - 3) / 2,
+            t * (t - 1) * (t - 3) / -2,
+            t * (t - 1) * (t - 2) / 6,
+        )
+
+    return first, *jax.jvp(weights, (t,), (jnp.ones_like(t),))
 
 
 _ROWS, _COLUMNS = 6, 12  # cells of the first grid
