@@ -219,11 +219,11 @@ def vector_irradiance(
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
         field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     else:
-        field = jnp.asarray(in_batches(partial(_batch_field, lens, medium_index), wall))
+        field = jnp.asarray(values_at(partial(_batch_field, lens, medium_index), wall))
     return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
 
 
-def in_batches(
+def values_at(
     evaluate: Callable[..., Array], points: Float[ArrayLike, "2 n"]
 ) -> Float[np.ndarray, "k n"]:
     """Values of a compiled function at points, k x n.

@@ -32,7 +32,7 @@ from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
 import optics
 from formats.inputs import InputError
-from optics.irradiance import in_batches
+from optics.irradiance import values_at
 from optics.wall_light.cells import Sides, off_axis_part
 
 PARAMETERS = (
@@ -460,7 +460,7 @@ class _Field:
         s = self._distance(row, rows)
         envelope = self.grid.envelope(s)
         points = np.stack([envelope * column / (columns - 1), s])
-        light = in_batches(partial(self._with_slopes, _axial), points)
+        light = values_at(partial(self._with_slopes, _axial), points)
         samples[..., row, column] = light * envelope**2
         return samples
 
