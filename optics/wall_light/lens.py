@@ -188,7 +188,7 @@ class LensTable(eqx.Module):
         Args:
             distance: of the plane from the tip, mm.
         """
-        radius = np.linspace(0.0, float(self.grid.envelope(distance)), 400)
+        radius = np.linspace(0.0, float(np.asarray(self.grid.envelope(distance))), 400)
         mean = np.asarray(self(radius=jnp.asarray(radius), distance=jnp.full(400, distance)))
         rings = np.diff(mean * radius**2) / np.diff(radius**2)
         return float(radius[1:][rings >= 0.5 * rings.max()][-1])
@@ -523,7 +523,7 @@ def _with_slopes(
     at: Float[Array, "p"],
     fixed: dict[str, Array],
     medium_index: Float[Array, ""],
-    *where: Float[Array, "n"],
+    *where: Float[ArrayLike, "n"],
 ) -> Float[Array, "p+1 *n"]:
     """Light of a lens, followed by its derivatives with respect to the named parameters."""
 
