@@ -199,6 +199,7 @@ def vector_irradiance(
     front of it. Light that the cap reflects back into the glue is lost.
 
     Args:
+        medium_index: n0, refractive index of the medium.
         radius: distance of the wall point from the axis, mm.
         distance: s, distance of the wall point from the tip along the axis, mm, positive.
 
