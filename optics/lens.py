@@ -154,9 +154,10 @@ def glue_lens(
 
 
 def _check(lens: GlueLens) -> None:
-    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = (
-        float(x) for x in jax.tree.leaves(lens)[:6]
-    )
+    known = {name: float(x) for name, x in vars(lens).items() if x is not None}
+    core_radius, glue_length = known["core_radius"], known["glue_length"]
+    aperture_radius, sag = known["aperture_radius"], known["sag"]
+    glue_index, numerical_aperture = known["glue_index"], known["numerical_aperture"]
     rules = (
         (
             0.0 < core_radius <= _LARGEST_MM,
