@@ -10,8 +10,5 @@ import lazy_loader
 os.environ["JAX_ENABLE_X64"] = "1"
 if "jax" in sys.modules:
     sys.modules["jax"].config.update("jax_enable_x64", True)
-# XLA's newer emitters take twice as long to compile our programs, which then run as fast.
-_OLDER_EMITTERS = "--xla_cpu_use_fusion_emitters=false"
-os.environ["XLA_FLAGS"] = " ".join([_OLDER_EMITTERS, os.environ.get("XLA_FLAGS", "")])
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
