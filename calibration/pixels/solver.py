@@ -29,6 +29,7 @@ from scipy.optimize import brentq
 from calibration.pixels.data import Footage, possible
 from calibration.pixels.light import (
     CAP,
+    CLEAR,
     NEAREST_MM,
     SHIFT,
     STATES,
@@ -45,7 +46,7 @@ from calibration.pixels.light import (
 from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from formats.inputs import InputError
-from optics.wall_light.lens import CLEAR, TABLE_ERROR
+from optics.wall_light.lens import TABLE_ERROR
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""

@@ -37,9 +37,9 @@ from formats.stated import USUAL_SHAKE_PX
 from formats.whole_files import cache_file, kept_arrays
 from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import (
+    FLATTEST,
     PARAMETERS,
     LensTable,
-    change_scales,
     halvings_for,
     lens_parameters,
     lens_table,
@@ -298,8 +298,9 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
         key.update(source.read_bytes())
     kept = kept_arrays(cache_file("lens_table", key.hexdigest()), compute)
     spread = _root(calibration.covariance[np.ix_(at, at)])
-    sizes = change_scales(parameters, free)
-    change = np.max(np.abs(spread) / sizes[:, None], axis=0, initial=0.0)
+    least = {"sag": FLATTEST * parameters["aperture_radius"]}  # of a flat end
+    sizes = np.array([[max(abs(values[name]), least.get(name, 0.0))] for name in free])
+    change = np.max(np.abs(spread) / sizes, axis=0, initial=0.0)
     return LensTable.of_arrays(kept), spread * np.minimum(1.0, _LINEAR / np.maximum(change, 1e-300))
 
 

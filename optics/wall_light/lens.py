@@ -48,27 +48,6 @@ replaces the glue's length, so that a change of the sag alone keeps the lens pos
 FLATTEST = 0.02
 """Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
 as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""
-CLEAR = 1.003
-"""Rim over the light's edge from which on the light's derivatives are those of a rim that cuts off
-nothing. At 1.0001 an invisible rim seemed known 7 times, at 1.001 twice as well as from 1.002 on
-(seed 100 of `tests.random_fits lenses`)."""
-
-
-def change_scales(values: Mapping[str, float], names: Sequence[str]) -> Float[np.ndarray, "p"]:
-    """Scales of a lens's parameters, such that equal parts of them change the light alike.
-
-    Behind a flat end the light does not show a rim that cuts off nothing; its scale is infinite.
-
-    Args:
-        values: all `PARAMETERS`.
-    """
-    scales = {name: abs(values[name]) for name in PARAMETERS}
-    core, rim, sag = (values[name] for name in ("core_radius", "aperture_radius", "sag"))
-    scales["sag"] = max(abs(sag), FLATTEST * rim)
-    slope = math.tan(math.asin(values["numerical_aperture"] / values["glue_index"]))
-    if rim > CLEAR * (core + max(values["rim_height"], 0.0) * slope):
-        scales["aperture_radius"] *= scales["sag"] / abs(sag) if sag else math.inf
-    return np.array([scales[name] for name in names])
 
 
 def lens_of(values: Mapping[str, ScalarLike]) -> optics.GlueLens:
@@ -384,7 +363,7 @@ def lens_samples(
         grid = near.grid
     field = _Field(values, tuple(free), medium_index, grid)
     at = np.array([values[name] for name in free])
-    first, changed = _first_order(near, at, change_scales(values, free), halvings)
+    first, changed = _first_order(near, at, halvings)
     missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
     samples = field(missed, np.zeros((1 + len(free), *missed.shape)))
     for level in range(halvings):
@@ -414,10 +393,7 @@ def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any
 
 
 def _first_order(
-    near: "LensSamples | None",
-    at: Float[np.ndarray, "p"],
-    scales: Float[np.ndarray, "p"],
-    halvings: int,
+    near: "LensSamples | None", at: Float[np.ndarray, "p"], halvings: int
 ) -> tuple[Float[np.ndarray, "p+1 rows columns"], Bool[np.ndarray, "rows columns"]]:
     """The light of a lens near a known one, and where it has changed too much for this."""
     if near is None:
@@ -429,7 +405,7 @@ def _first_order(
     moved = maximum_filter(np.abs(change), 3) > _CHANGE * peak
     # A step between two samples moves, although both have no derivative: about as many cells as
     # the lens's relative change of all columns, and at most twice as many.
-    relative = np.max(np.abs(at - near.at) / scales, initial=0.0)
+    relative = np.max(np.abs(at / near.at - 1.0), initial=0.0)
     cells = 2.0 * relative * light.shape[1]
     if cells > _STILL:
         step = maximum_filter(light, 3) - minimum_filter(light, 3) > _STEP * peak
@@ -509,7 +485,9 @@ class _Field(NamedTuple):
         # As arrays, so that one compilation is valid for all lenses.
         values = {name: jnp.asarray(value, float) for name, value in self.values.items()}
         at = jnp.array([values[name] for name in self.names])
-        return _with_slopes(light, self.names, at, values, jnp.asarray(self.medium_index), *where)
+        return _with_slopes(
+            light, self.names, at, values, jnp.asarray(self.medium_index, float), *where
+        )
 
 
 def _means_within(
