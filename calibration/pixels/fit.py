@@ -360,6 +360,7 @@ class _FitRun(NamedTuple):
         on the parameters, which becomes part of the covariance.
         """
         best, least, asked = solver.point, math.inf, np.zeros(len(self.names))
+        left = whole = 0.0
         for _ in range(_MOST_TABLES):
             self._tabulate(solver, coarse=False)
             point = solver.point
@@ -373,16 +374,19 @@ class _FitRun(NamedTuple):
             too_far = found.first > least
             if too_far:
                 solver.point = point.halfway(best)
+                left *= 0.5
             else:
                 best, least, asked = point, found.first, solver.difference(point, solver.point)
-            left = solver.distance(best)
+                # In standard errors. A valley of equal light may be long and bent, so information
+                # and difference would say more than the light.
+                left = whole = math.sqrt(max(found.first - found.at.cost, 0.0))
             if self.lens is None or left < _NEAR:
                 break
         if too_far:
             solver.point = best
             self._tabulate(solver, coarse=False)
             solver.evaluate()
-            left = solver.length(asked)
+            left = whole
         elif self.lens is None or left < _NEAR:
             return None, None
         if left > _MOST_OF_TABLE:

@@ -405,13 +405,10 @@ class BeamSolver:
         """Difference of the free parameters over their sizes."""
         return np.array([after.values[n] - before.values[n] for n in self.names]) / self.sizes
 
-    def length(self, step: Float[np.ndarray, "p"]) -> float:
-        """Length of a step of the parameters over their sizes, in standard errors."""
-        return math.sqrt(max(float(step @ self.effective()[0] @ step), 0.0))
-
     def distance(self, other: Point) -> float:
         """Standard errors between the point of the fit and another one."""
-        return self.length(self.difference(other, self.point))
+        step = self.difference(other, self.point)
+        return math.sqrt(max(float(step @ self.effective()[0] @ step), 0.0))
 
     def _slopes(
         self, k: int, own: FrameLight, texture: np.ndarray, by: Float[np.ndarray, "p p"]
