@@ -219,7 +219,7 @@ def _interpolated(
     column: Float[Array, "*n"],
 ) -> Float[Array, "*n"]:
     """The mean light at positions between samples."""
-    return _at(values, slopes, moved, row, column, gradient=False)[0]
+    return _at(values, slopes, moved, row, column)[0]
 
 
 @_interpolated.defjvp
@@ -228,16 +228,16 @@ def _interpolated_slope(primals, tangents):
 
     By JAX's own rules each direction would interpolate again, which is four times as slow.
     """
-    value, by_row, by_column, *by_moved = _at(*primals, gradient=True)
+    value, by_row, by_column, *by_moved = _at(*primals)
     _, _, moved, row, column = tangents
     slope = by_row * row + by_column * column
     return value, slope + sum(moved[k] * field for k, field in enumerate(by_moved))
 
 
 def _at(
-    values: Array, slopes: Array, moved: Array, row: Array, column: Array, *, gradient: bool
+    values: Array, slopes: Array, moved: Array, row: Array, column: Array
 ) -> list[Float[Array, "*n"]]:
-    """The mean light, and with `gradient` its derivatives by row, column and `moved`."""
+    """The mean light, and its derivatives by row, column and `moved`."""
     rows, columns = values.shape
     i, down, steps_down = _taps(row, rows)
     j, across, steps_across = _taps(column, columns)
@@ -254,11 +254,9 @@ def _at(
     changes = [samples(field) for field in slopes]
     # Of the whole table this sum would take as long as all else.
     light = samples(values) + sum(moved[k] * change for k, change in enumerate(changes))
-    found = [weighted(down, across, light)]
-    if gradient:
-        found += [weighted(steps_down, across, light), weighted(down, steps_across, light)]
-        found += [weighted(down, across, change) for change in changes]
-    return found
+    at_place = [(down, across), (steps_down, across), (down, steps_across)]
+    parts = [weighted(*weights, light) for weights in at_place]
+    return parts + [weighted(down, across, change) for change in changes]
 
 
 def _taps(place: Array, count: int) -> tuple[Array, Array, Array]:
