@@ -377,8 +377,8 @@ class _FitRun(NamedTuple):
                 left *= 0.5
             else:
                 best, least, asked = point, found.first, solver.difference(point, solver.point)
-                # In standard errors. A valley of equal light may be long and bent, so information
-                # and difference would say more than the light.
+                # In standard errors. By the information, a step along a valley of equal light that
+                # is long and bent would count as a hundred of them.
                 left = whole = math.sqrt(max(found.first - found.at.cost, 0.0))
             if self.lens is None or left < _NEAR:
                 break

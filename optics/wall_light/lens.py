@@ -360,7 +360,7 @@ def lens_samples(
     if near is not None:
         grid = near.grid
     field = _Field(values, tuple(free), medium_index, grid)
-    at = np.array([values[name] for name in free])
+    at = np.asarray(field.at)
     first, changed = _first_order(near, at, halvings)
     missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
     samples = field(missed, np.zeros((1 + len(free), *missed.shape)))
@@ -439,13 +439,16 @@ class LensSamples(NamedTuple):
         )
 
 
-class _Field(NamedTuple):
+class _Field:
     """V_s e² of a lens on a grid, and its derivatives with respect to some parameters."""
 
-    values: Mapping[str, float]
-    names: tuple[str, ...]
-    medium_index: float
-    grid: Grid
+    def __init__(
+        self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
+    ) -> None:
+        self.names, self.grid = names, grid
+        self.at = jnp.array([values[name] for name in names])
+        self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
+        self.medium_index = jnp.asarray(medium_index, float)
 
     def __call__(
         self,
@@ -480,12 +483,7 @@ class _Field(NamedTuple):
         return np.asarray(self._with_slopes(optics.transmitted_power))
 
     def _with_slopes(self, light: Callable[..., Array], *where: np.ndarray) -> Array:
-        # As arrays, so that one compilation is valid for all lenses.
-        values = {name: jnp.asarray(value, float) for name, value in self.values.items()}
-        at = jnp.array([values[name] for name in self.names])
-        return _with_slopes(
-            light, self.names, at, values, jnp.asarray(self.medium_index, float), *where
-        )
+        return _with_slopes(light, self.names, self.at, self.fixed, self.medium_index, *where)
 
 
 def _means_within(
