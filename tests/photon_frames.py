@@ -39,6 +39,7 @@ from tests.photons import BATCH, photons
 
 _METERED = 1 << 18
 """Photons that set a frame's exposure: some 1,000 in the squares of 3 x 3 pixels that they fill."""
+_STILL_S = 0.045  # before and after a frame's time; frames are 0.1 s apart
 _MARGIN = 1.001  # of the largest chance over that at the pixels' centres
 
 
@@ -285,10 +286,12 @@ def write_photons(folder: Path, recording: Recording, frames: Frames) -> Path:
         writer.describe(
             stack={"scene": load_scene(None, list(changes)).model_dump(mode="json")},
             microscope=microscope_of(own, frames),
+            # The photons are those of a moment: the robot stands still while a frame is exposed.
             kinematics=np.array(
                 [
-                    [time, *(-reading * where.reported), *where.reported]
+                    [time + moment, *(-reading * where.reported), *where.reported]
                     for time, reading in zip(times, own.readings, strict=True)
+                    for moment in (-_STILL_S, _STILL_S)
                 ]
             ),
         )
