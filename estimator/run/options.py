@@ -99,6 +99,8 @@ class Given(BaseModel):
         Raises:
             InputError: an unknown option, or a value of the wrong kind.
         """
+        # A preset or a file is a text, and a file may be given as its path.
+        given = {name: str(v) if isinstance(v, Path) else v for name, v in given.items()}
         try:
             return cls.model_validate(given)
         except ValidationError as error:

@@ -57,7 +57,8 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
         # An eye brings its own retina.
         content["phantom"] = {k: v for k, v in content["phantom"].items() if k not in OF_THE_RETINA}
     for key, value in changes.items():
-        content = _merged(content, _nested(key.split("."), value))
+        text = str(value) if isinstance(value, Path) else value
+        content = _merged(content, _nested(key.split("."), text))
     return _validated(content, "the changed scene")
 
 

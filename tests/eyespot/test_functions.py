@@ -92,6 +92,14 @@ def test_wrong_options_are_named(made):
         eyespot.fit(made / "stack", model="disc")
 
 
+def test_a_lens_file_may_be_a_path(made):
+    lens = made / "none.toml"
+    with pytest.raises(InputError, match="no such lens"):
+        eyespot.render(eyespot.Scene(), made / "other", {"source.lens": lens})
+    with pytest.raises(InputError, match="no such lens"):
+        eyespot.fit(made / "stack", lens=lens)
+
+
 def test_a_study_has_its_commands_options():
     import inspect
 
