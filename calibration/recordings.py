@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 import optics
 from calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
@@ -33,6 +33,32 @@ _MOST_ASIDE_MM = 0.05
 _MOST_ASKEW_DEG = 10.0
 """Largest angle between the tip's motion and the tool's axis: three standard deviations of
 `BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
+
+
+_TOUCH_SIGMA_MM = 0.02
+"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
+
+
+def touch_of(
+    kind: str,
+    microscope: MicroscopeFile,
+    spot: Float[ArrayLike, "2"],
+    axis: Float[ArrayLike, "3"],
+    *,
+    rim_radius: float,
+    tilt: tuple[float, float] = (0.0, 0.0),
+) -> Prior:
+    """Distance along the beam, mm, at which the tip's rim touches the wall, before its centre does.
+
+    Args:
+        spot: where the beam meets the wall, undistorted px.
+        axis: unit vector along the tool towards the wall.
+    """
+    wall = phantom_wall(kind, eye_radius=microscope.eye_radius_mm, tilt=tilt)
+    normal = wall.intersect(*microscope.ideal_microscope().ray(spot)).normal
+    incidence = jnp.arccos(-normal @ axis)
+    contact = optics.contact_distance(wall, incidence=incidence, rim_radius=rim_radius)
+    return Prior(float(contact), _TOUCH_SIGMA_MM)
 
 
 _PARTS = 32  # of an exposure, in whose middles the place is averaged
@@ -110,8 +136,6 @@ def withdrawal(
 
 
 _FEWEST_SPOTS = 3
-_TOUCH_SIGMA_MM = 0.02
-"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
 _LEAST_COVERAGE = 0.5
 """Least visible fraction of the contour; below it, the ellipse depends mainly on the model."""
 SPOTS_FILES = (".csv", ".parquet")
@@ -285,16 +309,10 @@ def _joined(
     microscope = read_microscope(log_book.microscope)
     columns = jnp.array([spot.ellipse for spot in spots])
     ellipses = optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
+    rim = log_book.fibre_diameter_mm / 2
     if touch is None:
-        wall = phantom_wall(log_book.kind, eye_radius=microscope.eye_radius_mm, tilt=log_book.tilt)
-        normal = wall.intersect(*microscope.ideal_microscope().ray(ellipses.centre[0])).normal
-        # The rim of a tilted tip touches the wall before the centre does.
-        contact = optics.contact_distance(
-            wall,
-            incidence=jnp.arccos(-normal @ axis),
-            rim_radius=log_book.fibre_diameter_mm / 2,
-        )
-        touch = Prior(float(contact), _TOUCH_SIGMA_MM)
+        where = ellipses.centre[0], axis
+        touch = touch_of(log_book.kind, microscope, *where, rim_radius=rim, tilt=log_book.tilt)
     return Recording(
         name=source.name,
         source=source,
@@ -314,7 +332,7 @@ def _joined(
         frames=len(records),
         microscope=microscope,
         medium=log_book.medium,
-        fibre_radius_mm=log_book.fibre_diameter_mm / 2,
+        fibre_radius_mm=rim,
         sha256=sha256,
         records=[record for record, _, _ in usable],
     )

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Literal, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-import optics
 from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
 from calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
 from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
+from calibration.recordings import touch_of
 from calibration.solvers import covariance_and_lost, propagated
-from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior, phantom_wall
+from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior
 from formats.inputs import InputError
 
 Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]
@@ -81,7 +80,6 @@ class ImageFit:
         return self.chi_squared / self.degrees_of_freedom
 
 
-_TOUCH_SIGMA_MM = 0.02
 _CELL, _SPREAD_CELL, _COARSE_CELL = 1 / 8, 1 / 16, 1 / 2.2
 """Sides of cells over the spot's radius: of a fit, of one whose light spreads from cell to cell,
 and of a first fit. Means over wide cells change smoothly even where a sharp edge moves, so a start
@@ -218,25 +216,10 @@ def _known(
     footage: Footage, place: Float[np.ndarray, "2"], lean_sigma: float, boresight_sigma: float
 ) -> dict[str, Prior]:
     """What the robot and the touch say of the pose."""
-    file = footage.microscope
-    microscope = optics.microscope(
-        scale=file.scale_mm_px,
-        pinhole_height=file.pinhole_height_mm,
-        eye_radius=file.eye_radius_mm,
-        principal_point=file.principal_point_px,
-        distortion=tuple(file.distortion),
-    )
-    surface = phantom_wall(footage.kind, eye_radius=file.eye_radius_mm)
-    normal = surface.intersect(*microscope.ray(place)).normal
-    # The rim of a tilted tip touches the wall before the centre does.
-    touch = optics.contact_distance(
-        surface,
-        incidence=jnp.arccos(-normal @ footage.axis),
-        rim_radius=footage.instrument.fibre_radius,
-    )
+    rim = footage.instrument.fibre_radius
     lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
     return {
-        "touch": Prior(float(touch), _TOUCH_SIGMA_MM),
+        "touch": touch_of(footage.kind, footage.microscope, place, footage.axis, rim_radius=rim),
         "lean": lean,
         "lean_sideways": lean,
         "boresight": boresight,
