@@ -137,9 +137,14 @@ class LinearLensLight:
             self.tabulate(values, coarse=self._coarse)
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
-        least = {"sag": FLATTEST * values["aperture_radius"]}
-        at = np.array([max(abs(self._at[name]), least.get(name, 0.0)) for name in self._by])
-        return bool(np.any(np.abs(self.moved(values)) > change * at))
+        sizes = {name: abs(self._at[name]) for name in self._by}
+        rim, flat = values["aperture_radius"], FLATTEST * values["aperture_radius"]
+        if "sag" in sizes and sizes["sag"] < flat:
+            sizes["sag"] = flat
+            # No light shows the rim of a flat end around its core.
+            if min(rim, self._at["aperture_radius"]) >= CLEAR * values["core_radius"]:
+                sizes["aperture_radius"] = math.inf
+        return bool(np.any(np.abs(self.moved(values)) > change * np.array([*sizes.values()])))
 
     def moved(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
         """Differences of the lens's parameters from those of the table.
