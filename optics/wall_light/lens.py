@@ -360,7 +360,7 @@ def lens_samples(
     if near is not None:
         grid = near.grid
     field = _Field(values, tuple(free), medium_index, grid)
-    at = np.asarray(field.at)
+    at = field.at
     first, changed = _first_order(near, at, halvings)
     missed = np.ones((_ROWS + 1, _COLUMNS + 1), bool)
     samples = field(missed, np.zeros((1 + len(free), *missed.shape)))
@@ -439,14 +439,21 @@ class LensSamples(NamedTuple):
         )
 
 
+_USUAL = ("sag", "numerical_aperture", "core_radius", "aperture_radius")
+"""Parameters whose derivatives are computed together if only some of them are asked for: one
+program serves fits and readings. To compile another one would take longer than they do."""
+
+
 class _Field:
     """V_s e² of a lens on a grid, and its derivatives with respect to some parameters."""
 
     def __init__(
         self, values: Mapping[str, float], names: tuple[str, ...], medium_index: float, grid: Grid
     ) -> None:
-        self.names, self.grid = names, grid
-        self.at = jnp.array([values[name] for name in names])
+        self.grid, self.at = grid, np.array([values[name] for name in names])
+        self.names = _USUAL if names and set(names) <= {*_USUAL} else names
+        self.asked = [0, *(1 + self.names.index(name) for name in names)]
+        self.around = jnp.array([values[name] for name in self.names])
         self.fixed = {name: jnp.asarray(value, float) for name, value in values.items()}
         self.medium_index = jnp.asarray(medium_index, float)
 
@@ -480,10 +487,11 @@ class _Field:
 
     def transmitted(self) -> Float[np.ndarray, "p+1"]:
         """Fraction of the power that leaves the cap, and its derivatives."""
-        return np.asarray(self._with_slopes(optics.transmitted_power))
+        return self._with_slopes(optics.transmitted_power)
 
-    def _with_slopes(self, light: Callable[..., Array], *where: np.ndarray) -> Array:
-        return _with_slopes(light, self.names, self.at, self.fixed, self.medium_index, *where)
+    def _with_slopes(self, light: Callable[..., Array], *where: np.ndarray) -> np.ndarray:
+        given = self.names, self.around, self.fixed, self.medium_index
+        return np.asarray(_with_slopes(light, *given, *where))[self.asked]
 
 
 def _means_within(
