@@ -92,7 +92,7 @@ def robot_reader(stack: Stack) -> Reader:
     write_calibration(beam, true_beam(stack))
     shake_px = stack.described("scene.unrest.shake_px", float)
     stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\nshake_px = {shake_px}\n")
-    return Options.of(
+    reader = Options.of(
         {
             "mode": "pixels",
             "calibration": beam,
@@ -101,6 +101,8 @@ def robot_reader(stack: Stack) -> Reader:
             "stated": stated,
         }
     ).reader()
+    reader.prepare()
+    return reader
 
 
 def told_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:

@@ -176,6 +176,7 @@ class Session:
     ) -> None:
         self.source = open_()
         self._open, self._reader, self._response = open_, reader, response or Response()
+        reader.prepare()
         self.has_poses = poses is not None
         self._poses = poses or (lambda: PoseTrack(()))
         self._home: Pose | None = None  # the first pose that was used

@@ -108,7 +108,6 @@ class PixelRanger:
             apex_mm=0.0 if lens else -calibration.values["b"],
             within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
         )
-        self._beam.compile()
         self._noise, self._shake_px = microscope.noise, shake_px
         self._reference = None if reference is None else Reference(reference, self._noise)
         self._hypotheses: list[Hypothesis] = []
@@ -117,6 +116,10 @@ class PixelRanger:
         self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
         self._drift = np.zeros(2)  # of the view, px, by the maps that were forgotten
         self._unknown_px = 0.0  # what it may have drifted since, if no map was found again
+
+    def compile(self) -> None:
+        """Compile what frames may need, or load it, so that a camera waits for none of them."""
+        self._beam.compile()
 
     def forget(self) -> None:
         """Fit the next frame by itself, on a wall that is not known."""

@@ -117,6 +117,7 @@ class Rig:
 
     def __init__(self, parameters: Parameters, show: Show | None = None) -> None:
         self._reader = parameters.reader()
+        self._reader.prepare()
         self._show = show
         self.poses = RecentPoses()
         self._number: int | None = None  # the publisher's, of the last image

@@ -71,6 +71,8 @@ def track(
         # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
         with Console(stderr=True).status("Preparing"):
             reader = options.reader()
+            if frames.live:
+                reader.prepare()
         began = time.perf_counter()
         with _shown(rerun, frames, options) as show:
             tracking, drawn = tracked(

@@ -120,6 +120,9 @@ class Reader(ABC, Generic[S, R]):
         self._state = TrackState(at_px=start)
         self._shape: tuple[int, ...] | None = None
 
+    def prepare(self) -> None:
+        """Do now what some frame may need later, for a camera that does not wait."""
+
     @property
     def expected_px(self) -> tuple[float, float] | None:
         """Where the spot is looked for in the next frame, (x, y) px; None in the whole frame."""
@@ -262,6 +265,10 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
     """The pose from all pixels; the spot is looked for as in the sub-pixel mode."""
 
     mode = "pixels"
+
+    def prepare(self) -> None:
+        """Compile the light of a moving tip, too, which few recordings need."""
+        self._ranger.compile()
 
     def forget(self) -> None:
         """Measure the next frame by itself, on a wall that is not known."""
