@@ -225,7 +225,7 @@ def vector_irradiance(
 
 
 def values_at(
-    evaluate: Callable[..., Array], points: Float[ArrayLike, "2 n"]
+    evaluate: Callable[..., ArrayLike], points: Float[ArrayLike, "2 n"]
 ) -> Float[np.ndarray, "k n"]:
     """Values of a compiled function at points, k x n.
 
