@@ -1,4 +1,4 @@
-"""The choices of a fit: the options of `eyespot fit`, defined once."""
+"""The command `eyespot fit`, and the choices of a fit: its options, defined once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
 
-from estimator.run.options import Exposure, Given, Options
+from estimator.run.options import OUT, OUTPUT, Exposure, Given, Options, Rerun
 from formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
@@ -168,3 +168,32 @@ def _one_each(option: str, given: tuple[_T, ...], sources: Sequence[Path]) -> tu
             f"here); got {len(given)}."
         )
     return given
+
+
+def fit(
+    *sources: Annotated[Path, Parameter(required=True)],
+    out: Annotated[Path, OUT],
+    choices: Choices = Choices(),
+    overwrite: Annotated[bool, OUTPUT] = False,
+    rerun: Rerun = None,
+    as_json: Annotated[bool, OUTPUT, Parameter("--json")] = False,
+) -> None:
+    """Fit a model of the light beam to recordings and write a calibration file.
+
+    A cone takes some ten seconds, a lens some minutes. The file serves `eyespot track
+    --calibration`. A fit that fails its checks writes its report only, says why, and ends with exit
+    code 2. If the model misses a small part of the light, the file is written with standard
+    deviations that contain this misfit, and the misfit is described.
+
+    Args:
+        sources: Recordings of withdrawals from contact, all with one microscope: stacks, spots
+            files or ROS bags.
+        out: Calibration file (JSON) to write. The report is written beside it, as .html.
+        overwrite: Replace both if they exist.
+        rerun: Record frames, spots, distances and residuals of a good fit for the viewer rerun
+            (.rrd), or show them in it at once.
+        as_json: Print verdict and parameters as one JSON object.
+    """
+    from calibration.command.fitting import run
+
+    run(sources, out, choices, rerun, overwrite=overwrite, as_json=as_json)

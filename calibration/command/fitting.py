@@ -241,9 +241,7 @@ class Fit:
 
     def page(self) -> str:
         """The report as an HTML page."""
-        return fit_report.render(
-            self.fitted, self.doubts, self.model, self.recordings, **self._origin
-        )
+        return fit_report.render(**vars(self), **self._origin)
 
 
 def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:

@@ -81,10 +81,6 @@ def _solved(
     return solution, outliers, -jnp.linalg.solve(slopes.T @ slopes, slopes.T @ of_given)
 
 
-def _indices(flags: Array) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(flags).tolist())
-
-
 class PlaneFit(NamedTuple):
     """d = delta k e1' + b, with the columns of the paper's Table I and standard errors.
 
@@ -93,7 +89,7 @@ class PlaneFit(NamedTuple):
         b: mm.
         delta_k_error: standard error of delta_k, mm per px.
         b_error: standard error of b, mm.
-        covariance: covariance of delta_k and b.
+        covariance: of delta_k and b.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
         spots: number of spots fitted.
@@ -112,17 +108,15 @@ class PlaneFit(NamedTuple):
     converged: bool
     outliers: tuple[int, ...] = ()
 
-    def band(
-        self, semi_minor_px: Float[ArrayLike, "n"], *, level: float = 0.95
-    ) -> Float[np.ndarray, "n"]:
-        """Half-width of the line's confidence band, pointwise, by Student's t; mm.
+    def band(self, semi_minor_px: Float[ArrayLike, "n"]) -> Float[np.ndarray, "n"]:
+        """Half-width of the line's 95 % confidence band, pointwise, by Student's t; mm.
 
         Args:
             semi_minor_px: e1', px.
         """
         rows = np.stack([np.asarray(semi_minor_px, float), np.ones(np.shape(semi_minor_px))], -1)
         sigma = np.sqrt(np.einsum("...i,ij,...j->...", rows, self.covariance, rows))
-        return stats.t.ppf(0.5 + 0.5 * level, self.spots - 2) * sigma
+        return stats.t.ppf(0.975, self.spots - 2) * sigma
 
 
 def fit_plane(
@@ -170,7 +164,7 @@ def fit_plane(
         rmse=float(np.sqrt(squares / axis.size)),
         spots=axis.size,
         converged=bool(solution.converged),
-        outliers=_indices(outliers),
+        outliers=tuple(np.flatnonzero(outliers).tolist()),
     )
 
 
@@ -267,11 +261,10 @@ class SphereFit(NamedTuple):
         delta_k: float,
         scale: float,
         eye_radius: float,
-        level: float = 0.95,
     ) -> Float[np.ndarray, "n"]:
-        """Half-width of the curve's confidence band due to c alone, by Student's t; mm.
+        """Half-width of the curve's 95 % confidence band due to c alone, by Student's t; mm.
 
-        Args: as for `fit_eccentricity`; `level` is the level of confidence.
+        Args: as for `fit_eccentricity`.
         """
 
         def at(c: Array) -> Array:
@@ -285,7 +278,7 @@ class SphereFit(NamedTuple):
             )
 
         slope = np.abs(jax.jacfwd(at)(jnp.asarray(self.c, float)))
-        return stats.t.ppf(0.5 + 0.5 * level, self.spots - 1) * self.c_error * slope
+        return stats.t.ppf(0.975, self.spots - 1) * self.c_error * slope
 
 
 def fit_eccentricity(
@@ -335,7 +328,7 @@ def fit_eccentricity(
         spots=axis.size,
         converged=bool(solution.converged),
         at_bound=at_bound,
-        outliers=_indices(outliers),
+        outliers=tuple(np.flatnonzero(outliers).tolist()),
         sensitivity=(per_cos_phi * float(slopes[0, 0]), per_cos_phi * float(slopes[0, 1])),
     )
 
