@@ -20,8 +20,9 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.model_error import Geometry, in_batches, place
+from benchmarks.model_error import Geometry, place
 from benchmarks.paper import coalitions, shapley_values
+from optics.irradiance import in_batches
 from scenes import Scene
 from scenes.walls.picture import PRESETS_MM, wall_spread
 

@@ -17,6 +17,7 @@ sharp image of its core.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -167,16 +168,10 @@ class LensTable(eqx.Module):
     def parts(self) -> list["LensTable"]:
         """The table without its derivatives, and its derivatives, as tables of their own."""
         shares = [self.transmitted_value, *self.transmitted_slopes]
+        of_none = ("slopes", "transmitted_slopes", "at", "moved")
+        alone = replace(self, **{name: getattr(self, name)[:0] for name in of_none})
         return [
-            LensTable(
-                values=values,
-                slopes=self.slopes[:0],
-                transmitted_value=share,
-                transmitted_slopes=self.transmitted_slopes[:0],
-                at=self.at[:0],
-                moved=self.moved[:0],
-                grid=self.grid,
-            )
+            replace(alone, values=values, transmitted_value=share)
             for values, share in zip([self.values, *self.slopes], shares, strict=True)
         ]
 
