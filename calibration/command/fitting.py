@@ -155,8 +155,6 @@ class Fit:
 
     Attributes:
         model: that was fitted, by its name on the command line.
-        fitted: everything that was fitted.
-        recordings: what it was fitted to.
         doubts: reasons why it may be wrong; empty for a good fit.
         exposure: which of a stack's exposures was used.
     """

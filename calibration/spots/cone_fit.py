@@ -65,8 +65,7 @@ class ConeFit(NamedTuple):
     Attributes:
         values: all parameters by name, in the units of `PARAMETERS`.
         free: names of the fitted parameters, in the covariance's order.
-        covariance: covariance of the fitted parameters, from the ellipses' covariances times
-            `growth`.
+        covariance: of the fitted parameters, from the ellipses' covariances times `growth`.
         growth: factor on the ellipses' covariances that their residuals demand, by chi squared or
             by slow waves; priors stay as they are.
         touch: distance at reading 0 per trial, mm.
@@ -81,7 +80,6 @@ class ConeFit(NamedTuple):
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of data and priors minus number of parameters.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
-        converged: whether the solver converged.
     """
 
     values: dict[str, float]
@@ -137,7 +135,6 @@ def fit_cone(
         start: start values of free parameters and values of the others: `half_angle` and `b`;
             optionally those that replace the microscope's, and the plane's tilt (default 0).
         free: names of `PARAMETERS` to fit.
-        priors: priors of free parameters.
         joint_prior: of other free parameters, such as a cone that was calibrated before.
         size_sigmas: standard deviation of the part by which the microscope's model misses the size
             of each trial's spots, relative; None if it is a pinhole.

@@ -363,13 +363,7 @@ def _seen_beside(
     """Visible share of each point's piece of a contour, part of which the tool hides.
 
     Tool and beam are one line, so that in the image the hidden arc lies about the direction from
-    the spot to the tip.
-
-    Args:
-        tool: images of the spot and of the tip, px.
-        contour: px.
-        ellipse: measured, px.
-        coverage: visible share of the whole contour.
+    the spot to the tip, whose images `tool` has. The `coverage` is that of the whole contour.
     """
     spot, tip = tool
     aside = (contour - ellipse.centre) @ jnp.array([1.0, 1.0j])
