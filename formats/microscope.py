@@ -87,7 +87,6 @@ def _on_axis(series: list[float]) -> float:
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
-"""What changed with each version of the format that is read."""
 
 _BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
 _MOST_PX = 2**20  # sides of a frame, and the place of its principal point

@@ -192,7 +192,6 @@ HISTORY = {
     3: "significance of a spot that is too_faint",
     4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
 }
-"""What changed with each version of the format that is read."""
 
 _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6

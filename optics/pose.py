@@ -265,10 +265,8 @@ def pose_from_contour(
 
     Args:
         contour: points round the edge, px, in order; not necessarily a whole turn.
-        half_angle: of the cone, rad.
-        apex_offset: b, mm.
-        sigma_px: standard deviation of a point across the contour, px.
-        prior: of the direction; tells the mirror solution from the true one.
+        sigma_px: standard deviation of a point across the contour, px; the cone and the prior are
+            those of `pose_from_ellipse`.
     """
 
     def on_wall(pixel):
