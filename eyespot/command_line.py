@@ -32,7 +32,7 @@ COMMANDS = {
         "estimator.console.command:console": "Show a source and its distances in the browser.",
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
-        "calibration.command.choices:fit": "Fit a beam to recordings; write a calibration file.",
+        "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
         "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
         "benchmarks.sets.score.pages:score": "Compare spots with the labels of a set.",
         "benchmarks.predictions:preregister": "Predict an experiment before it is done.",

@@ -15,7 +15,8 @@ import pytest
 from benchmarks.sets.formats.export import export
 from benchmarks.sets.score.pages import run as score
 from benchmarks.study import Study
-from calibration.command.choices import Choices, fit
+from calibration.command.choices import Choices
+from calibration.command.command import fit
 from formats.inputs import InputError
 from formats.stack import StackWriter, read_stack
 from formats.whole_files import BeingWrittenError, written_whole
