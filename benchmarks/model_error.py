@@ -1,15 +1,13 @@
 """How far each model of the spot is from the truth, on exact contours and on measured spots."""
 
 import math
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Sequence
 from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
 import numpy as np
 import pandas as pd
-from jaxtyping import PyTree
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
@@ -175,26 +173,6 @@ def place(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> dict[str, Any]
 def degrees(radians: float) -> float:
     """An angle as a person wrote it: 30, not 29.999999999999996."""
     return round(math.degrees(radians), 9)
-
-
-def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
-    """Results of a function that treats arrays with a leading axis item by item.
-
-    All batches have one shape, the last one filled up with its last item, so that it is compiled
-    once. One batch is too small for several cores, so each core takes a batch of its own.
-    """
-    items = jax.tree.map(np.asarray, items)
-    count = len(jax.tree.leaves(items)[0])
-
-    def batch(first: int) -> Any:
-        rows = np.minimum(np.arange(first, first + size), count - 1)
-        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
-
-    first, *rest = range(0, count, size)
-    with ThreadPoolExecutor() as pool:
-        # The first batch runs alone, so that only one thread compiles.
-        done = [batch(first), *pool.map(batch, rest)]
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)
 
 
 # Figures.

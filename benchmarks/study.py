@@ -31,14 +31,7 @@ from estimator.run.progress_bar import progress, say
 from formats.calibration import write_calibration
 from formats.inputs import InputError, in_file, object_in, read_text, shortened
 from formats.stack import Stack, StackWriter, read_stack
-from formats.whole_files import (
-    errors_named,
-    lock,
-    refuse_foreign,
-    require_space,
-    sweep,
-    write_text,
-)
+from formats.whole_files import errors_named, lock, refuse_foreign, require_space, sweep, write_text
 from scenes import Scene, SceneError
 from scenes.commands import Changes as Changes
 from scenes.world.labels import true_calibration

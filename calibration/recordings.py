@@ -171,14 +171,11 @@ class Recording(NamedTuple):
     """A withdrawal, ready to be fitted.
 
     Attributes:
-        name: name of its file or folder.
-        source: the file or folder.
+        source: its file or folder, whose name it has.
         trial: spots, readings and axis.
         tilt: tilt of the plane, from the log book.
         across: unit vectors of the tool's x and y axes, eye frame.
         frames: number of frames, with or without a usable spot.
-        microscope: content of the microscope file.
-        medium: medium between the tip and the wall.
         fibre_radius_mm: half the diameter of the tip's face.
         sha256: checksum of a stack's manifest, which contains the checksums of all its files;
             otherwise of the files read.

@@ -101,7 +101,6 @@ class Minimum(NamedTuple):
         first: cost at the start.
         gain: by how much another step would lower the cost, to first order.
         steps: number of evaluations after the first.
-        converged: whether the gain is less than the tolerance.
     """
 
     x: Float[np.ndarray, "p"]
@@ -125,10 +124,7 @@ def minimise(
     chi squared, this is the square of the step in standard errors (Nielsen 1999, "Damping parameter
     in Marquardt's method").
 
-    Args:
-        evaluate: function that returns the normal equations at a point.
-        start: first guess.
-        most_steps: evaluations after which it ends anyway.
+    After `most_steps` evaluations it ends anyway.
     """
     x, at = start, evaluate(start)
     first = at.cost
@@ -188,7 +184,6 @@ class Solution(NamedTuple):
         covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
         information: J^T J, whose inverse is the covariance if residuals are over their sigma.
         residuals: at the solution, in the residual function's unit.
-        converged: whether the solver converged.
     """
 
     parameters: Float[Array, "p"]
@@ -209,7 +204,6 @@ def least_squares(
 
     Args:
         residual: function of the parameters, differentiable by JAX; zero for padding.
-        start: first guess.
         count: number of data without padding.
         solver: `LEVENBERG_MARQUARDT` or `GAUSS_NEWTON`.
     """
@@ -260,7 +254,6 @@ def huber(
 
     Args:
         residual: unweighted, almost linear function of the parameters; zero for padding.
-        start: first guess.
         weight: 1, or 0 for padding.
 
     Returns:

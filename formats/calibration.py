@@ -151,7 +151,6 @@ HISTORY = {
     2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame; "
     "sigma_inflation says by how much a misfit enlarges the standard errors",
 }
-"""What changed with each version of the format that is read."""
 
 _LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
 

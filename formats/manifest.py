@@ -14,7 +14,6 @@ from formats.whole_files import write_text
 
 MANIFEST = "manifest.json"
 HISTORY = {1: "the format of eyespot 0.1"}
-"""What changed with each version of the format that is read."""
 
 _MOST_BYTES = 2**29  # the manifest of a set of 10,000 stacks has 100 MB
 

@@ -28,7 +28,6 @@ from formats.inputs import (
 
 if TYPE_CHECKING:
     import optics
-    from optics.viewing.camera import PathCamera
 
 
 _Series = Annotated[
@@ -80,36 +79,6 @@ class PathSeries(Strict):
         """kappa of the path's paraxial pinhole, 1/mm."""
         return _on_axis(self.steepness_per_mm) / _on_axis(self.crossing)
 
-    def camera(
-        self,
-        *,
-        scale_mm_px: float,
-        principal_point_px: tuple[float, float],
-        eye_radius_mm: float,
-    ) -> "PathCamera":
-        """The microscope behind the path. Loads JAX."""
-        from optics.viewing.camera import PathCamera
-
-        # Arrays: for plain numbers JAX would compile every time.
-        array: Any = np.array
-        # The time to compile a pose grows with the terms: without those that move no line of sight
-        # by more than 1e-7 mm (2e-5 px).
-        terms = 1
-        for series in (self.crossing, self.steepness_per_mm):
-            beyond = np.cumsum(np.abs(series[::-1]))[::-1] * self.widest_mm
-            terms = max(terms, int(np.sum(beyond > 1e-7)))
-        return PathCamera(
-            scale=array(scale_mm_px),
-            principal_point=array(principal_point_px),
-            pole_height=array(-eye_radius_mm),
-            crossing=array(self.crossing[:terms]),
-            steepness=array(self.steepness_per_mm[:terms]),
-            passing=array(self.transmittance),
-            widest=array(self.widest_mm),
-            pupil=array(math.inf if self.pupil_mm is None else self.pupil_mm),
-            orientation=array(self.orientation),
-        )
-
 
 def _on_axis(series: list[float]) -> float:
     """A Chebyshev series at t = 0, where its argument is -1 and T_n = (-1)^n."""
@@ -118,7 +87,6 @@ def _on_axis(series: list[float]) -> float:
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
-"""What changed with each version of the format that is read."""
 
 _BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
 _MOST_PX = 2**20  # sides of a frame, and the place of its principal point
@@ -248,10 +216,26 @@ class MicroscopeFile:
         path = self.viewing_path
         if path is None:
             return self.pinhole()
-        return path.camera(
-            scale_mm_px=self.scale_mm_px,
-            principal_point_px=self.principal_point_px,
-            eye_radius_mm=self.eye_radius_mm,
+        from optics.viewing.camera import PathCamera
+
+        # The time to compile a pose grows with the terms: without those that move no line of sight
+        # by more than 1e-7 mm (2e-5 px).
+        terms = 1
+        for series in (path.crossing, path.steepness_per_mm):
+            beyond = np.cumsum(np.abs(series[::-1]))[::-1] * path.widest_mm
+            terms = max(terms, int(np.sum(beyond > 1e-7)))
+        # Arrays: for plain numbers JAX would compile every time.
+        array: Any = np.array
+        return PathCamera(
+            scale=array(self.scale_mm_px),
+            principal_point=array(self.principal_point_px),
+            pole_height=array(-self.eye_radius_mm),
+            crossing=array(path.crossing[:terms]),
+            steepness=array(path.steepness_per_mm[:terms]),
+            passing=array(path.transmittance),
+            widest=array(path.widest_mm),
+            pupil=array(math.inf if path.pupil_mm is None else path.pupil_mm),
+            orientation=array(path.orientation),
         )
 
     def pinhole(self) -> "optics.Microscope":

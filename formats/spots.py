@@ -192,7 +192,6 @@ HISTORY = {
     3: "significance of a spot that is too_faint",
     4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
 }
-"""What changed with each version of the format that is read."""
 
 _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6
@@ -553,13 +552,6 @@ def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
         return NoSpot(Reason(row["reason"]), values["significance"])
     if row["status"] != "spot":
         raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
-    _check_ellipse(values)
-    measured = {name: values[name] for name in (*_ELLIPSE, *_QUALITY)}
-    return Spot(covariance=_covariance(values, _COVARIANCES), **measured)
-
-
-def _check_ellipse(values: dict[str, float]) -> None:
-    """Refuse an ellipse that no image has; what a mode does not measure is NaN."""
     for name in _ELLIPSE[:4]:
         low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
         if not low < values[name] < _LARGEST_PX:
@@ -574,3 +566,5 @@ def _check_ellipse(values: dict[str, float]) -> None:
             f"{(negative or ['a covariance'])[0]} must be a variance, from 0 to "
             f"{_LARGEST_PX**2:g}. Write the spots again."
         )
+    measured = {name: values[name] for name in (*_ELLIPSE, *_QUALITY)}
+    return Spot(covariance=_covariance(values, _COVARIANCES), **measured)

@@ -233,12 +233,10 @@ class Stack:
         rows = []
         for row, where in csv_rows(self.path_of("kinematics.csv"), check=check):
             with in_file(where):
-                rows.append([number_in(cell, name) for name, cell in row.items()])
-                for name, value in zip(KINEMATICS, rows[-1], strict=True):
-                    if math.isnan(value):
-                        raise InputError(f"{name} must be a finite number; got ''. {_AGAIN}")
-        columns = np.array(rows, float).reshape(-1, len(KINEMATICS)).T
-        return dict(zip(KINEMATICS, columns, strict=True))
+                rows.append({name: number_in(cell, name) for name, cell in row.items()})
+                if unknown := [name for name, value in rows[-1].items() if math.isnan(value)]:
+                    raise InputError(f"{unknown[0]} must be a finite number; got ''. {_AGAIN}")
+        return {name: np.array([row[name] for row in rows], float) for name in KINEMATICS}
 
     def path_of(self, name: str) -> Path:
         """Path of a file that the labels or the manifest name.

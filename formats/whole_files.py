@@ -156,8 +156,9 @@ def lock(folder: Path, *, of: Path) -> int:
                     f"{of} is being written by another process. Wait for it to end, or choose "
                     "another name."
                 ) from error
-        if _is_at(handle, folder):
-            return handle
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.fstat(handle), folder.lstat()):
+                return handle
         os.close(handle)  # the folder that was locked has another name now, or none
 
 
@@ -254,14 +255,6 @@ def _taken(path: Path) -> InputError:
     return InputError(
         f"{path} already exists. Choose another name, or --overwrite if the command has it."
     )
-
-
-def _is_at(handle: int, folder: Path) -> bool:
-    try:
-        there = folder.lstat()
-    except FileNotFoundError:
-        return False
-    return os.path.samestat(os.fstat(handle), there)
 
 
 def cache_file(folder: str, key: str) -> Path:

@@ -16,14 +16,14 @@ limit of the light to another.
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.typing import ArrayLike
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, Float, PyTree
 
 from optics.irradiance_edges import (
     RingRange,
@@ -220,27 +220,36 @@ def vector_irradiance(
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
         field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     else:
-        field = jnp.asarray(values_at(partial(_batch_field, lens, medium_index), wall))
+        values = values_at(partial(_batch_field, lens, medium_index), np.asarray(wall))
+        field = jnp.asarray(values)
     return field[0].reshape(radius.shape), field[1].reshape(radius.shape)
 
 
-def values_at(
-    evaluate: Callable[..., ArrayLike], points: Float[ArrayLike, "2 n"]
-) -> Float[np.ndarray, "k n"]:
-    """Values of a compiled function at points, k x n.
+def in_batches(function: Callable[[Any], Any], items: PyTree, *, size: int) -> PyTree:
+    """Results of a function that treats arrays with a leading axis item by item.
 
-    Whole batches need one compilation for any number of points. One batch is too small for several
-    cores, so each core takes a batch of its own. The first batch runs alone, so that only one
-    thread compiles.
+    All batches have one shape, the last one filled up with its last item, so that it is compiled
+    once. One batch is too small for several cores, so each core takes a batch of its own.
     """
+    items = jax.tree.map(np.asarray, items)
+    count = len(jax.tree.leaves(items)[0])
 
-    def values(batch: np.ndarray) -> np.ndarray:
-        return np.asarray(evaluate(*batch))
+    def batch(first: int) -> Any:
+        rows = np.minimum(np.arange(first, first + size), count - 1)
+        return jax.tree.map(np.asarray, function(jax.tree.map(lambda leaf: leaf[rows], items)))
 
-    first, *rest = np.asarray(_batches(points, _BATCH))
+    first, *rest = range(0, count, size)
     with ThreadPoolExecutor() as pool:
-        parts = [values(first), *pool.map(values, rest)]
-    return np.concatenate(parts, axis=-1)[:, : np.shape(points)[1]]
+        # The first batch runs alone, so that only one thread compiles.
+        done = [batch(first), *pool.map(batch, rest)]
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves)[:count], *done)
+
+
+def values_at(
+    evaluate: Callable[..., np.ndarray | Array], points: Float[np.ndarray, "2 n"]
+) -> Float[np.ndarray, "k n"]:
+    """Values of a compiled function at points, k x n; whole batches for any number of them."""
+    return in_batches(lambda batch: evaluate(*batch.T).T, points.T, size=_BATCH).T
 
 
 def _batches(points: Float[ArrayLike, "2 n"], width: int) -> Float[Array, "batches 2 width"]:

@@ -5,7 +5,6 @@ fibre. The cap is s = -sagitta(rho), the core's face is the disc s = -glue_lengt
 """
 
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -17,7 +16,6 @@ from formats.inputs import InputError, check_schema, in_file, read_toml, shorten
 
 _PRESETS = Path(__file__).parent / "lenses"
 _HISTORY = {1: "the format of eyespot 0.1"}
-"""What changed with each version of the format that is read."""
 
 _LARGEST_MM = 10.0  # of any length of a lens; a fibre has 0.1 to 1 mm
 
@@ -243,25 +241,21 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
                 f"no such lens. Presets: {', '.join(lens_names())}; or give the path of a .toml "
                 "file."
             ) from error
-        return _lens_in(content)
-
-
-def _lens_in(content: dict[str, Any]) -> GlueLens:
-    again = "Compare the file with the presets in optics/lenses."
-    check_schema(content.get("schema"), _HISTORY, remedy=again)
-    values = content.get("lens", {})
-    known = [*GlueLens.__annotations__]
-    required = known[:-2]
-    if not isinstance(values, dict):
-        raise InputError(f"[lens] must be a table; got {shortened(values)}.")
-    wrong = [key for key in values if key not in known or type(values[key]) not in (int, float)]
-    missing = [key for key in required if key not in values]
-    if wrong or missing:
-        raise InputError(
-            f"[lens] must contain the numbers {', '.join(required)}; {', '.join(known[-2:])} are "
-            f"optional; wrong: {_listed(wrong)}, missing: {_listed(missing)}."
-        )
-    return glue_lens(**values)
+        again = "Compare the file with the presets in optics/lenses."
+        check_schema(content.get("schema"), _HISTORY, remedy=again)
+        values = content.get("lens", {})
+        known = [*GlueLens.__annotations__]
+        required = known[:-2]
+        if not isinstance(values, dict):
+            raise InputError(f"[lens] must be a table; got {shortened(values)}.")
+        wrong = [key for key in values if key not in known or type(values[key]) not in (int, float)]
+        missing = [key for key in required if key not in values]
+        if wrong or missing:
+            raise InputError(
+                f"[lens] must contain the numbers {', '.join(required)}; {', '.join(known[-2:])} "
+                f"are optional; wrong: {_listed(wrong)}, missing: {_listed(missing)}."
+            )
+        return glue_lens(**values)
 
 
 def _listed(names: list[str]) -> str:

@@ -373,24 +373,13 @@ def isophote_radius(
     return _outermost_crossing(radius, irradiance, jnp.asarray(level)[..., None])
 
 
-def effective_cone(
-    light: Light,
-    *,
-    from_distance: float,
-    to_distance: float,
-    level: ArrayLike | None = None,
-) -> EffectiveCone:
-    """Fit d = kR + b by least squares over evenly spaced distances d, mm (Zhou et al. 2020, eq. 1).
+def effective_cone(light: Light, *, from_distance: float, to_distance: float) -> EffectiveCone:
+    """Fit d = kR + b to half-maximum radii R by least squares (Zhou et al. 2020, eq. 1).
 
-    Args:
-        level: irradiance of the isophote with radius R, 1/mm² per unit power; None for the half
-            maximum. Distances at which the irradiance is below it everywhere are left out.
+    Over evenly spaced distances d, mm; those without light are left out.
     """
     distance = jnp.linspace(from_distance, to_distance, _REGRESSION_SAMPLES)
-    if level is None:
-        radius = half_maximum_radius(light, distance=distance)
-    else:
-        radius = isophote_radius(light, distance=distance, level=level)
+    radius = half_maximum_radius(light, distance=distance)
     weight = (radius > 0.0) / jnp.sum(radius > 0.0)
     mean_radius, mean_distance = jnp.sum(weight * radius), jnp.sum(weight * distance)
     covariance = jnp.sum(weight * (radius - mean_radius) * (distance - mean_distance))

@@ -65,7 +65,6 @@ class BeamPose(NamedTuple):
         distance: d = |SO|, mm.
         covariance: covariance of (tip x, y, z in mm; axis along its two perpendiculars in rad).
         distance_error: standard error of d, mm.
-        misfit_px: root mean square distance of the measurement from the contour, px.
         cost: sum of squared residuals over sigma, prior included; ranks the solutions.
     """
 
@@ -74,7 +73,6 @@ class BeamPose(NamedTuple):
     distance: Float[Array, ""]
     covariance: Float[Array, "5 5"]
     distance_error: Float[Array, ""]
-    misfit_px: Float[Array, ""]
     cost: Float[Array, ""]
 
 
@@ -132,7 +130,6 @@ def _best_and_mirror(
 
 def _refined(
     residual: TipAndAxis,
-    misfit_px: TipAndAxis,
     surface: Surface,
     prior: DirectionPrior | None,
     tip: Float[Array, "3"],
@@ -140,7 +137,7 @@ def _refined(
 ) -> BeamPose:
     """Gauss-Newton with Levenberg's damping until the steps are below rounding.
 
-    `residual` gives residuals over their standard deviation, `misfit_px` a single number.
+    `residual` gives residuals over their standard deviation.
     """
 
     def residuals(step, tip, axis):
@@ -189,7 +186,6 @@ def _refined(
         distance=distance(zero),
         covariance=covariance,
         distance_error=jnp.sqrt(gradient @ covariance @ gradient),
-        misfit_px=misfit_px(tip, axis),
         cost=cost,
     )
 
@@ -236,17 +232,10 @@ def pose_from_ellipse(
 
     def mismatch(tip, axis):
         beam = Beam(tip=tip, axis=axis, half_angle=half_angle, apex_offset=apex_offset)
-        return ellipse_mismatch(spot_contour(beam, surface, microscope, points=FEW_POINTS), ellipse)
+        contour = spot_contour(beam, surface, microscope, points=FEW_POINTS)
+        return whitening @ ellipse_mismatch(contour, ellipse)
 
-    def misfit_px(tip, axis):
-        # Mean squares of 1, cos and sin over the ellipse's angle.
-        mean_squares = jnp.array([0.5, 0.5, 1.0, 0.5, 0.5])
-        return ellipse.semi_minor * jnp.sqrt(jnp.sum(mean_squares * mismatch(tip, axis) ** 2))
-
-    def whitened(tip, axis):
-        return whitening @ mismatch(tip, axis)
-
-    solve = partial(_refined, whitened, misfit_px, surface, prior)
+    solve = partial(_refined, mismatch, surface, prior)
     return _best_and_mirror(solve, _leaning_either_way(met, half_angle, apex_offset))
 
 
@@ -265,10 +254,8 @@ def pose_from_contour(
 
     Args:
         contour: points round the edge, px, in order; not necessarily a whole turn.
-        half_angle: of the cone, rad.
-        apex_offset: b, mm.
-        sigma_px: standard deviation of a point across the contour, px.
-        prior: of the direction; tells the mirror solution from the true one.
+        sigma_px: standard deviation of a point across the contour, px; the cone and the prior are
+            those of `pose_from_ellipse`.
     """
 
     def on_wall(pixel):
@@ -278,7 +265,7 @@ def pose_from_contour(
     steps = jax.vmap(jax.jacfwd(on_wall))(contour)  # mm per px
     cos_a, sin_a = jnp.cos(half_angle), jnp.sin(half_angle)
 
-    def off_contour_px(tip, axis):
+    def off_contour(tip, axis):
         offset = met.point - (tip + apex_offset * axis)
         along = dot(offset, axis)
         across = offset - along[:, None] * axis
@@ -286,13 +273,8 @@ def pose_from_contour(
         normal = across * (cos_a / radius)[:, None] - sin_a * axis
         slopes = [dot(normal, steps[..., k]) for k in range(2)]
         # The gradient's length hardly moves with the pose: a constant within a step.
-        return (radius * cos_a - along * sin_a) / jax.lax.stop_gradient(jnp.hypot(*slopes))
+        off_px = (radius * cos_a - along * sin_a) / jax.lax.stop_gradient(jnp.hypot(*slopes))
+        return off_px / sigma_px
 
-    solve = partial(
-        _refined,
-        lambda tip, axis: off_contour_px(tip, axis) / sigma_px,
-        lambda tip, axis: jnp.sqrt(jnp.mean(off_contour_px(tip, axis) ** 2)),
-        surface,
-        prior,
-    )
+    solve = partial(_refined, off_contour, surface, prior)
     return _best_and_mirror(solve, _leaning_either_way(met, half_angle, apex_offset))

@@ -113,18 +113,16 @@ def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array,
     return 1.0 - (1.0 + reach) * jnp.exp(-reach)
 
 
-def spread_nodes(
-    *, rings: int = _RINGS, directions: int = _DIRECTIONS
-) -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
+def spread_nodes() -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
     """Quadrature of the kernel for smooth light: offsets in units of L, and weights of sum 1.
 
     Gauss-Laguerre in the radius, uniform in the angle.
     """
-    radii, weights = roots_genlaguerre(rings, 1.0)
-    angles = (np.arange(directions) + 0.5) * (2.0 * np.pi / directions)
+    radii, weights = roots_genlaguerre(_RINGS, 1.0)
+    angles = (np.arange(_DIRECTIONS) + 0.5) * (2.0 * np.pi / _DIRECTIONS)
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     offsets = radii[:, None, None] * circle
-    return offsets.reshape(-1, 2), np.repeat(weights / (directions * weights.sum()), directions)
+    return offsets.reshape(-1, 2), np.repeat(weights / (_DIRECTIONS * weights.sum()), _DIRECTIONS)
 
 
 _SIDES = 256  # directions in which the cone's edge is looked for

@@ -24,7 +24,7 @@ from calibration.pixels.fit import fit_image
 from calibration.recordings import read_recording
 from formats.stack import Stack
 from optics.wall_light.lens import lens_parameters
-from scenes import Scene, load_mitsuba, render_stack
+from scenes import Scene, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
 
@@ -37,7 +37,6 @@ _PLACES = (("plane", 1.5, 0.0), ("plane", 3.0, 120.0), ("eyeball", 4.0, 0.0), ("
 
 def cone_withdrawals(full: bool = False) -> pd.DataFrame:
     """Four withdrawals of 13 rendered frames of a cone, from starts 30 % off; sub-pixel spots."""
-    load_mitsuba()
     with tempfile.TemporaryDirectory() as folder:
         recordings = []
         for number, (kind, c, azimuth) in enumerate(_PLACES):
@@ -77,7 +76,6 @@ def frame_pose(full: bool = False) -> pd.DataFrame:
 
     Each frame is fitted alone. `eyespot study pose` uses the contour only.
     """
-    load_mitsuba()
     dome = {"width_px": 192, "height_px": 144, "scale_mm_px": 0.03, "samples": 16}
     lens = lens_parameters(optics.load_lens("dome"))
     rows: list[dict[str, Any]] = []

@@ -1,9 +1,8 @@
 """The mode pixels on drawn stacks: errors, stated errors, an adverse set, memory.
 
-The true beam is known. The robot says the beam's axis with an error of 5
-degrees, one draw a stack, and the tip's relative motion; nothing says the distance. The sub-pixel
-mode measures the same frames. Stacks are drawn anew from a seed: wall, beam, motion, place, tilt,
-texture and noise.
+The true beam is known. The robot says the beam's axis with an error of 5 degrees, one draw a stack,
+and the tip's relative motion; nothing says the distance. The sub-pixel mode measures the same
+frames. Stacks are drawn anew from a seed: wall, beam, motion, place, tilt, texture and noise.
 """
 
 import math
@@ -32,7 +31,7 @@ from formats.calibration import write_calibration
 from formats.microscope import read_microscope
 from formats.poses import Pose, PoseTrack, read_poses
 from formats.stack import FrameLabels, Stack
-from scenes import Scene, SceneError, load_mitsuba, render_stack
+from scenes import Scene, SceneError, render_stack
 from scenes.world.world import World
 
 
@@ -273,7 +272,6 @@ def pixel_poses(full: bool = False) -> pd.DataFrame:
 
     One stack of twelve frames for each beam and wall (full: four).
     """
-    load_mitsuba()
     rng = np.random.default_rng(20261123)
     frames = pd.concat(
         _drawn(rng, beam=beam, wall=wall, motion=motion, frames=12).assign(beam=beam, wall=wall)
@@ -295,7 +293,6 @@ def branches(full: bool = False) -> pd.DataFrame:
     Each fifth frame is read as a first one, because later ones follow a distance that is known. Ten
     stacks of twenty frames (full: a hundred).
     """
-    load_mitsuba()
     rng, found = np.random.default_rng(20261125), []
     for number in range(100 if full else 10):
         beam, moves = ("dome, vitreous", "candidate, air")[number % 2], number // 2 % 2
@@ -327,7 +324,6 @@ def coverage(full: bool = False) -> pd.DataFrame:
 
     Ten stacks on each wall (full: 163).
     """
-    load_mitsuba()
     found = []
     for number in range(163 if full else 10):
         beam, motion = [*BEAMS][number % 3], "hand" if number % 2 else "withdrawal"
@@ -352,7 +348,6 @@ def adverse_set(full: bool = False) -> pd.DataFrame:
 
     One stack a condition (full: three).
     """
-    load_mitsuba()
     spec = load_spec("adverse-v2").model_dump(by_alias=True)
     for split in ("adverse", "unseen"):
         spec[split]["stacks"] = 3 if full else 1
@@ -377,7 +372,6 @@ def adverse_set(full: bool = False) -> pd.DataFrame:
 
 def memory(full: bool = False) -> pd.DataFrame:
     """A reader of one hand's motion, forwards and backwards without jumps (full: 10,000 frames)."""
-    load_mitsuba()
     rng, number, distinct = np.random.default_rng(20261126), 10_000 if full else 300, 60
     warm = 2 * distinct - 2  # once forwards and backwards, while programs are compiled
     seconds, used_mb, posed = np.empty(warm + number), [], 0

@@ -15,7 +15,7 @@ import pandas as pd
 
 import optics
 from optics.viewing import load_eye, load_viewing_lens, path_camera, viewing_path
-from scenes import Renderer, Scene, load_mitsuba
+from scenes import Renderer, Scene
 
 
 def _timed(call: Callable[[], Any]) -> dict[str, float]:
@@ -71,7 +71,6 @@ def sight(full: bool = False) -> pd.DataFrame:
 
 def frames(full: bool = False) -> pd.DataFrame:
     """Noise-free frames of a moving spot at c = 2 mm; the limit is 1.25 of a pinhole's time."""
-    load_mitsuba()
     eye: dict[str, Any] = {"eye": "navarro", "lens": "flat"}
     ways = {
         "a pinhole": {},

@@ -11,7 +11,7 @@ world, and added in every other as they are: what noise and edges do to a contou
 size and light, which the geometric links change by a few per cent.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +20,9 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 import optics
-from benchmarks.model_error import Geometry, in_batches, place
+from benchmarks.model_error import Geometry, place
 from benchmarks.paper import coalitions, shapley_values
+from optics.irradiance import in_batches
 from scenes import Scene
 from scenes.walls.picture import PRESETS_MM, wall_spread
 
@@ -289,22 +290,17 @@ def eyes(geometry: Geometry, *, c: np.ndarray) -> CauseEye:
 
 def worths(eye: CauseEye, *, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Error of every model with every set of causes, mm: n x models x 1,024."""
-    columns = np.column_stack([np.asarray(column, float) for column in (*eye, d, *shift)])
-    return np.asarray(in_batches(_worths, columns, size=_AT_A_TIME))
+    return np.asarray(in_batches(_worths, (eye, d, shift.T), size=_AT_A_TIME))
 
 
 @jax.jit
-def _worths(columns: Float[Array, "n columns"]) -> Float[Array, "n models sets"]:
+def _worths(spots: tuple[CauseEye, Array, Array]) -> Float[Array, "n models sets"]:
     sets = jnp.asarray(coalitions(len(CAUSES)))
 
-    def of(spot: Float[Array, "columns"]) -> Float[Array, "models sets"]:
-        *eye, d, edge, pixels, spread = spot
-        shift = jnp.stack([edge, pixels, spread])
-        return jax.vmap(lambda causes: _model_errors(CauseEye(*eye), d, shift, causes), out_axes=1)(
-            sets
-        )
+    def of(*spot: Any) -> Float[Array, "models sets"]:
+        return jax.vmap(lambda causes: _model_errors(*spot, causes), out_axes=1)(sets)
 
-    return jax.vmap(of)(columns)
+    return jax.vmap(of)(*spots)
 
 
 def _model_errors(

@@ -17,12 +17,13 @@ from matplotlib.figure import Figure
 
 import optics
 from benchmarks import reporting as page
-from benchmarks.model_error import ECCENTRICITY, in_batches
+from benchmarks.model_error import ECCENTRICITY
 from benchmarks.paper import coalitions, first_reached, shapley_values
 from benchmarks.reporting import grouped, listed, number, rows_of, where
 from benchmarks.studies import eye_paths
 from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
 from benchmarks.study import OutputFolder, Quick, Seed, Study
+from optics.irradiance import in_batches
 from optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
 from optics.viewing.camera import local_magnification
 

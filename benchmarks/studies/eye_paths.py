@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 import optics
-from benchmarks.model_error import in_batches
 from calibration.solvers import GAUSS_NEWTON, least_squares
 from calibration.spots.cone_trials import (
     NUISANCES,
@@ -23,6 +22,7 @@ from calibration.spots.cone_trials import (
     whitening_of,
 )
 from formats.inputs import read_toml
+from optics.irradiance import in_batches
 from optics.viewing.camera import PathCamera, path_camera
 from optics.viewing.eye import Eye, load_viewing_lens
 from optics.viewing.path import viewing_path

@@ -237,12 +237,8 @@ def _spot(one: InstrumentPlace, seen: Views, row: Any) -> Read:
     if not row.used:
         return Read(ReadingOutcome.HIDDEN if row.result else ReadingOutcome.NO_SPOT)
     centre = sensor_views.centred(seen.centre, one.spot)
-    ellipse = optics.Ellipse(
-        centre=jnp.array([row.x_px, row.y_px]),
-        semi_major=jnp.asarray(row.semi_major_px),
-        semi_minor=jnp.asarray(row.semi_minor_px),
-        angle=jnp.asarray(row.angle_rad),
-    )
+    x, y, *axes_and_angle = jnp.array(row.result.ellipse)
+    ellipse = optics.Ellipse(jnp.stack([x, y]), *axes_and_angle)
     distance = float(sensor_views.by_spot(ellipse, _known(one, seen._replace(centre=centre))))
     off = abs(row.semi_minor_px - row.half_max_semi_minor_px)
     return Read(ReadingOutcome.READ, distance, off)

@@ -104,10 +104,6 @@ class Isophotes:
         d = reading + self.contact
         return np.asarray(optics.isophote_radius(self.light, distance=d, level=level))
 
-    def half_maximum(self, reading: np.ndarray) -> np.ndarray:
-        """Semi-minor axis of half of the peak, mm."""
-        return np.asarray(optics.half_maximum_radius(self.light, distance=reading + self.contact))
-
 
 def _light(lens: optics.GlueLens, medium_index: float) -> optics.IrradianceTable:
     """A coarse table: a tenth of the time of `optics.irradiance_table`, for many lenses."""
@@ -425,7 +421,8 @@ def _figure(
         d_r = readings(0.0, FARTHEST_MM)
         for one, colour in zip(confirmed, PALETTE, strict=False):
             choice, light = one.choice, isophotes[family_of(one.choice)]
-            radius = light.half_maximum(d_r)
+            distance = d_r + light.contact
+            radius = np.asarray(optics.half_maximum_radius(light.light, distance=distance))
             if way is paper.LITERAL:
                 radius = light.radius(d_r, level=np.full_like(d_r, choice.level))
             seen = (d_r <= choice.to_mm) & (radius > 0)

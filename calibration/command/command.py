@@ -1,5 +1,7 @@
 """The command `eyespot fit`."""
 
+import json
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -7,6 +9,10 @@ from cyclopts import Parameter
 
 from calibration.command.choices import Choices
 from estimator.run.options import OUT, OUTPUT, Rerun
+from formats.inputs import InputError
+from formats.whole_files import require_space, written_whole
+
+_MOST_BYTES = 2**23  # of a report with its figures
 
 
 def fit(
@@ -33,6 +39,34 @@ def fit(
             (.rrd), or show them in it at once.
         as_json: Print verdict and parameters as one JSON object.
     """
-    from calibration.command.fitting import run
+    from rich.console import Console
 
-    run(sources, out, choices, rerun, overwrite=overwrite, as_json=as_json)
+    from calibration.command.fitting import fit_recordings, record_fit, table_of
+    from calibration.command.verdict import refusal
+    from estimator.viewer import check_recording_path
+    from formats.calibration import write_calibration
+
+    report = out.with_suffix(".html")
+    if report == out:
+        raise InputError(f"{out}: the report uses the ending .html. End the calibration in .json.")
+    if rerun is not None:
+        check_recording_path(rerun)
+    # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
+    with written_whole(out, replace=overwrite) as partial:
+        with written_whole(report, replace=overwrite) as page:
+            require_space(out, _MOST_BYTES)
+            found = fit_recordings(sources, choices)
+            if as_json:
+                print(json.dumps(found.summary))
+            else:
+                Console().print(table_of(found.fitted, found.recordings))
+            page.write_text(found.page(), encoding="utf-8", errors="backslashreplace")
+        if not found.good:
+            raise InputError(refusal(found.doubts, model=found.model, report=report))
+        write_calibration(partial, found.calibration)
+    if rerun is not None:
+        record_fit(rerun, found)
+    if as_json:
+        return
+    print(f"{found.verdict}. Wrote {out} and {report}.")
+    print(f"Next: eyespot track SOURCE --calibration {shlex.quote(str(out))} --out spots.csv")

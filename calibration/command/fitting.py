@@ -8,7 +8,6 @@ import importlib.metadata
 import json
 import math
 import operator
-import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
@@ -33,11 +31,11 @@ from calibration.spots.cone_fit import PARAMETERS
 from estimator import Ranger
 from estimator.run.progress_bar import progress, say
 from estimator.sources.opening import open_source
-from estimator.viewer import check_recording_path, recording_of
+from estimator.viewer import recording_of
 from formats.calibration import BEAM, Calibration, write_calibration
 from formats.inputs import InputError
 from formats.spots import Spot
-from formats.whole_files import require_space, written_whole
+from formats.whole_files import written_whole
 
 
 def record_fit(target: str, fit: "Fit") -> None:
@@ -78,7 +76,6 @@ def record_fit(target: str, fit: "Fit") -> None:
 
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
-_MOST_BYTES = 2**23  # of a report with its figures
 
 SOFT_EDGE = 0.1
 """Edge width over semi-minor axis above which a spot's edge is soft.
@@ -155,8 +152,6 @@ class Fit:
 
     Attributes:
         model: that was fitted, by its name on the command line.
-        fitted: everything that was fitted.
-        recordings: what it was fitted to.
         doubts: reasons why it may be wrong; empty for a good fit.
         exposure: which of a stack's exposures was used.
     """
@@ -241,9 +236,7 @@ class Fit:
 
     def page(self) -> str:
         """The report as an HTML page."""
-        return fit_report.render(
-            self.fitted, self.doubts, self.model, self.recordings, **self._origin
-        )
+        return fit_report.render(**vars(self), **self._origin)
 
 
 def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
@@ -303,49 +296,6 @@ def _learned(fitted: Fitted, known: Calibration) -> Iterator[str]:
                 f"{name} moved by {moved:+.1f} σ, from {known.values[name]:.6g} ± {before:.2g} to "
                 f"{value:.6g} ± {sigma:.2g} {unit}."
             )
-
-
-def run(
-    sources: Sequence[Path],
-    out: Path,
-    choices: Choices,
-    rerun: str | None = None,
-    *,
-    overwrite: bool = False,
-    as_json: bool = False,
-) -> None:
-    """Fit a model to withdrawals and write a report, and a calibration file if the fit is good.
-
-    Raises:
-        InputError: wrong input, an existing file or report, or a fit that is not good. In the last
-            case only the report is written. A fit whose only fault is too large standard
-            deviations raises nothing.
-        OSError: a file cannot be written.
-    """
-    report = out.with_suffix(".html")
-    if report == out:
-        raise InputError(f"{out}: the report uses the ending .html. End the calibration in .json.")
-    if rerun is not None:
-        check_recording_path(rerun)
-    # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
-    with written_whole(out, replace=overwrite) as partial:
-        with written_whole(report, replace=overwrite) as page:
-            require_space(out, _MOST_BYTES)
-            fit = fit_recordings(sources, choices)
-            if as_json:
-                print(json.dumps(fit.summary))
-            else:
-                Console().print(_table(fit.fitted, fit.recordings))
-            page.write_text(fit.page(), encoding="utf-8", errors="backslashreplace")
-        if not fit.good:
-            raise InputError(refusal(fit.doubts, model=fit.model, report=report))
-        write_calibration(partial, fit.calibration)
-    if rerun is not None:
-        record_fit(rerun, fit)
-    if as_json:
-        return
-    print(f"{fit.verdict}. Wrote {out} and {report}.")
-    print(f"Next: eyespot track SOURCE --calibration {shlex.quote(str(out))} --out spots.csv")
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
@@ -426,7 +376,7 @@ def _recordings(
     return recordings
 
 
-def _table(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
+def table_of(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
     """What the terminal shows: value, standard deviation and unit of each parameter."""
     frames = sum(recording.frames for recording in recordings)
     goodness = fitted.chi_squared_per_degree

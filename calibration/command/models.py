@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -99,23 +100,10 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     axis = np.asarray(trial.ellipses.semi_minor)
     # The plane's b is relative to the wall, so add the touch to the eyeball's readings, too.
     distance = trial.readings + trial.touch.mean
-    fit = fit_eccentricity(
-        semi_minor_px=axis,
-        distance=distance,
-        delta_k=pooled.delta_k,
-        b=pooled.b,
-        scale=scale,
-        eye_radius=radius,
-        loss=choices.loss,
-    )
-    model = optics.small_plane_distance(
-        semi_minor_px=axis,
-        scale=scale,
-        k=pooled.delta_k / scale,
-        b=pooled.b,
-        eccentricity=fit.c,
-        eye_radius=radius,
-    )
+    known: dict[str, Any] = {"b": pooled.b, "scale": scale, "eye_radius": radius}
+    known["semi_minor_px"] = axis
+    fit = fit_eccentricity(**known, distance=distance, delta_k=pooled.delta_k, loss=choices.loss)
+    model = optics.small_plane_distance(**known, k=pooled.delta_k / scale, eccentricity=fit.c)
     errors = np.asarray(model) - distance
     notes = [
         f"{sphere.name}: SD {fit.standard_deviation:.4f}, mean absolute error "

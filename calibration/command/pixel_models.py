@@ -164,14 +164,8 @@ def _fitted(
 ) -> Fitted:
     """Fit, and bring the result into the form that all models share.
 
-    Args:
-        recording: the stack with its measured spots.
-        footage: its images.
-        choices: what was asked for.
-        source: kind of the light source.
-        starts: start values, the likeliest first.
-        more: priors of parameters, which are free beside those free by default.
-        joint_prior: of the beam, from a calibration.
+    The likeliest of the `starts` comes first. Parameters with a prior in `more` are free beside
+    those free by default. A calibration gives the beam's `joint_prior`.
     """
     known = _pose_start(recording)
     if "spread" in choices.names:
@@ -180,9 +174,7 @@ def _fitted(
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60
     rounded = f"about {minutes:.0f}" if minutes >= 1 else "less than 1"
-    say(
-        f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.",
-    )
+    say(f"Fitting a {source} to {len(footage.readings)} frames: {rounded} min on two cores.")
     with progress("Fitting", total=None) as advance:
         fit = fit_image(
             footage,

@@ -13,7 +13,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
-from calibration.recordings import Recording
 from calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
 from formats.inputs import in_figure
 from formats.page import PALETTE, STYLE, templates
@@ -22,16 +21,8 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
 
 
-def render(
-    fitted: Fitted,
-    doubts: Sequence[Doubt],
-    model: str,
-    recordings: Sequence[Recording],
-    *,
-    data_sha256: str,
-    software: str,
-) -> str:
-    """The HTML page of a fit of a model to recordings."""
+def render(fitted: Fitted, doubts: Sequence[Doubt], **about: Any) -> str:
+    """The HTML page of a fit; `about` has the template's other variables."""
     with matplotlib.rc_context(STYLE):
         figures = {"residuals": _svg(residuals_figure(fitted))}
         if fitted.lines:
@@ -40,12 +31,9 @@ def render(
         templates("calibration.command")
         .get_template("fit.html.j2")
         .render(
+            **about,
             fitted=fitted,
-            model=model,
-            recordings=recordings,
             doubts=doubts,
-            data_sha256=data_sha256,
-            software=software,
             figures=figures,
             mean_squares={n: float(np.mean(v**2)) for n, v in fitted.residuals.items()},
             kinds=slow_waves(fitted.residuals),

@@ -21,6 +21,7 @@ from calibration.solvers import (
 from calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
     HELD,
+    LEAN_SIGMA,
     NUISANCES,
     ConeTrial,
     JointPrior,
@@ -64,8 +65,7 @@ class ConeFit(NamedTuple):
     Attributes:
         values: all parameters by name, in the units of `PARAMETERS`.
         free: names of the fitted parameters, in the covariance's order.
-        covariance: covariance of the fitted parameters, from the ellipses' covariances times
-            `growth`.
+        covariance: of the fitted parameters, from the ellipses' covariances times `growth`.
         growth: factor on the ellipses' covariances that their residuals demand, by chi squared or
             by slow waves; priors stay as they are.
         touch: distance at reading 0 per trial, mm.
@@ -80,7 +80,6 @@ class ConeFit(NamedTuple):
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of data and priors minus number of parameters.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
-        converged: whether the solver converged.
     """
 
     values: dict[str, float]
@@ -124,8 +123,6 @@ def fit_cone(
     free: Sequence[str] = ("half_angle", "b"),
     priors: Mapping[str, Prior] | None = None,
     joint_prior: JointPrior | None = None,
-    lean_sigma: float = np.radians(1.0),
-    boresight_sigma: float = BORESIGHT_SIGMA,
     size_sigmas: Sequence[float] | None = None,
     outline_sigmas: Sequence[float] | None = None,
 ) -> ConeFit:
@@ -138,10 +135,7 @@ def fit_cone(
         start: start values of free parameters and values of the others: `half_angle` and `b`;
             optionally those that replace the microscope's, and the plane's tilt (default 0).
         free: names of `PARAMETERS` to fit.
-        priors: priors of free parameters.
         joint_prior: of other free parameters, such as a cone that was calibrated before.
-        lean_sigma: standard deviation of the robot's directions, rad.
-        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
         size_sigmas: standard deviation of the part by which the microscope's model misses the size
             of each trial's spots, relative; None if it is a pinhole.
         outline_sigmas: the same for the outline of each frame's spot.
@@ -168,8 +162,7 @@ def fit_cone(
     nothing = [0.0] * len(trials)
     missed = size_sigmas or nothing, outline_sigmas or nothing
     groups = [
-        TrialGroup.of(trials, kind, lean_sigma, boresight_sigma, *missed)
-        for kind in sorted({trial.kind for trial in trials})
+        TrialGroup.of(trials, kind, *missed) for kind in sorted({trial.kind for trial in trials})
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.concatenate(
@@ -228,9 +221,9 @@ def fit_cone(
         growth=growth,
         touch=means + sigmas * deviations[:, 0],
         touch_error=sigmas * known_to[:, 0],
-        lean=lean_sigma * deviations[:, 3:5],
-        boresight=boresight_sigma * deviations[:, 5:7],
-        boresight_covariance=boresight_sigma**2 * np.array([covariance[at, at] for at in beams]),
+        lean=LEAN_SIGMA * deviations[:, 3:5],
+        boresight=BORESIGHT_SIGMA * deviations[:, 5:7],
+        boresight_covariance=BORESIGHT_SIGMA**2 * np.array([covariance[at, at] for at in beams]),
         spot=np.asarray(spot)[in_order],
         spot_covariance=np.stack([propagated(by, covariance) for by in slopes]),
         residuals=residuals,

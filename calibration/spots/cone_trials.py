@@ -37,6 +37,8 @@ NUISANCES = (
 """Nuisances of each trial: the position in px, the others in units of their priors' sigma."""
 HELD = 6
 """Number of nuisances that have a prior; the position has none."""
+LEAN_SIGMA = math.radians(1.0)
+"""Standard deviation of the robot's directions, rad."""
 BORESIGHT_SIGMA = math.radians(3.0)
 """Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
 that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
@@ -188,8 +190,6 @@ class TrialGroup(eqx.Module):
         cls,
         of_all_kinds: Sequence[ConeTrial],
         kind: str,
-        lean_sigma: float,
-        boresight_sigma: float,
         size_sigmas: Sequence[float],
         outline_sigmas: Sequence[float],
     ) -> "TrialGroup":
@@ -223,8 +223,8 @@ class TrialGroup(eqx.Module):
             principal_points=jnp.asarray(np.stack([t.principal_point for t in trials])),
             touch_means=jnp.array([t.touch.mean for t in trials]),
             touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
-            lean_sigmas=jnp.full(len(trials), lean_sigma),
-            boresight_sigmas=jnp.full(len(trials), boresight_sigma),
+            lean_sigmas=jnp.full(len(trials), LEAN_SIGMA),
+            boresight_sigmas=jnp.full(len(trials), BORESIGHT_SIGMA),
             size_sigmas=jnp.array([size_sigmas[n] for n in numbers]),
             kind=kind,
             data=5 * int(frames.sum()),
@@ -363,13 +363,7 @@ def _seen_beside(
     """Visible share of each point's piece of a contour, part of which the tool hides.
 
     Tool and beam are one line, so that in the image the hidden arc lies about the direction from
-    the spot to the tip.
-
-    Args:
-        tool: images of the spot and of the tip, px.
-        contour: px.
-        ellipse: measured, px.
-        coverage: visible share of the whole contour.
+    the spot to the tip, whose images `tool` has. The `coverage` is that of the whole contour.
     """
     spot, tip = tool
     aside = (contour - ellipse.centre) @ jnp.array([1.0, 1.0j])

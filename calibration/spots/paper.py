@@ -59,10 +59,8 @@ def _solved(
 
     Args:
         misfit: function of the parameters, of what is given, and of size and reading of the spots.
-        start: first guess.
         given: what is not fitted; the implicit function theorem gives the derivatives.
         spots: sizes, readings and weights.
-        loss: see `Loss`.
     """
     *seen, weight = spots
 
@@ -81,23 +79,16 @@ def _solved(
     return solution, outliers, -jnp.linalg.solve(slopes.T @ slopes, slopes.T @ of_given)
 
 
-def _indices(flags: Array) -> tuple[int, ...]:
-    return tuple(np.flatnonzero(flags).tolist())
-
-
 class PlaneFit(NamedTuple):
     """d = delta k e1' + b, with the columns of the paper's Table I and standard errors.
 
     Attributes:
-        delta_k: mm per px.
-        b: mm.
-        delta_k_error: standard error of delta_k, mm per px.
-        b_error: standard error of b, mm.
-        covariance: covariance of delta_k and b.
+        delta_k: mm per px; its standard error, too.
+        b: mm; its standard error, too.
+        covariance: of delta_k and b.
         r_squared: coefficient of determination.
         rmse: root mean square error, mm.
         spots: number of spots fitted.
-        converged: whether the solver converged.
         outliers: indices of spots beyond 3.5 robust standard deviations, with the loss "huber".
     """
 
@@ -112,17 +103,15 @@ class PlaneFit(NamedTuple):
     converged: bool
     outliers: tuple[int, ...] = ()
 
-    def band(
-        self, semi_minor_px: Float[ArrayLike, "n"], *, level: float = 0.95
-    ) -> Float[np.ndarray, "n"]:
-        """Half-width of the line's confidence band, pointwise, by Student's t; mm.
+    def band(self, semi_minor_px: Float[ArrayLike, "n"]) -> Float[np.ndarray, "n"]:
+        """Half-width of the line's 95 % confidence band, pointwise, by Student's t; mm.
 
         Args:
             semi_minor_px: e1', px.
         """
         rows = np.stack([np.asarray(semi_minor_px, float), np.ones(np.shape(semi_minor_px))], -1)
         sigma = np.sqrt(np.einsum("...i,ij,...j->...", rows, self.covariance, rows))
-        return stats.t.ppf(0.5 + 0.5 * level, self.spots - 2) * sigma
+        return stats.t.ppf(0.975, self.spots - 2) * sigma
 
 
 def fit_plane(
@@ -136,7 +125,6 @@ def fit_plane(
     Args:
         semi_minor_px: e1', px.
         distance: d_r, the robot's reading since contact, mm.
-        loss: see `Loss`.
 
     Raises:
         InputError: fewer than 3 spots, or spots of one size only.
@@ -170,7 +158,7 @@ def fit_plane(
         rmse=float(np.sqrt(squares / axis.size)),
         spots=axis.size,
         converged=bool(solution.converged),
-        outliers=_indices(outliers),
+        outliers=tuple(np.flatnonzero(outliers).tolist()),
     )
 
 
@@ -183,10 +171,7 @@ class Lines(NamedTuple):
     """The columns of Table I as arrays over trials (Zhou et al. 2020).
 
     Attributes:
-        delta_k: mm/px, or k if the spots are given in mm.
-        b: mm.
-        r_squared: coefficient of determination.
-        rmse: root mean square error, mm.
+        delta_k: mm/px, or k if the spots are given in mm; the others as in `PlaneFit`.
     """
 
     delta_k: np.ndarray
@@ -242,10 +227,8 @@ class SphereFit(NamedTuple):
         standard_deviation: standard deviation of the errors (estimate - truth), mm.
         mean_absolute_error: mm.
         max_error: largest absolute error, mm.
-        spots: number of spots fitted.
-        converged: whether the solver converged.
         at_bound: whether the fit is at the bound c = 0.
-        outliers: indices of spots beyond 3.5 robust standard deviations, with the loss "huber".
+        outliers: as in `PlaneFit`.
         sensitivity: derivatives of c with respect to delta_k (px) and b (1), for error propagation.
     """
 
@@ -267,11 +250,10 @@ class SphereFit(NamedTuple):
         delta_k: float,
         scale: float,
         eye_radius: float,
-        level: float = 0.95,
     ) -> Float[np.ndarray, "n"]:
-        """Half-width of the curve's confidence band due to c alone, by Student's t; mm.
+        """Half-width of the curve's 95 % confidence band due to c alone, by Student's t; mm.
 
-        Args: as for `fit_eccentricity`; `level` is the level of confidence.
+        Args: as for `fit_eccentricity`.
         """
 
         def at(c: Array) -> Array:
@@ -285,7 +267,7 @@ class SphereFit(NamedTuple):
             )
 
         slope = np.abs(jax.jacfwd(at)(jnp.asarray(self.c, float)))
-        return stats.t.ppf(0.5 + 0.5 * level, self.spots - 1) * self.c_error * slope
+        return stats.t.ppf(0.975, self.spots - 1) * self.c_error * slope
 
 
 def fit_eccentricity(
@@ -307,7 +289,6 @@ def fit_eccentricity(
         b: offset fitted to the plane, mm.
         scale: delta, mm/px; the sagitta term needs it, although the paper does not state it.
         eye_radius: r, mm.
-        loss: see `Loss`.
 
     Raises:
         InputError: fewer than 2 spots.
@@ -335,7 +316,7 @@ def fit_eccentricity(
         spots=axis.size,
         converged=bool(solution.converged),
         at_bound=at_bound,
-        outliers=_indices(outliers),
+        outliers=tuple(np.flatnonzero(outliers).tolist()),
         sensitivity=(per_cos_phi * float(slopes[0, 0]), per_cos_phi * float(slopes[0, 1])),
     )
 
@@ -375,17 +356,12 @@ class PlaneTrialsFit(NamedTuple):
     """One line for all trials, with the nuisances of each.
 
     Attributes:
-        delta_k: mm per px.
-        b: mm.
-        covariance: covariance of delta_k and b, including the uncertainty of the nuisances.
-        touch: distance at reading 0 per trial, mm.
-        touch_error: its standard error, mm.
+        delta_k: mm per px; b, r_squared and rmse as in `PlaneFit`.
+        covariance: of delta_k and b, including the uncertainty of the nuisances.
+        touch: distance at reading 0 per trial, mm; its standard error, too.
         tilt: tilt of the plane: tangents of its normal's angle from z, towards +X and +Y.
-        r_squared: coefficient of determination.
-        rmse: root mean square error, mm.
         residuals: the line's distance minus reading and touch, per spot in the given order, mm.
         noise: standard deviation of a spot's error, mm.
-        converged: whether the solver converged.
     """
 
     delta_k: float

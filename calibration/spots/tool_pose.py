@@ -20,7 +20,7 @@ class Tool(NamedTuple):
     """Equal cones fixed to a rigid shaft, evenly spaced around its axis and tilted outwards.
 
     Attributes:
-        half_angle: half-angle of each cone, rad.
+        half_angle: of each cone, rad.
         apex_offset: b of each cone, mm.
         circle_mm: radius of the circle on which the tips lie, mm.
         splay: angle between each cone's axis and the tool's, rad.
@@ -136,8 +136,7 @@ def contour_mismatch_covariance(
     """Covariance of `optics.ellipse_mismatch` for independent noise across the contour per point.
 
     Args:
-        contour: px; its own noise has no effect to first order.
-        ellipse: ellipse fitted to the contour.
+        contour: px; its own noise has no effect to first order. The ellipse is fitted to it.
         sigma_px: standard deviation of the noise, px.
     """
     across = contour_normals(contour)

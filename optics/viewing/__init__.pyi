@@ -14,8 +14,6 @@ from .path import DILATED_MM as DILATED_MM
 from .path import FORMS as FORMS
 from .path import LinesOfSight as LinesOfSight
 from .path import ViewingPath as ViewingPath
-from .path import back_focus as back_focus
-from .path import equivalent_power as equivalent_power
 from .path import lines_of_sight as lines_of_sight
 from .path import viewing_path as viewing_path
 from .pencil import Pencils as Pencils

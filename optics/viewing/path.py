@@ -14,15 +14,7 @@ from jaxtyping import Array, Float, Int, ScalarLike
 
 from formats.inputs import InputError
 from optics.viewing.eye import Eye
-from optics.viewing.trace import (
-    Conic,
-    Element,
-    Iris,
-    Medium,
-    Refracting,
-    TracedRays,
-    trace,
-)
+from optics.viewing.trace import Conic, Element, Iris, Medium, Refracting, TracedRays, trace
 
 TERMS = 28  # of a series in the squared distance t² from the axis, up to the widest t
 SCANNED_MM = 14.0 / 400 * (1.0 + np.arange(400))
@@ -195,19 +187,7 @@ def before_path(
     )
 
 
-def equivalent_power(elements: tuple[Element, ...]) -> Float[Array, ""]:
-    """Paraxial power of elements in air on their front side, n'/f', 1/mm."""
-    _, slope = _parallel(elements)
-    return -last_medium(elements)[0].index * slope
-
-
-def back_focus(elements: tuple[Element, ...]) -> Float[Array, ""]:
-    """Distance from the last surface's vertex to the paraxial focus of distant light, mm."""
-    height, slope = _parallel(elements)
-    return -height / slope
-
-
-def _parallel(elements: tuple[Element, ...]) -> tuple[Float[Array, ""], Float[Array, ""]]:
+def parallel_ray(elements: tuple[Element, ...]) -> tuple[Float[Array, ""], Float[Array, ""]]:
     """Height and slope behind the last surface, per unit of height of a paraxial parallel ray.
 
     The derivative of the trace on the axis is the paraxial trace, gradients included.
@@ -258,7 +238,7 @@ def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
 
     def defocus(curvature: Float[Array, ""], _: None) -> Float[Array, ""]:
         elements = (*eye.cornea, *lens(curvature, eye.vitreous_index))
-        height, slope = _parallel(elements)
+        height, slope = parallel_ray(elements)
         return height + slope * (eye.axial_length - last_medium(elements)[1])
 
     newton: optx.AbstractRootFinder = optx.Newton(rtol=1e-12, atol=1e-12)

@@ -17,6 +17,7 @@ sharp image of its core.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -143,22 +144,12 @@ class LensTable(eqx.Module):
         self, sides: Sides, *, tip: Float[Array, "3"], axis: Float[Array, "3"]
     ) -> Float[Array, "..."]:
         """Light between each side and the axis, per unit power."""
-        return jnp.sum(self.passing(sides.node, sides.step, tip=tip, axis=axis), axis=-1)
-
-    def passing(
-        self,
-        point: Float[Array, "... 3"],
-        step: Float[Array, "... 3"],
-        *,
-        tip: Float[Array, "3"],
-        axis: Float[Array, "3"],
-    ) -> Float[Array, "..."]:
-        """The line integral's part of a step at a point of the wall, both mm, per unit power."""
-        offset = point - tip
+        offset = sides.node - tip
         lateral = off_axis_part(offset, axis)
         radius = jnp.sqrt(optics.dot(lateral, lateral) + 1e-24)
-        swept = optics.dot(jnp.cross(axis, lateral), step)
-        return 0.5 * self(radius=radius, distance=optics.dot(offset, axis)) * swept
+        swept = optics.dot(jnp.cross(axis, lateral), sides.step)
+        mean = self(radius=radius, distance=optics.dot(offset, axis))
+        return jnp.sum(0.5 * mean * swept, axis=-1)
 
     def changed(self, by: Float[Array, "p"]) -> "LensTable":
         """The table with the lens's parameters changed."""
@@ -167,16 +158,10 @@ class LensTable(eqx.Module):
     def parts(self) -> list["LensTable"]:
         """The table without its derivatives, and its derivatives, as tables of their own."""
         shares = [self.transmitted_value, *self.transmitted_slopes]
+        of_none = ("slopes", "transmitted_slopes", "at", "moved")
+        alone = replace(self, **{name: getattr(self, name)[:0] for name in of_none})
         return [
-            LensTable(
-                values=values,
-                slopes=self.slopes[:0],
-                transmitted_value=share,
-                transmitted_slopes=self.transmitted_slopes[:0],
-                at=self.at[:0],
-                moved=self.moved[:0],
-                grid=self.grid,
-            )
+            replace(alone, values=values, transmitted_value=share)
             for values, share in zip([self.values, *self.slopes], shares, strict=True)
         ]
 

@@ -1,6 +1,5 @@
 """Light on a lattice of cells by a beam whose pose is sought, compiled for the rig."""
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -120,14 +119,17 @@ def irradiance_and_slopes(
     Returns:
         The irradiance, and its derivatives by the `POSE` changes and by `own`.
     """
-    light = _light_of(lattice, source, beam, spread, steps)
+
+    def light(z: Array) -> Array:
+        change, own = z[:POSE], z[POSE:]
+        return _irradiance(lattice, source, beam, own=own, spread=spread, steps=steps, pose=change)
+
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
     return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
 
 
-@eqx.filter_jit
-def irradiance_alone(
+def _irradiance(
     lattice: Lattice,
     source: Any,
     beam: BeamFrame,
@@ -135,33 +137,21 @@ def irradiance_alone(
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
     steps: Steps | None = None,
+    pose: Float[ArrayLike, "5"] = (0.0,) * POSE,
 ) -> Float[Array, "n"]:
-    """The irradiance of `irradiance_and_slopes`, in a third of the time."""
-    z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
-    return _light_of(lattice, source, beam, spread, steps)(z)
+    moved, turned = beam.moved(pose)
+    changed = source.changed(jnp.asarray(spread) @ own)
+    if steps is None:
+        return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
+
+    def at(way: Array, turn: Array) -> Array:
+        along = turned + turn
+        along = along / jnp.linalg.norm(along)
+        return lattice_irradiance(lattice, changed, tip=moved + way, axis=along).ravel()
+
+    # All at once, which two cores do in less time than one after the other.
+    return jnp.asarray(steps.shares) @ jax.vmap(at)(*map(jnp.asarray, steps[:2]))
 
 
-def _light_of(
-    lattice: Lattice,
-    source: Any,
-    beam: BeamFrame,
-    spread: Float[ArrayLike, "p q"],
-    steps: Steps | None,
-) -> Callable[[Array], Array]:
-    """The irradiance as a function of the changes of pose and beam."""
-
-    def light(z: Array) -> Array:
-        moved, turned = beam.moved(z)
-        changed = source.changed(jnp.asarray(spread) @ z[POSE:])
-        if steps is None:
-            return lattice_irradiance(lattice, changed, tip=moved, axis=turned).ravel()
-
-        def at(way: Array, turn: Array) -> Array:
-            along = turned + turn
-            along = along / jnp.linalg.norm(along)
-            return lattice_irradiance(lattice, changed, tip=moved + way, axis=along).ravel()
-
-        # All at once, which two cores do in less time than one after the other.
-        return jnp.asarray(steps.shares) @ jax.vmap(at)(*map(jnp.asarray, steps[:2]))
-
-    return light
+irradiance_alone = eqx.filter_jit(_irradiance)
+"""The irradiance of `irradiance_and_slopes`, in a third of the time."""

@@ -182,9 +182,7 @@ def distance_sigmas(
 def lit_radii(spots: SpotCells, change: Float[ArrayLike, "parts-1"]) -> Float[Array, "n"]:
     """Radii of circles as large as the spots above half of their peak, px; smooth in the beam.
 
-    Args:
-        spots: of n frames.
-        change: of the beam's own parameters.
+    The arguments are those of `distance_sigmas`.
     """
     by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
     direct = jnp.einsum("p,nlpc->nlc", by_change, spots.light[..., 0, :])

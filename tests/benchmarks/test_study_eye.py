@@ -7,7 +7,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.model_error import in_batches
 from benchmarks.studies import eye, eye_paths
 from benchmarks.studies.eye import crossing
 from benchmarks.studies.eye_paths import (
@@ -20,6 +19,7 @@ from benchmarks.studies.eye_paths import (
     spots_through,
 )
 from calibration.spots.cone_trials import RETINA
+from optics.irradiance import in_batches
 from optics.viewing import load_eye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")

@@ -16,7 +16,7 @@ from benchmarks.sets.formats.export import export
 from benchmarks.sets.score.pages import run as score
 from benchmarks.study import Study
 from calibration.command.choices import Choices
-from calibration.command.fitting import run as fit
+from calibration.command.command import fit
 from formats.inputs import InputError
 from formats.stack import StackWriter, read_stack
 from formats.whole_files import BeingWrittenError, written_whole
@@ -86,7 +86,7 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
     "preview": lambda stack, out: write_preview(load_scene(None), out),
     "export": lambda stack, out: export(stack, to="coco", out=out),
     "score": lambda stack, out: score(stack, [], mode="literal", out=out),
-    "fit": lambda stack, out: fit([stack], out, Choices(model="cone")),
+    "fit": lambda stack, out: fit(stack, out=out, choices=Choices(model="cone")),
     "study": lambda stack, out: Study("static", out=out, quick=True),
 }
 
@@ -147,7 +147,11 @@ def test_no_command_writes_over_what_is_there(kind, writer, tmp_path):
 def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path):
     (tmp_path / "c.html").write_text("mine")
     with pytest.raises(InputError, match=r"c\.html already exists"):
-        fit([tmp_path / "no such recording"], tmp_path / "c.json", Choices(model="plane"))
+        fit(
+            tmp_path / "no such recording",
+            out=tmp_path / "c.json",
+            choices=Choices(model="plane"),
+        )
     assert (tmp_path / "c.html").read_text() == "mine"
 
 

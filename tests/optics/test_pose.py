@@ -159,8 +159,10 @@ def test_covariance_is_the_spread_over_noise():
 
 def test_the_mirror_fits_almost_as_well_and_has_the_same_distance_but_another_tip():
     true = beam(incidence_deg=10.0)
-    found = estimate(spot_contour(true, WALL, eye(11.5)), 11.5)
-    assert float(found.mirror.misfit_px) < 0.005
+    contour = spot_contour(true, WALL, eye(11.5))
+    found = estimate(contour, 11.5)
+    # Root mean square distance from the contour, px.
+    assert SIGMA_PX * np.sqrt(found.mirror.cost / len(contour)) < 0.005
     assert abs(float(found.mirror.distance) - 4.0) < 0.01
     # Leaning the other way by 10 degrees at 4 mm: 2 * 4 * sin(10 deg) = 1.4 mm.
     assert 1.0 < float(jnp.linalg.norm(found.mirror.tip - true.tip)) < 2.0

@@ -202,16 +202,10 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
 
 def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:
     """Content of standings.csv and, without the last three columns, of the page's table."""
-    forms = dict.fromkeys(("median", "ninth_decile", "rmse"), (form, 1.0)) | {
-        "over_bound": (".1f", 1.0),
-        **dict.fromkeys(
-            ("missed", "false_spots", "within_1_sigma", "within_196_sigma"), (".1f", 100.0)
-        ),
-    }
-    texts = {
-        name: _with_intervals(total, name, form, scale=scale, none="–")
-        for name, (form, scale) in forms.items()
-    }
+    sizes = dict.fromkeys(("median", "ninth_decile", "rmse"), form) | {"over_bound": ".1f"}
+    texts = {name: _with_intervals(total, name, own, none="–") for name, own in sizes.items()}
+    for name in ("missed", "false_spots", "within_1_sigma", "within_196_sigma"):
+        texts[name] = _with_intervals(total, name, ".1f", scale=100.0, none="–")
     ranks = [
         f"{rank:.0f}" + ("" if math.isnan(low) or low == high else f" [{low:.0f}–{high:.0f}]")
         for rank, low, high in zip(total["rank"], total.rank_low, total.rank_high, strict=True)
@@ -229,13 +223,8 @@ def _drawn(total: pd.DataFrame, unit: str) -> Figure:
 
     def points(axes: Axes, name: str, colour: str, label: str, scale: float = 1.0) -> None:
         ends = name.removesuffix("_sigma")
-        middle, low, high = (
-            total[[name, f"{ends}_low", f"{ends}_high"]]
-            .mul(scale)
-            .replace(math.inf, math.nan)
-            .to_numpy(float)
-            .T
-        )
+        sizes = scale * total[[name, f"{ends}_low", f"{ends}_high"]]
+        middle, low, high = sizes.replace(math.inf, math.nan).to_numpy(float).T
         axes.plot(middle, places, "o", color=colour, label=label)
         axes.hlines(places, low, high, color=colour)
 

@@ -12,14 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from benchmarks.sets.read import (
-    Mode,
-    SetStack,
-    exposures_of,
-    own_reader,
-    plain_spot,
-    true_beam,
-)
+from benchmarks.sets.read import Mode, SetStack, exposures_of, own_reader, plain_spot, true_beam
 from estimator import SubpixelSettings, open_source, track_whole_source
 from estimator.run.progress_bar import say
 from formats.calibration import Calibration
