@@ -13,13 +13,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
-from estimator.detector.ellipse import (
-    DESIGN,
-    AffineEllipse,
-    Patch,
-    ring_variance,
-    robust_step,
-)
+from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch, ring_variance, robust_step
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
 from formats.spots import NoSpot, Reason

@@ -24,13 +24,7 @@ import numpy as np
 from estimator.detector.coarse import Coarse, bright_regions
 from estimator.detector.contour import Region, contour_of, patch_round
 from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import (
-    AffineEllipse,
-    Patch,
-    contour_points,
-    normals_of,
-    refitted,
-)
+from estimator.detector.ellipse import AffineEllipse, Patch, contour_points, normals_of, refitted
 from estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
 from formats.camera import LensDistortion

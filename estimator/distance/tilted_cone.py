@@ -93,12 +93,7 @@ def spot_image(
 
 
 def distance_of(
-    eye: ConeView,
-    *,
-    at_px: np.ndarray,
-    size_px: np.ndarray,
-    axis: np.ndarray,
-    by_area: bool,
+    eye: ConeView, *, at_px: np.ndarray, size_px: np.ndarray, axis: np.ndarray, by_area: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance of the cone whose spot has this centre and this size, for a known axis.
 

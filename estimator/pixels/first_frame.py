@@ -17,14 +17,7 @@ from jaxtyping import Float
 
 from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
-from estimator.pixels.frame_fit import (
-    STEPS,
-    fit_wherever,
-    moved,
-    outliers,
-    remodelled,
-    robust_fit,
-)
+from estimator.pixels.frame_fit import STEPS, fit_wherever, moved, outliers, remodelled, robust_fit
 from estimator.pixels.frame_model import (
     SHIFT,
     Direction,

@@ -175,10 +175,7 @@ def modelled(solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray
 
 
 def moved(
-    solver: PoseSolver,
-    window: CellWindow,
-    kept: Kept,
-    own: Float[np.ndarray, "q"],
+    solver: PoseSolver, window: CellWindow, kept: Kept, own: Float[np.ndarray, "q"]
 ) -> tuple[PoseSolver, Kept]:
     """The solver of another window with its map, and kept frames with their models there.
 

@@ -69,12 +69,7 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
             name = in_utf8(path.relative_to(folder))
             with damage_reported(f"{path} (frame {index})", AGAIN):
                 found = read_image(path)
-            yield Frame(
-                index=index,
-                file_name=name,
-                image=found.image,
-                full_scale=found.full_scale,
-            )
+            yield Frame(index=index, file_name=name, image=found.image, full_scale=found.full_scale)
 
     name = pictures[0] if len(pictures) == 1 else folder
     notes: tuple[str, ...] = ()

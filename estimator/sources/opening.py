@@ -6,14 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.sources.files import (
-    IMAGES,
-    TIFF,
-    open_camera,
-    open_images,
-    open_tiff,
-    open_video,
-)
+from estimator.sources.files import IMAGES, TIFF, open_camera, open_images, open_tiff, open_video
 from estimator.sources.genicam import GENICAM, open_genicam
 from estimator.sources.ros import open_bag
 from estimator.sources.source import Frame, Source
