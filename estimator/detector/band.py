@@ -190,12 +190,16 @@ _SOLVABLE = np.float32(1e-3) * np.eye(5, dtype=np.float32)  # an arc too short f
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """An ellipse after a refinement; what has the same name as in `EdgeFit` is the same.
+    """An ellipse after a refinement.
 
     Attributes:
         move: how far the contour moved at most, radii.
         size_variance: of the contour's common offset, in addition to the scatter of the offsets.
         centre_variance: of either coordinate of the centre, radii^2, also in addition.
+        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
+        found: (RAYS,) rays with an edge.
+        inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        shaded: (RAYS,) rays in a shadow in which they still show an edge.
     """
 
     ellipse: AffineEllipse

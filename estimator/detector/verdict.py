@@ -52,7 +52,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     ellipse = measured.ellipse or fit.ellipse
     covariance = covariance_of_axes(ellipse, fit.step_covariance)
     coverage, belonging, in_frame = shares_of_contour(
-        fit.ellipse, fit.seen, fit.inliers, fit.inside
+        fit.ellipse, fit.seen, fit.inliers, fit.band.inside
     )
     partial = coverage <= Verdict.WHOLE
     coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
