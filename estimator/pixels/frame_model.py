@@ -500,9 +500,7 @@ class FrameModel:
         self.lattice = functools.partial(beam.lattice, window)
         self.side_mm = window.side * beam.scale_mm_px
 
-    def linear(
-        self, frame: FrameState, own: np.ndarray, *, trust: np.ndarray | None = None
-    ) -> Linear:
+    def linear(self, frame: FrameState, own: np.ndarray) -> Linear:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         seen = self.beam.irradiance(
@@ -550,7 +548,7 @@ class FrameModel:
                 ]
             ),
             shared=by_beam[POSE:-2],
-            weight=weight if trust is None else weight * trust,
+            weight=weight,
         )
 
     def log_light(self, frame: FrameState, light: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
