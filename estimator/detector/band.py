@@ -230,11 +230,9 @@ class Band:
         side = min(max(side, 5), 16)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
-        if patch.contains(ellipse.scaled(1 + reach)):
-            inside = whole = np.ones(len(profiles), bool)
-        else:
-            inside = ~np.isnan(profiles[:, side])
-            whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+        inside = ~np.isnan(profiles[:, side])
+        whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+        if not whole.all():
             profiles = np.nan_to_num(profiles, nan=0.0)
             inliers = inliers & whole
         number = np.count_nonzero(inliers)

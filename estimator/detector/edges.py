@@ -231,8 +231,7 @@ def _located(
         step, inliers = fitted
         if np.abs(step).max() < Capture.NEAR_ENOUGH:
             break
-    if not patch.contains(ellipse.scaled(float(RADII[-1]) + 0.1)):
-        profiles = np.nan_to_num(profiles, nan=0.0)
+    profiles = np.nan_to_num(profiles, copy=False, nan=0.0)
     # The profiles' ellipse is a few tenths of a px from the contour's.
     levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
     if levels is None:

@@ -232,14 +232,6 @@ class Patch:
             borderValue=math.nan,
         )
 
-    def contains(self, ellipse: AffineEllipse) -> bool:
-        """Whether the whole ellipse lies on the patch."""
-        half_width, half_height = ellipse.half_extent()
-        height, width = self.signal.shape
-        x = (ellipse.centre[0] - self.x0, half_width, (width - 1) * self.stride)
-        y = (ellipse.centre[1] - self.y0, half_height, (height - 1) * self.stride)
-        return all(half <= at <= length - half for at, half, length in (x, y))
-
 
 def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:
     """Image points (RAYS, 2) at radial offsets from the ellipse, px."""

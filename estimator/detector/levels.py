@@ -148,8 +148,7 @@ def background_of(
     for _ in range(6):  # down to a quarter of the distance
         rings = levels.unwrapped(ellipse, radius + np.array(HalfLevel.RINGS), every=2)
         ring, around = rings.ravel(), rings.mean(axis=1)
-        if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
-            ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
+        ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
         if ring.size > RAYS // 2:
             # Means over an area like that of an edge: noise averages out, texture does not.
             scatter = math.inf

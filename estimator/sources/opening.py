@@ -29,7 +29,7 @@ def open_source(
             and the number or name of a GenICam camera.
         exposure: of a stack that has several; by default "metered", whose peaks are never
             saturated.
-        image_topic: of a bag, see `read_frames`.
+        image_topic: of a bag, see `open_bag`.
 
     Raises:
         InputError: the source does not exist, cannot be read or is empty, or it has no such
