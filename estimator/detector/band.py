@@ -89,11 +89,8 @@ def _visible_flank(
     """Mean light of bins along the edge beyond what is at full scale; None for too few of them.
 
     Pixels are averaged over the contour, because samples between a saturated pixel and its
-    neighbour would be too dark.
-
-    Returns:
-        Radius offsets of the bins; light over the background, in full scales; and the roots of the
-        numbers of pixels.
+    neighbour would be too dark. By bin: radius offset; light over the background, in full scales;
+    and the root of the number of pixels.
     """
     height, width = patch.signal.shape
     u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
@@ -426,8 +423,7 @@ class Band:
 def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray) -> np.ndarray:
     """Weights whose sum over a ray varies least, of those with weights @ towards = 1, (n,).
 
-    Args:
-        extra: (n,) a profile that rays also contain, with a random factor of variance one.
+    Rays also contain the profile `extra`, (n,), with a random factor of variance one.
     """
     # In units of the rays' own size: fourth powers of very bright or dim light are no numbers.
     size = float(np.abs(rays).max())

@@ -202,9 +202,6 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     """Whether the two largest pieces of light are alike and convex, and each has its own middle.
 
     The halves of a spot that something dark severs are brightest towards each other.
-
-    Args:
-        light: (h, w) uint8, 0 outside the pieces.
     """
     order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]
     if len(order) < 2 or areas[order[0]] < Verdict.RIVAL * areas[order[1]]:
