@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
-from estimator.detector.coarse import Candidate, Coarse
+from estimator.detector.coarse import Coarse
 from estimator.detector.ellipse import (
     DESIGN,
     AffineEllipse,
@@ -152,37 +152,35 @@ class EdgeFit(Refined):
         return self.inliers | (self.found & on_ellipse)
 
 
-def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
-    """Ellipse of the half-maximum contour near a candidate.
+def fit_edge(
+    patch: Patch, coarse: Coarse, near: AffineEllipse, peak: float, background: float
+) -> EdgeFit | NoSpot:
+    """Ellipse of the half-maximum contour near the ellipse of a bright region.
 
-    1. Capture: on each ray the crossing of the candidate's half level nearest to its ellipse;
+    1. Capture: on each ray the crossing of the region's half level nearest to its ellipse;
        a robust fit through the crossings.
     2. Levels: peak, background and edge width of the inlying rays.
     3. Refinement, up to three times: the shift of each ray's profile against the mean profile is
        the offset of its edge. The ellipse follows the offsets by least squares, and its size
        follows the half level of the mean profile (`refine_sharp`, `refine_broad`).
     """
-    located = _located(patch, coarse, candidate)
+    located = _located(patch, coarse, near, peak, background)
     for _ in range(2):
         if located is None or abs(located[2].half_radius - 1) < Capture.NEAR_ENOUGH:
             break
         # A bell's typical level is far below its peak: start again from its half level.
         ellipse, _, levels = located
-        candidate = replace(
-            candidate,
-            ellipse=ellipse.scaled(levels.half_radius),
-            peak=levels.peak,
-            background=levels.background,
-        )
-        located = _located(patch, coarse, candidate)
+        near = ellipse.scaled(levels.half_radius)
+        located = _located(patch, coarse, near, levels.peak, levels.background)
     if located is None:
         return NoSpot(Reason.NONE_FOUND)
     ellipse, inliers, levels = located
     for left in (2, 1, 0):
         refine = refine_broad if levels.width > Refine.BROAD else refine_sharp
-        refined = refine(patch, ellipse, inliers, levels)
-        if isinstance(refined, NoSpot):
-            return refined
+        found = refine(patch, ellipse, inliers, levels)
+        if isinstance(found, NoSpot):
+            return found
+        refined = found
         if _settled(refined, inliers, levels):
             break
         if left == 0:  # fringes make it swing
@@ -192,8 +190,8 @@ def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | No
         seen = refined.levels
         now: Levels | None = seen
         if not seen.sees_background:  # the edge is wider than was assumed for it
-            found = background_of(coarse, refined.ellipse, seen.width)
-            now = seen.before(*(found or (seen.background, seen.background_radius, seen.scatter)))
+            around = background_of(coarse, refined.ellipse, seen.width)
+            now = seen.before(*(around or (seen.background, seen.background_radius, seen.scatter)))
         if now is None:  # the dip at the edge is the wall's texture
             return NoSpot(Reason.NONE_FOUND)
         ellipse, inliers, levels = refined.ellipse, refined.bright, now
@@ -211,20 +209,20 @@ def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
 
 
 def _located(
-    patch: Patch, coarse: Coarse, candidate: Candidate
+    patch: Patch, coarse: Coarse, near: AffineEllipse, peak: float, background: float
 ) -> tuple[AffineEllipse, np.ndarray, Levels] | None:
     """Capture and levels: an ellipse, its inlying rays, and what they show."""
-    ellipse, step = candidate.ellipse.upright(), np.zeros(5)
-    level = (candidate.peak + candidate.background) / 2
+    ellipse, step = near.upright(), np.zeros(5)
+    level = (peak + background) / 2
     tolerance = max(Capture.TOLERANCE_PX / ellipse.axes()[1], Capture.TOLERANCE)
     for _ in range(3):
         ellipse = ellipse.stepped(step)
         profiles = patch.unwrapped(ellipse, RADII, every=Capture.EVERY)
         offsets, found = _crossings(profiles, level)
-        near = np.abs(offsets) < Refine.FURTHEST
+        beside = np.abs(offsets) < Refine.FURTHEST
         design = DESIGN[:: Capture.EVERY]
         fitted = robust_step(
-            design, offsets, found, near, tolerance=tolerance, limit=Capture.FURTHEST
+            design, offsets, found, beside, tolerance=tolerance, limit=Capture.FURTHEST
         )
         if fitted is None or np.abs(fitted[0]).max() > Capture.LARGEST_STEP:
             return None
@@ -233,7 +231,7 @@ def _located(
             break
     profiles = np.nan_to_num(profiles, copy=False, nan=0.0)
     # The profiles' ellipse is a few tenths of a px from the contour's.
-    levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
+    levels = levels_of(profiles[inliers], coarse, ellipse, peak, background)
     if levels is None:
         return None
     grown = 1 + float(step[2] + step[3]) / 2

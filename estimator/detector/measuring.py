@@ -279,11 +279,11 @@ def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
     standing_out = Patch(above, x0, y0)
     rims: list[EdgeFit] = []
     # Without its surface, a bell leaves rings.
-    for candidates in bright_regions(
-        coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
-    ):
-        for candidate in candidates or ():
-            rim = fit_edge(standing_out, coarse, candidate)
+    smallest = Reflection.SMALLEST * light.size
+    regions = bright_regions(coarse, min_contrast=0, min_area=smallest, solid=False)
+    for bright in filter(None, regions):
+        for ellipse in bright.ellipses:
+            rim = fit_edge(standing_out, coarse, ellipse, bright.peak, bright.background)
             if (
                 isinstance(rim, EdgeFit)
                 and rim.levels.width < Reflection.SHARPEST
@@ -350,4 +350,4 @@ def significance_of(region: Region) -> float:
     if around is None or region.fills_its_ellipse() < Verdict.FILLED:
         return 0.0
     background, _, scatter = around
-    return (region.candidates[0].peak - background) / scatter
+    return (region.bright.peak - background) / scatter

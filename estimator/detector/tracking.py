@@ -151,7 +151,7 @@ def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpo
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
-        elif region.candidates[0].lobed and not region.faint:
+        elif region.bright.lobed and not region.faint:
             return NoSpot(Reason.AMBIGUOUS)
         elif not any(is_part_of(region, sighting) for sighting in seen):
             sighting = sighting_in(region)
