@@ -91,9 +91,7 @@ def measured_noise(
     scatter = variance * np.sqrt(2.0 / pixels[lit])
     # A straight line. The dark pair gives the black level only: noise below a step of the file is
     # rounded away.
-    slopes = np.stack([np.ones_like(light), light], axis=-1) / scatter[:, None]
-    covariance = np.linalg.inv(slopes.T @ slopes)
-    floor, gain = covariance @ slopes.T @ (variance / scatter)
+    (gain, floor), covariance = np.polyfit(light, variance, 1, w=1 / scatter, cov="unscaled")
     off = np.abs(variance - floor - gain * light)
     # A curve looks straight from a third of its length on, but then misses the dark pair.
     bent = floor - noise[0] - _ROUNDING > _STRAIGHT * variance.max()
@@ -114,7 +112,7 @@ def measured_noise(
         dsnu_e=float(np.sqrt(max(pattern[0], 0.0))) / gain,
         bayer=bayer,
     )
-    return PhotonTransfer(sheet, float(gain), float(np.sqrt(covariance[1, 1])), worst)
+    return PhotonTransfer(sheet, float(gain), float(np.sqrt(covariance[0, 0])), worst)
 
 
 def _is_clipped(frame: np.ndarray) -> bool:

@@ -239,11 +239,7 @@ class ViewerRecording:
 
 
 def _opened_viewer() -> str:
-    """Open a viewer, which stays open, on a port of loopback; its address.
-
-    Raises:
-        InputError: it does not open.
-    """
+    """Open a viewer, which stays open, on a port of loopback; its address."""
     # rerun's own `spawn` would listen on all interfaces.
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))

@@ -325,14 +325,12 @@ class CalibrationPanel:
 
 
 def _state(guide: Guide) -> str:
-    match guide.stage:
-        case Stage.IDLE:
-            return ""
-        case Stage.WITHDRAWING:
-            return f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
-        case Stage.FITTING:
-            return "fitting, half a minute"
-        case Stage.SAVED:
-            return f"Saved {guide.file.name}. Start the console with it to read distances."
-        case Stage.REFUSED:
-            return "No good calibration."
+    return {
+        Stage.IDLE: "",
+        Stage.WITHDRAWING: (
+            f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
+        ),
+        Stage.FITTING: "fitting, half a minute",
+        Stage.SAVED: f"Saved {guide.file.name}. Start the console with it to read distances.",
+        Stage.REFUSED: "No good calibration.",
+    }[guide.stage]

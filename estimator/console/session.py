@@ -241,12 +241,7 @@ class Session:
         self._reader.forget()
 
     def start_recording(self, path: Path) -> None:
-        """Record all frames that are measured from now on, see `recorder`.
-
-        Raises:
-            InputError: the file exists, or has another suffix.
-            OSError: it cannot be written.
-        """
+        """Record all frames that are measured from now on, with `recorder` and its errors."""
         self.stop_recording()
         with self._record:
             self._write = self._file.enter_context(recorder(path))

@@ -13,13 +13,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
-from estimator.detector.ellipse import (
-    DESIGN,
-    AffineEllipse,
-    Patch,
-    ring_variance,
-    robust_step,
-)
+from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch, ring_variance, robust_step
 from estimator.detector.levels import Levels
 from estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
 from formats.spots import NoSpot, Reason
@@ -32,9 +26,8 @@ def hidden_edge(
 ) -> tuple[Levels, float, float] | None:
     """Levels, radius offset and that offset's variance, of an edge whose plateau is at full scale.
 
-    The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width)
-    by damped Gauss-Newton steps (Levenberg 1944): the plateau follows from the flank's curvature,
-    so the edge must be a Gaussian-blurred step.
+    The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width):
+    the plateau follows from the flank's curvature, so the edge must be a Gaussian-blurred step.
 
     Args:
         ellipse: about which the contour is averaged over the inliers' rays.
@@ -42,24 +35,47 @@ def hidden_edge(
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
+    from scipy.optimize import least_squares
+    from scipy.special import ndtr
+
     bins = max(int(2 * reach * ellipse.axes()[1] / 0.25), 8)  # a quarter of a px wide
     flank = _visible_flank(patch, ellipse, inliers, reach, bins, levels.background)
     if flank is None:
         return None
-    start = np.array([math.log(1.4), float(flank[0][0]), math.log(levels.width)])
-    try:
-        fitted, covariance, misfit = _flank(start, *flank)
-    except np.linalg.LinAlgError:  # too little of the flank to separate height, place and width
+    x, y, root = flank
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        return (np.exp(at[0]) * ndtr((at[1] - x) / np.exp(at[2])) - y) * root
+
+    def jacobian(at: np.ndarray) -> np.ndarray:
+        amplitude, width = np.exp(at[0]), np.exp(at[2])
+        z = (at[1] - x) / width
+        density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+        slopes = np.stack([amplitude * ndtr(z), density / width, -density * z], axis=1)
+        return slopes * root[:, None]
+
+    start = math.log(1.4), x[0], math.log(levels.width)
+    with np.errstate(all="ignore"):  # a flank of another shape may lead anywhere
+        found = least_squares(residuals, start, jac=jacobian, method="lm")
+        amplitude, width = np.exp(found.x[[0, 2]]).tolist()
+        information = found.jac.T @ found.jac
+        size = np.sqrt(np.diag(information))
+    # No light is left on the flank, or it is so short that rounding decides on the inverse.
+    if not _ROUNDING < size.min() <= size.max() < math.inf:
         return None
-    peak = levels.background + patch.ceiling * math.exp(fitted[0])
-    variance = float(covariance[1, 1])
+    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
+        return None
+    offset, square = float(found.x[1]), 2 * found.cost
+    variance = float(np.linalg.inv(information)[1, 1]) * square / (x.size - 3)
+    peak = levels.background + patch.ceiling * amplitude
     vague = not (
         peak < 2 * Saturated.READABLE * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2
     )
     # A lamp's reflex has a halo, and misfits.
-    if vague or abs(fitted[1]) > reach or misfit > Saturated.MISFIT:
+    misfit = math.sqrt(square / float(root @ root))
+    if vague or abs(offset) > reach or misfit > Saturated.MISFIT:
         return None
-    return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
+    return replace(levels, peak=peak, width=width), offset, variance
 
 
 def _visible_flank(
@@ -73,11 +89,8 @@ def _visible_flank(
     """Mean light of bins along the edge beyond what is at full scale; None for too few of them.
 
     Pixels are averaged over the contour, because samples between a saturated pixel and its
-    neighbour would be too dark.
-
-    Returns:
-        Radius offsets of the bins; light over the background, in full scales; and the roots of the
-        numbers of pixels.
+    neighbour would be too dark. By bin: radius offset; light over the background, in full scales;
+    and the root of the number of pixels.
     """
     height, width = patch.signal.shape
     u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
@@ -99,49 +112,6 @@ def _visible_flank(
     if x.size - first < 8:  # three parameters and five degrees of freedom
         return None
     return x[first:], (mean[first:] - background) / patch.ceiling, np.sqrt(number[first:])
-
-
-def _flank(
-    start: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fitted (log amplitude, offset, log width), their covariance, and the deviation left.
-
-    Raises:
-        LinAlgError: the flank does not determine them.
-    """
-
-    def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        amplitude, width = math.exp(at[0]), math.exp(at[2])
-        z = (at[1] - x) / width
-        edge = amplitude * np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z.tolist()])
-        density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
-        jacobian = np.stack([edge, density / width, -density * z], axis=1)
-        return (y - edge) * root, jacobian * root[:, None]
-
-    fitted, damping = start, 1e-3
-    residual, jacobian = linearised(fitted)
-    for _ in range(25):
-        gram = jacobian.T @ jacobian
-        gram.flat[::4] *= 1 + damping
-        step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
-        trial_residual, trial_jacobian = linearised(fitted + step)
-        if trial_residual @ trial_residual < residual @ residual:
-            fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
-            damping /= 4
-        else:
-            damping *= 8
-        if np.abs(step).max() < 1e-5:  # a thousandth of a px
-            break
-    information = jacobian.T @ jacobian
-    size = np.sqrt(np.diag(information))
-    # No light is left on the flank, or it is so short that rounding decides on the inverse.
-    if not size.min() > _ROUNDING:
-        raise np.linalg.LinAlgError
-    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
-        raise np.linalg.LinAlgError
-    square = float(residual @ residual)
-    covariance = square / (x.size - 3) * np.linalg.inv(information)
-    return fitted, covariance, math.sqrt(square / float(root @ root))
 
 
 def hidden_bell(
@@ -196,12 +166,16 @@ _SOLVABLE = np.float32(1e-3) * np.eye(5, dtype=np.float32)  # an arc too short f
 
 @dataclass(frozen=True, eq=False)
 class Refined:
-    """An ellipse after a refinement; what has the same name as in `EdgeFit` is the same.
+    """An ellipse after a refinement.
 
     Attributes:
         move: how far the contour moved at most, radii.
         size_variance: of the contour's common offset, in addition to the scatter of the offsets.
         centre_variance: of either coordinate of the centre, radii^2, also in addition.
+        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
+        found: (RAYS,) rays with an edge.
+        inliers: (RAYS,) rays whose edge belongs to the ellipse.
+        shaded: (RAYS,) rays in a shadow in which they still show an edge.
     """
 
     ellipse: AffineEllipse
@@ -253,11 +227,9 @@ class Band:
         side = min(max(side, 5), 16)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
-        if patch.contains(ellipse.scaled(1 + reach)):
-            inside = whole = np.ones(len(profiles), bool)
-        else:
-            inside = ~np.isnan(profiles[:, side])
-            whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+        inside = ~np.isnan(profiles[:, side])
+        whole = ~np.isnan(profiles[:, 0] + profiles[:, -1])
+        if not whole.all():
             profiles = np.nan_to_num(profiles, nan=0.0)
             inliers = inliers & whole
         number = np.count_nonzero(inliers)
@@ -451,8 +423,7 @@ class Band:
 def _least_varying(rays: np.ndarray, towards: np.ndarray, extra: np.ndarray) -> np.ndarray:
     """Weights whose sum over a ray varies least, of those with weights @ towards = 1, (n,).
 
-    Args:
-        extra: (n,) a profile that rays also contain, with a random factor of variance one.
+    Rays also contain the profile `extra`, (n,), with a random factor of variance one.
     """
     # In units of the rays' own size: fourth powers of very bright or dim light are no numbers.
     size = float(np.abs(rays).max())

@@ -103,14 +103,15 @@ class Coarse:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """An ellipse round a bright region, good to a few px, and the region's levels.
+class Bright:
+    """A bright region of a window, and its levels.
 
     Attributes:
+        ellipses: of which it may be a part, at least one; good to a few px.
         lobed: whether it is one of several like regions of soft light, as of a beam with lobes.
     """
 
-    ellipse: AffineEllipse
+    ellipses: list[AffineEllipse]
     peak: float
     background: float
     mask: np.ndarray
@@ -120,7 +121,7 @@ class Candidate:
         """Whether it exceeds the background by less than that times the background."""
         return self.peak - self.background < contrast * self.background
 
-    def relevelled(self, coarse: Coarse) -> "Candidate":
+    def relevelled(self, coarse: Coarse) -> "Bright":
         """The same region with its mean levels in another channel."""
         mask = self.mask.view(np.uint8)
         peak, background = cv2.mean(coarse.levels, mask)[0], cv2.mean(coarse.levels, 1 - mask)[0]
@@ -129,8 +130,8 @@ class Candidate:
 
 def bright_regions(
     coarse: Coarse, *, min_contrast: float, min_area: float, solid: bool = True
-) -> Iterator[list[Candidate] | None]:
-    """Bright regions, brightest first, each with the ellipses of which it may be a part.
+) -> Iterator[Bright | None]:
+    """Bright regions, brightest first.
 
     A region that is too small for a spot is None. Any other exceeds the half level between the
     bright and the dark part of the window (after a median filter). Its ellipse is fitted to the
@@ -186,13 +187,11 @@ def bright_regions(
             least_piece = Search.SMALLEST_PIECE * areas[largest]
             pieces = [c for c, size in zip(contours, areas, strict=True) if size > least_piece]
             together = [np.concatenate(pieces)] if len(pieces) > 1 and not lobed else []
-            ellipses = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
-            levels = peak * coarse.unit, background * coarse.unit
-            yield [
-                Candidate(ellipse, *levels, inside, lobed)
-                for ellipse in ellipses
-                if ellipse is not None and not hollow
-            ]
+            hulls = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
+            ellipses = [ellipse for ellipse in hulls if ellipse is not None and not hollow]
+            if ellipses:
+                levels = peak * coarse.unit, background * coarse.unit
+                yield Bright(ellipses, *levels, inside, lobed)
         smooth = smooth.copy()
         cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
         cv2.drawContours(smooth, painted, -1, background, 3)
@@ -202,9 +201,6 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     """Whether the two largest pieces of light are alike and convex, and each has its own middle.
 
     The halves of a spot that something dark severs are brightest towards each other.
-
-    Args:
-        light: (h, w) uint8, 0 outside the pieces.
     """
     order = sorted(range(len(areas)), key=areas.__getitem__)[-2:]
     if len(order) < 2 or areas[order[0]] < Verdict.RIVAL * areas[order[1]]:

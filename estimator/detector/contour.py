@@ -24,7 +24,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Candidate, Coarse, bright_regions, channel_for
+from estimator.detector.coarse import Bright, Coarse, bright_regions, channel_for
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import AffineEllipse, Patch
 from estimator.detector.levels import dark_radius
@@ -41,7 +41,6 @@ class Region:
     Attributes:
         coarse: the window in which it was found, in the channel in which it is to be measured.
         channel, clips, saturated: see `channel_for`.
-        candidates: at least one ellipse of which it may be a part.
         faint: whether it is no brighter than a wall's texture may make it.
     """
 
@@ -51,7 +50,7 @@ class Region:
     channel: int
     clips: tuple[float, ...]
     saturated: tuple[float, ...]
-    candidates: list[Candidate]
+    bright: Bright
     faint: bool
 
     @cached_property
@@ -62,12 +61,12 @@ class Region:
     @property
     def area_px(self) -> float:
         """Number of the frame's pixels in the region."""
-        return float(np.count_nonzero(self.candidates[0].mask)) * self.coarse.stride**2
+        return float(np.count_nonzero(self.bright.mask)) * self.coarse.stride**2
 
     @property
     def ellipse(self) -> AffineEllipse:
         """The ellipse round the region, good to a few px."""
-        return self.candidates[0].ellipse
+        return self.bright.ellipses[0]
 
     def fills_its_ellipse(self) -> float:
         """Fraction of the ellipse round the region that the region takes up."""
@@ -88,17 +87,17 @@ def regions_in(
     full_scale = settings.response.full_scale_of(frame)
     grey = coarse_of(frame, window, GREY, settings)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
-    for candidates in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
-        if candidates is None:
+    for bright in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
+        if bright is None:
             yield NoSpot(Reason.TOO_SMALL)
-        elif candidates:
-            mask = candidates[0].mask.view(np.uint8)
-            channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
-            coarse, faint = grey, candidates[0].is_below(settings.min_contrast)
-            if channel != GREY:
-                coarse = coarse_of(frame, window, channel, settings)
-                candidates = [candidate.relevelled(coarse) for candidate in candidates]
-            yield Region(frame, settings, coarse, channel, clips, full, candidates, faint)
+            continue
+        mask = bright.mask.view(np.uint8)
+        channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
+        coarse, faint = grey, bright.is_below(settings.min_contrast)
+        if channel != GREY:
+            coarse = coarse_of(frame, window, channel, settings)
+            bright = bright.relevelled(coarse)
+        yield Region(frame, settings, coarse, channel, clips, full, bright, faint)
 
 
 def region_at(
@@ -129,9 +128,9 @@ def region_at(
     if abs(filled - 1) < Search.UNHIDDEN:
         centroid = np.array([moments["m10"], moments["m01"]]) / moments["m00"]
         ellipse = AffineEllipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
-    candidate = Candidate(ellipse, 0.0, 0.0, mask.view(bool)).relevelled(coarse)
-    faint = candidate.is_below(settings.min_contrast)
-    return Region(frame, settings, coarse, channel, clips, full, [candidate], faint)
+    bright = Bright([ellipse], 0.0, 0.0, mask.view(bool)).relevelled(coarse)
+    faint = bright.is_below(settings.min_contrast)
+    return Region(frame, settings, coarse, channel, clips, full, bright, faint)
 
 
 def coarse_of(
@@ -240,11 +239,11 @@ def _reached_from_outside(passable: np.ndarray) -> np.ndarray:
 
 
 def contour_of(region: Region) -> EdgeFit | NoSpot:
-    """The region's contour; of several candidates the one of which most is visible."""
+    """The region's contour; near several ellipses the one of which most is visible."""
     best: EdgeFit | None = None
     failure = NoSpot(Reason.NONE_FOUND)
-    for candidate in region.candidates:
-        fit = _fitted(region, candidate)
+    for ellipse in region.bright.ellipses:
+        fit = _fitted(region, ellipse)
         if isinstance(fit, NoSpot):
             failure = fit
             continue
@@ -272,20 +271,21 @@ def patch_round(region: Region, ellipse: AffineEllipse, width: float = 0.0) -> P
     return patch
 
 
-def _fitted(region: Region, candidate: Candidate) -> EdgeFit | NoSpot:
-    patch = patch_round(region, candidate.ellipse)
-    fit = fit_edge(patch, region.coarse, candidate)
+def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
+    patch = patch_round(region, ellipse)
+    levels = region.bright.peak, region.bright.background
+    fit = fit_edge(patch, region.coarse, ellipse, *levels)
     if fit and fit.levels.width > Refine.BROAD and _colours_show_texture(region):
-        even = patch_round(region, candidate.ellipse, fit.levels.width)
-        if again := fit_edge(even, region.coarse, candidate):
+        even = patch_round(region, ellipse, fit.levels.width)
+        if again := fit_edge(even, region.coarse, ellipse, *levels):
             patch, fit = even, again
     if fit and not fit.levels.sees_background:
         frame = region.frame
         whole = coarse_of(frame, Window.whole(frame), region.channel, region.settings)
-        fit = fit_edge(patch, whole, candidate)
+        fit = fit_edge(patch, whole, ellipse, *levels)
     if fit and fit.levels.width <= Refine.BROAD:
-        lit, levels = fit.seen & ~fit.shaded, fit.levels
-        if hollow_share(patch, fit.ellipse, lit, levels.half, levels.width) > Hollow.SHARE:
+        lit, half, width = fit.seen & ~fit.shaded, fit.levels.half, fit.levels.width
+        if hollow_share(patch, fit.ellipse, lit, half, width) > Hollow.SHARE:
             return NoSpot(Reason.NONE_FOUND)  # as letters are
     return fit
 

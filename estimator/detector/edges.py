@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
-from estimator.detector.coarse import Candidate, Coarse
+from estimator.detector.coarse import Coarse
 from estimator.detector.ellipse import (
     DESIGN,
     AffineEllipse,
@@ -127,29 +127,17 @@ _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.flo
 
 
 @dataclass(frozen=True, eq=False)
-class EdgeFit:
-    """An ellipse fitted to a contour, and how well.
+class EdgeFit(Refined):
+    """The last refinement of an ellipse, and how well it fits the contour.
 
     Attributes:
         step_covariance: 5x5, of the parameters of `AffineEllipse.stepped`.
-        offsets: (RAYS,) radial distance of each ray's edge from the ellipse, radii.
-        found: (RAYS,) rays with an edge.
-        inliers: (RAYS,) rays whose edge belongs to the ellipse.
-        shaded: (RAYS,) rays in a shadow in which they still show an edge.
-        inside: (RAYS,) rays whose contour point lies in the frame.
         scatter: standard deviation of the inliers' offsets, radii.
         steeper: how much steeper single rays are than their mean (`Band.steeper`), where the edges
             scatter.
     """
 
-    ellipse: AffineEllipse
     step_covariance: np.ndarray
-    levels: Levels
-    offsets: np.ndarray
-    found: np.ndarray
-    inliers: np.ndarray
-    shaded: np.ndarray
-    inside: np.ndarray
     scatter: float
     steeper: float
 
@@ -164,71 +152,50 @@ class EdgeFit:
         return self.inliers | (self.found & on_ellipse)
 
 
-def fit_edge(patch: Patch, coarse: Coarse, candidate: Candidate) -> EdgeFit | NoSpot:
-    """Ellipse of the half-maximum contour near a candidate.
+def fit_edge(
+    patch: Patch, coarse: Coarse, near: AffineEllipse, peak: float, background: float
+) -> EdgeFit | NoSpot:
+    """Ellipse of the half-maximum contour near the ellipse of a bright region.
 
-    1. Capture: on each ray the crossing of the candidate's half level nearest to its ellipse;
+    1. Capture: on each ray the crossing of the region's half level nearest to its ellipse;
        a robust fit through the crossings.
     2. Levels: peak, background and edge width of the inlying rays.
     3. Refinement, up to three times: the shift of each ray's profile against the mean profile is
        the offset of its edge. The ellipse follows the offsets by least squares, and its size
        follows the half level of the mean profile (`refine_sharp`, `refine_broad`).
     """
-    located = _located(patch, coarse, candidate)
+    located = _located(patch, coarse, near, peak, background)
     for _ in range(2):
         if located is None or abs(located[2].half_radius - 1) < Capture.NEAR_ENOUGH:
             break
         # A bell's typical level is far below its peak: start again from its half level.
         ellipse, _, levels = located
-        candidate = replace(
-            candidate,
-            ellipse=ellipse.scaled(levels.half_radius),
-            peak=levels.peak,
-            background=levels.background,
-        )
-        located = _located(patch, coarse, candidate)
+        near = ellipse.scaled(levels.half_radius)
+        located = _located(patch, coarse, near, levels.peak, levels.background)
     if located is None:
         return NoSpot(Reason.NONE_FOUND)
-    return _refined(patch, coarse, *located)
-
-
-def _located(
-    patch: Patch, coarse: Coarse, candidate: Candidate
-) -> tuple[AffineEllipse, np.ndarray, Levels] | None:
-    captured = _capture(patch, candidate)
-    if captured is None:
-        return None
-    ellipse, step, inliers, profiles = captured
-    levels = levels_of(profiles[inliers], coarse, ellipse, candidate)
-    if levels is None:
-        return None
-    grown = 1 + float(step[2] + step[3]) / 2
-    return ellipse.stepped(step), np.repeat(inliers, Capture.EVERY), levels.in_units_of(grown)
-
-
-def _refined(
-    patch: Patch, coarse: Coarse, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
-) -> EdgeFit | NoSpot:
-    left = 3
-    while True:
-        left -= 1
+    ellipse, inliers, levels = located
+    for left in (2, 1, 0):
         refine = refine_broad if levels.width > Refine.BROAD else refine_sharp
-        refined = refine(patch, ellipse, inliers, levels)
-        if isinstance(refined, NoSpot):
-            return refined
+        found = refine(patch, ellipse, inliers, levels)
+        if isinstance(found, NoSpot):
+            return found
+        refined = found
         if _settled(refined, inliers, levels):
-            return _finished(refined, patch, coarse)
+            break
         if left == 0:  # fringes make it swing
             unsettled = refined.size_variance + refined.move**2 / 2
-            return _finished(replace(refined, size_variance=unsettled), patch, coarse)
+            refined = replace(refined, size_variance=unsettled)
+            break
         seen = refined.levels
         now: Levels | None = seen
         if not seen.sees_background:  # the edge is wider than was assumed for it
-            found = background_of(coarse, refined.ellipse, seen.width)
-            now = seen.before(*(found or (seen.background, seen.background_radius, seen.scatter)))
+            around = background_of(coarse, refined.ellipse, seen.width)
+            now = seen.before(*(around or (seen.background, seen.background_radius, seen.scatter)))
         if now is None:  # the dip at the edge is the wall's texture
             return NoSpot(Reason.NONE_FOUND)
         ellipse, inliers, levels = refined.ellipse, refined.bright, now
+    return _finished(refined, patch, coarse)
 
 
 def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
@@ -241,30 +208,34 @@ def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
     return settled and bool(same_rays) and same_kind and after.sees_background
 
 
-def _capture(
-    patch: Patch, candidate: Candidate
-) -> tuple[AffineEllipse, np.ndarray, np.ndarray, np.ndarray] | None:
-    """Ellipse, the step from it to the contour (a few tenths of a px), inliers, profiles."""
-    ellipse, step = candidate.ellipse.upright(), np.zeros(5)
-    level = (candidate.peak + candidate.background) / 2
+def _located(
+    patch: Patch, coarse: Coarse, near: AffineEllipse, peak: float, background: float
+) -> tuple[AffineEllipse, np.ndarray, Levels] | None:
+    """Capture and levels: an ellipse, its inlying rays, and what they show."""
+    ellipse, step = near.upright(), np.zeros(5)
+    level = (peak + background) / 2
     tolerance = max(Capture.TOLERANCE_PX / ellipse.axes()[1], Capture.TOLERANCE)
     for _ in range(3):
         ellipse = ellipse.stepped(step)
         profiles = patch.unwrapped(ellipse, RADII, every=Capture.EVERY)
         offsets, found = _crossings(profiles, level)
-        near = np.abs(offsets) < Refine.FURTHEST
+        beside = np.abs(offsets) < Refine.FURTHEST
         design = DESIGN[:: Capture.EVERY]
         fitted = robust_step(
-            design, offsets, found, near, tolerance=tolerance, limit=Capture.FURTHEST
+            design, offsets, found, beside, tolerance=tolerance, limit=Capture.FURTHEST
         )
         if fitted is None or np.abs(fitted[0]).max() > Capture.LARGEST_STEP:
             return None
         step, inliers = fitted
         if np.abs(step).max() < Capture.NEAR_ENOUGH:
             break
-    if not patch.contains(ellipse.scaled(float(RADII[-1]) + 0.1)):
-        profiles = np.nan_to_num(profiles, nan=0.0)
-    return ellipse, step, inliers, profiles
+    profiles = np.nan_to_num(profiles, copy=False, nan=0.0)
+    # The profiles' ellipse is a few tenths of a px from the contour's.
+    levels = levels_of(profiles[inliers], coarse, ellipse, peak, background)
+    if levels is None:
+        return None
+    grown = 1 + float(step[2] + step[3]) / 2
+    return ellipse.stepped(step), np.repeat(inliers, Capture.EVERY), levels.in_units_of(grown)
 
 
 def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
@@ -320,14 +291,8 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     scatter = math.sqrt(float(errors @ errors) / len(rows))
     clean = broad or scatter < Refine.CLEAN * levels.width
     return EdgeFit(
-        ellipse=refined.ellipse,
+        **vars(refined),
         step_covariance=step_covariance,
-        levels=levels,
-        offsets=refined.offsets,
-        found=refined.found,
-        inliers=refined.inliers,
-        shaded=refined.shaded,
-        inside=refined.band.inside,
         scatter=scatter,
         steeper=1.0 if clean else refined.band.steeper(refined.bright),
     )

@@ -114,44 +114,37 @@ def robust_step(
     Returns:
         The step and the mask of the offsets that belong; None with fewer than 8 of them.
     """
-    plain = _trimmed(design, offsets, seen, start & seen, tolerance, limit)
+
+    def trimmed(inliers: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        for _ in range(8):
+            number = int(np.count_nonzero(inliers))
+            if number < FEWEST_RAYS:
+                return None
+            weighted = design.T * inliers
+            normal = weighted @ design
+            normal.flat[::6] += 1e-6  # an arc too short for an ellipse stays solvable
+            # Four times as fast as np.linalg.solve at this size.
+            _, step = cv2.solve(normal, weighted @ offsets[:, None])
+            errors = np.abs(offsets - design @ step[:, 0])
+            spread = np.partition(errors[inliers], number // 3)[number // 3] / Trimming.THIRD
+            kept = seen & (errors < min(max(Trimming.BELONGS * spread, tolerance), limit))
+            if (kept == inliers).all():
+                break
+            inliers = kept
+        return step[:, 0], inliers
+
+    plain = trimmed(start & seen)
     if plain is not None and np.count_nonzero(plain[1]) > Trimming.MOST * np.count_nonzero(seen):
         return plain
     right, below = design[:, 0] > 0, design[:, 1] > 0
     quarters = (right & below, right & ~below, ~right & below, ~right & ~below)
-    others = [_trimmed(design, offsets, seen, q & seen, tolerance, limit) for q in quarters]
+    others = [trimmed(quarter & seen) for quarter in quarters]
     fits = [plain, *(fit for fit in others if fit and np.abs(fit[0]).max() < Refine.LARGEST_STEP)]
 
     def near(fit: tuple[np.ndarray, np.ndarray]) -> int:
         return int(np.sum(seen & (np.abs(offsets - design @ fit[0]) < 2 * tolerance)))
 
     return max(filter(None, fits), key=near, default=None)
-
-
-def _trimmed(
-    design: np.ndarray,
-    offsets: np.ndarray,
-    seen: np.ndarray,
-    inliers: np.ndarray,
-    tolerance: float,
-    limit: float,
-) -> tuple[np.ndarray, np.ndarray] | None:
-    for _ in range(8):
-        number = int(np.count_nonzero(inliers))
-        if number < FEWEST_RAYS:
-            return None
-        weighted = design.T * inliers
-        normal = weighted @ design
-        normal.flat[::6] += 1e-6  # an arc too short for an ellipse stays solvable
-        # Four times as fast as np.linalg.solve at this size.
-        _, step = cv2.solve(normal, weighted @ offsets[:, None])
-        errors = np.abs(offsets - design @ step[:, 0])
-        spread = np.partition(errors[inliers], number // 3)[number // 3] / Trimming.THIRD
-        kept = seen & (errors < min(max(Trimming.BELONGS * spread, tolerance), limit))
-        if (kept == inliers).all():
-            break
-        inliers = kept
-    return step[:, 0], inliers
 
 
 def refitted(ellipse: AffineEllipse, points: np.ndarray) -> AffineEllipse:
@@ -231,14 +224,6 @@ class Patch:
             borderMode=cv2.BORDER_CONSTANT,
             borderValue=math.nan,
         )
-
-    def contains(self, ellipse: AffineEllipse) -> bool:
-        """Whether the whole ellipse lies on the patch."""
-        half_width, half_height = ellipse.half_extent()
-        height, width = self.signal.shape
-        x = (ellipse.centre[0] - self.x0, half_width, (width - 1) * self.stride)
-        y = (ellipse.centre[1] - self.y0, half_height, (height - 1) * self.stride)
-        return all(half <= at <= length - half for at, half, length in (x, y))
 
 
 def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Candidate, Coarse
+from estimator.detector.coarse import Coarse
 from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
 from estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, WideView
 
@@ -98,29 +98,26 @@ class Levels:
 
 
 def levels_of(
-    profiles: np.ndarray, coarse: Coarse, ellipse: AffineEllipse, candidate: Candidate
+    profiles: np.ndarray, coarse: Coarse, ellipse: AffineEllipse, bright: float, around: float
 ) -> Levels | None:
     """Levels of a spot, with a peak above the background and a positive width.
 
     Args:
         profiles: (n, len(RADII)) of the rays whose edge belongs to the spot; 0 outside the frame.
+        bright, around: typical levels in the spot and beside it.
 
     Returns:
         None if the profiles do not fall, or if they are the halo of something brighter.
     """
     mean = profiles.sum(axis=0) / len(profiles)
     steepest = float((mean[:-2] - mean[2:])[_NEAR_EDGE].max()) / (2 * RADIUS_STEP)
-    height = candidate.peak - candidate.background
+    height = bright - around
     width = height / (math.sqrt(2 * math.pi) * steepest) if steepest > 0 else math.inf
     if not 0 < width <= HalfLevel.WIDEST:
         return None  # in another channel, what was bright may be dark
-    background, radius, scatter = background_of(coarse, ellipse, width) or (
-        candidate.background,
-        1.0,
-        math.inf,
-    )
-    dark = (candidate.peak + candidate.background) / 2
-    glaring = 2 * candidate.peak
+    taken = background_of(coarse, ellipse, width)
+    background, radius, scatter = taken or (around, 1.0, math.inf)
+    dark, glaring = (bright + around) / 2, 2 * bright
     if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
         return None  # the halo of something brighter
     peak, dome, variance = _top(profiles, width, dark, glaring)
@@ -148,8 +145,7 @@ def background_of(
     for _ in range(6):  # down to a quarter of the distance
         rings = levels.unwrapped(ellipse, radius + np.array(HalfLevel.RINGS), every=2)
         ring, around = rings.ravel(), rings.mean(axis=1)
-        if not levels.contains(ellipse.scaled(radius + HalfLevel.RINGS[-1])):
-            ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
+        ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
         if ring.size > RAYS // 2:
             # Means over an area like that of an edge: noise averages out, texture does not.
             scatter = math.inf

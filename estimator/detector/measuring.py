@@ -24,13 +24,7 @@ import numpy as np
 from estimator.detector.coarse import Coarse, bright_regions
 from estimator.detector.contour import Region, contour_of, patch_round
 from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import (
-    AffineEllipse,
-    Patch,
-    contour_points,
-    normals_of,
-    refitted,
-)
+from estimator.detector.ellipse import AffineEllipse, Patch, contour_points, normals_of, refitted
 from estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
 from formats.camera import LensDistortion
@@ -285,11 +279,11 @@ def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
     standing_out = Patch(above, x0, y0)
     rims: list[EdgeFit] = []
     # Without its surface, a bell leaves rings.
-    for candidates in bright_regions(
-        coarse, min_contrast=0, min_area=Reflection.SMALLEST * light.size, solid=False
-    ):
-        for candidate in candidates or ():
-            rim = fit_edge(standing_out, coarse, candidate)
+    smallest = Reflection.SMALLEST * light.size
+    regions = bright_regions(coarse, min_contrast=0, min_area=smallest, solid=False)
+    for bright in filter(None, regions):
+        for ellipse in bright.ellipses:
+            rim = fit_edge(standing_out, coarse, ellipse, bright.peak, bright.background)
             if (
                 isinstance(rim, EdgeFit)
                 and rim.levels.width < Reflection.SHARPEST
@@ -356,4 +350,4 @@ def significance_of(region: Region) -> float:
     if around is None or region.fills_its_ellipse() < Verdict.FILLED:
         return 0.0
     background, _, scatter = around
-    return (region.candidates[0].peak - background) / scatter
+    return (region.bright.peak - background) / scatter

@@ -78,7 +78,20 @@ def measure(
         if isinstance(result, Spot):
             state = TrackState(at_px=(result.x_px, result.y_px), spot=result)
         return result, state
-    return _measure_subpixel(without_repeats(frame), state, settings)
+    frame = without_repeats(frame)
+    found = (
+        _at_last_contour(frame, state.sighting, settings)
+        or _near(frame, state, settings)
+        or _anywhere(frame, settings)
+    )
+    if isinstance(found, NoSpot):
+        return found, TrackState()
+    spot = found.spot
+    at = (spot.x_px, spot.y_px)
+    at = settings.camera.distorted(*at) if settings.camera else at
+    if state.spot is not None and not continues(spot, state.spot, settings):
+        return NoSpot(Reason.AMBIGUOUS), TrackState(at_px=at, sighting=found)
+    return spot, TrackState(at_px=at, spot=spot, sighting=found)
 
 
 def track(
@@ -95,24 +108,6 @@ def track(
     for frame in frames:
         result, state = measure(frame, state, settings)
         yield result
-
-
-def _measure_subpixel(
-    frame: np.ndarray, state: TrackState, settings: SubpixelSettings
-) -> tuple[Spot | NoSpot, TrackState]:
-    found = (
-        _at_last_contour(frame, state.sighting, settings)
-        or _near(frame, state, settings)
-        or _anywhere(frame, settings)
-    )
-    if isinstance(found, NoSpot):
-        return found, TrackState()
-    spot = found.spot
-    at = (spot.x_px, spot.y_px)
-    at = settings.camera.distorted(*at) if settings.camera else at
-    if state.spot is not None and not continues(spot, state.spot, settings):
-        return NoSpot(Reason.AMBIGUOUS), TrackState(at_px=at, sighting=found)
-    return spot, TrackState(at_px=at, spot=spot, sighting=found)
 
 
 def _at_last_contour(
@@ -156,7 +151,7 @@ def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpo
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
-        elif region.candidates[0].lobed and not region.faint:
+        elif region.bright.lobed and not region.faint:
             return NoSpot(Reason.AMBIGUOUS)
         elif not any(is_part_of(region, sighting) for sighting in seen):
             sighting = sighting_in(region)

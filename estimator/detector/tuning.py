@@ -54,12 +54,12 @@ class Channel:
 
 
 class Capture:
-    """First fit: crossings of the candidate's half level (`edges`)."""
+    """First fit: crossings of the region's half level (`edges`)."""
 
     REACH = 1.75  # radii: size of the patch (derived: beyond the wide view of 1.6)
     EVERY = 2  # one of so many rays is used, for speed
     NEAR_ENOUGH = 0.1  # radii: a refinement bridges such a step, or distance of the half level
-    LARGEST_STEP = 0.7  # radii: a larger step has lost the candidate
+    LARGEST_STEP = 0.7  # radii: a larger step has lost the region
     TOLERANCE_PX = 1.5  # px: error of a crossing that always belongs: noise and pixel grid
     TOLERANCE = 0.02  # radii: the same for large spots on retinas
     FURTHEST = 0.2  # radii: error of a crossing that never belongs

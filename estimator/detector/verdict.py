@@ -52,7 +52,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     ellipse = measured.ellipse or fit.ellipse
     covariance = covariance_of_axes(ellipse, fit.step_covariance)
     coverage, belonging, in_frame = shares_of_contour(
-        fit.ellipse, fit.seen, fit.inliers, fit.inside
+        fit.ellipse, fit.seen, fit.inliers, fit.band.inside
     )
     partial = coverage <= Verdict.WHOLE
     coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
@@ -121,7 +121,7 @@ def is_part_of(region: Region, sighting: Sighting) -> bool:
     if region.area_px < Verdict.RIVAL / 2 * sighting.area_px:
         return True
     levels = sighting.fit.levels
-    bright = region.candidates[0].peak > levels.half and region.channel == sighting.channel
+    bright = region.bright.peak > levels.half and region.channel == sighting.channel
     reach = 1.0 if bright else Verdict.NEAR_SPOT
     return distance < reach * spot.semi_major_px
 

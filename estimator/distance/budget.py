@@ -201,10 +201,7 @@ class Budgets:
         values, view = ranger.calibration.values, ranger.microscope
         self._ranger, self._stated = ranger, stated
         self._by_area = ranger.model == "area"
-        self._sigmas = np.sqrt(np.diag(ranger.calibration.covariance))
-        self._traced = ranger.model != "lens"
-        self._through_path = view.viewing_path is not None
-        if self._traced:
+        if ranger.model != "lens":
             k = values["k"] if "k" in values else 1 / math.tan(values["half_angle"])
             self._eye = ConeView(
                 k=np.array([k]),
@@ -232,7 +229,7 @@ class Budgets:
         """
         if math.isnan(found.distance_mm):
             return None
-        if not self._traced:  # a lens's curve contains the calibration's errors
+        if self._ranger.model == "lens":  # its curve contains the calibration's errors
             speed = float(np.linalg.norm(motion.velocity_mm_s))
             image = Part(Cause.IMAGE, found.sigma_mm, _freedom(spot))
             return Budget(
@@ -277,7 +274,7 @@ class Budgets:
         known = axis is not None
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
         exact = self._ranger.model in ("exact", "area")
-        unknown = self._through_path and not exact
+        unknown = self._ranger.microscope.viewing_path is not None and not exact
         turned = slopes["tilt"] if known and self._ranger.model != "exact" else 0.0
         parts = self._parts(spot, found, slopes, spread, known=known)
         return Budget(
@@ -351,15 +348,16 @@ class Budgets:
         of |= dict.fromkeys(BEAM, boresight)
         gradient = np.array([of.get(name, 0.0) for name in calibration.values])
         variance = float(gradient @ calibration.covariance @ gradient)
-        names = list(calibration.values)
-        most = int(np.argmax(np.abs(gradient) * self._sigmas))
+        sigmas = np.sqrt(np.diag(calibration.covariance))
+        most = int(np.argmax(np.abs(gradient) * sigmas))
+        name = list(calibration.values)[most]
         return Part(
             Cause.CALIBRATION,
             math.sqrt(max(variance, 0.0)),
             self._stated.calibration_freedom or math.inf,
-            names[most],
-            float(self._sigmas[most]),
-            QUANTITIES[names[most]].unit.removeprefix("1") or "",
+            name,
+            float(sigmas[most]),
+            QUANTITIES[name].unit.removeprefix("1"),
         )
 
     def _of_viewing(self, found: Range, slopes: dict[str, float], spot: Spot) -> Part:

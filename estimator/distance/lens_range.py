@@ -121,19 +121,19 @@ def _likeliest(grid: np.ndarray, cost: np.ndarray) -> Range:
     best = int(np.argmin(cost))
     excess = cost - cost[best]
     # Each interval of distances that cannot be excluded counts as one answer.
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], excess < _DECIDED, [0]])))
-    others = []
-    for first, last in edges.reshape(-1, 2):
-        if not first <= best < last:
-            others.append(float(grid[first + np.argmin(excess[first:last])]))
+    possible = np.ma.clump_masked(np.ma.masked_less(excess, _DECIDED))
+    others = tuple(
+        float(grid[part][np.argmin(excess[part])])
+        for part in possible
+        if not part.start <= best < part.stop
+    )
     distance = float(grid[best])
     if 0 < best < len(grid) - 1:  # the vertex of the parabola through the least value
         before, least, after = cost[best - 1 : best + 2]
         distance += float(0.5 * _STEP * (before - after) / (before - 2 * least + after))
     weight = np.exp(-0.5 * excess)
     spread = weight @ (grid - distance) ** 2 / weight.sum()
-    sigma = float(np.sqrt(spread))
-    return Range(distance_mm=distance, sigma_mm=sigma, others_mm=tuple(others))
+    return Range(distance_mm=distance, sigma_mm=float(np.sqrt(spread)), others_mm=others)
 
 
 @functools.lru_cache(2)  # several microscopes may look at one lens
@@ -173,10 +173,7 @@ def _wall_light(
 
     The wall touches z = 0 at O, the sphere's centre is above it, and the beam leans towards +x. A
     point p of the wall has p_z = curvature |p|^2 / 2, and the outward normal curvature p - (0,0,1).
-
-    Returns:
-        Light per unit power on half a turn of rays, (incidences, angles, radii), and where on the
-        wall, (..., 3), mm.
+    Light per unit power on half a turn of rays, (incidences, angles, radii), and the points, mm.
     """
 
     def vectors(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:

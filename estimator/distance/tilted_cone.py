@@ -75,6 +75,8 @@ def spot_image(
 ) -> SpotImage:
     """Ellipse of the image of a cone's edge on the wall; NaN where part of it misses the wall.
 
+    The conic is uniform in its own angle, as that of `optics.ellipse_of_contour`.
+
     Args:
         spot: O, (n, 3), mm.
         axis: unit vectors from the tip towards the wall, (n, 3).
@@ -89,16 +91,17 @@ def spot_image(
         height = edge[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
         depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
         per_px = np.reshape(eye.scale, (-1, 1)) * depth
-        return _ellipse(np.stack([edge[..., 0] / per_px, -edge[..., 1] / per_px], axis=-1))
+        contour = np.stack([edge[..., 0] / per_px, -edge[..., 1] / per_px], axis=-1)
+        even = _fitted(contour, np.ones(contour.shape[:2]))
+        offset = contour - even.centre[:, None]
+        # An ellipse's area swept from its centre grows evenly with its eccentric angle.
+        step = np.roll(offset, -1, axis=1) - np.roll(offset, 1, axis=1)
+        swept = np.abs(offset[..., 0] * step[..., 1] - offset[..., 1] * step[..., 0])
+        return _fitted(contour, swept / swept.mean(axis=1, keepdims=True))
 
 
 def distance_of(
-    eye: ConeView,
-    *,
-    at_px: np.ndarray,
-    size_px: np.ndarray,
-    axis: np.ndarray,
-    by_area: bool,
+    eye: ConeView, *, at_px: np.ndarray, size_px: np.ndarray, axis: np.ndarray, by_area: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Distance of the cone whose spot has this centre and this size, for a known axis.
 
@@ -146,16 +149,6 @@ def _to_wall(eye: ConeView, apex: np.ndarray, ray: np.ndarray) -> np.ndarray:
     along = np.einsum("nk,npk->np", apex, ray)
     inside = np.einsum("nk,nk->n", apex, apex)[:, None] - radius**2
     return (np.sqrt(along**2 - square * inside) - along) / square
-
-
-def _ellipse(contour: np.ndarray) -> SpotImage:
-    """Least-squares conic, uniform in its own angle, as `optics.ellipse_of_contour`."""
-    even = _fitted(contour, np.ones(contour.shape[:2]))
-    offset = contour - even.centre[:, None]
-    # An ellipse's area swept from its centre grows evenly with its eccentric angle.
-    step = np.roll(offset, -1, axis=1) - np.roll(offset, 1, axis=1)
-    swept = np.abs(offset[..., 0] * step[..., 1] - offset[..., 1] * step[..., 0])
-    return _fitted(contour, swept / swept.mean(axis=1, keepdims=True))
 
 
 def _fitted(contour: np.ndarray, weights: np.ndarray) -> SpotImage:

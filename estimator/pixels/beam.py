@@ -153,13 +153,6 @@ class Sweep(NamedTuple):
     tip: Float[np.ndarray, "17 3"]
     axis: Float[np.ndarray, "17 3"]
 
-    def at(self, times: Float[np.ndarray, "n"]) -> tuple[np.ndarray, np.ndarray]:
-        """Tip and axis at times of the exposure, n x 3, as in `tip` and `axis`."""
-        tip, axis = (
-            np.stack([np.interp(times, NODES, line) for line in part.T], axis=-1) for part in self
-        )
-        return tip, axis
-
 
 class SeenLight(NamedTuple):
     """Irradiance of the cells per unit power, 1/mm², as a camera sees it.
@@ -383,7 +376,11 @@ class BeamLight:
 def _steps(sweep: Sweep, counts: tuple[int, ...], needed: float) -> Steps:
     """Places for a moving beam: the least of the counts that is as large as needed, or the last."""
     nodes, shares = _gauss(next((count for count in counts if count >= needed), counts[-1]))
-    return Steps(*sweep.at(0.5 * nodes), 0.5 * shares)
+    tips, axes = (
+        np.stack([np.interp(0.5 * nodes, NODES, line) for line in part.T], axis=-1)
+        for part in sweep
+    )
+    return Steps(tips, axes, 0.5 * shares)
 
 
 _gauss = functools.cache(np.polynomial.legendre.leggauss)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float
+from scipy import ndimage
 
 
 class WallMotion(NamedTuple):
@@ -168,15 +169,8 @@ class CellWindow(NamedTuple):
 
 def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np.ndarray, "*k n"]:
     """Values of a window's cells after it has moved; 0 for new cells."""
-    grids = values.reshape(*values.shape[:-1], COUNT, COUNT)
-    rolled = np.zeros_like(grids)
-    right, down = (min(max(cells, -COUNT), COUNT) for cells in (right, down))
-    (rows, old_rows), (columns, old_columns) = (
-        (slice(max(-cells, 0), COUNT - max(cells, 0)), slice(max(cells, 0), COUNT - max(-cells, 0)))
-        for cells in (down, right)
-    )
-    rolled[..., rows, columns] = grids[..., old_rows, old_columns]
-    return rolled.reshape(values.shape)
+    grids = values.reshape(-1, COUNT, COUNT)
+    return ndimage.shift(grids, (0, -down, -right), order=0).reshape(values.shape)
 
 
 class CellLight:

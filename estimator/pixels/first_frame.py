@@ -17,14 +17,7 @@ from jaxtyping import Float
 
 from estimator.pixels.beam import BeamLight, Sweep
 from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
-from estimator.pixels.frame_fit import (
-    STEPS,
-    fit_wherever,
-    moved,
-    outliers,
-    remodelled,
-    robust_fit,
-)
+from estimator.pixels.frame_fit import STEPS, fit_wherever, moved, outliers, remodelled, robust_fit
 from estimator.pixels.frame_model import (
     SHIFT,
     Direction,
@@ -110,11 +103,6 @@ class Hypothesis:
     shake_before_px: float = 0.0
 
     @cached_property
-    def sigmas(self) -> Float[np.ndarray, "5"]:
-        """Standard deviations of the newest frame's pose."""
-        return np.sqrt(np.diag(self.solution.newest_covariance))
-
-    @cached_property
     def shift_variance_px2(self) -> float:
         """Variance of the newest frame's shift, of both sides together."""
         return float(np.trace(self.solution.newest_states(SHIFT)))
@@ -169,7 +157,8 @@ class Hypothesis:
         mine, its = self.solution.newest.pose, other.solution.newest.pose
         turned = mine.axis - its.axis
         change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
-        return bool((np.abs(change) > _SAME * other.sigmas[2:]).any())
+        sigmas = np.sqrt(np.diag(other.solution.newest_covariance))[2:]
+        return bool((np.abs(change) > _SAME * sigmas).any())
 
 
 def lit_px2(solution: PoseSolution) -> float:

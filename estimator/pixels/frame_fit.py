@@ -25,17 +25,13 @@ from estimator.pixels.cells import COUNT, SIDES, STILL, CellLight, CellWindow, W
 from estimator.pixels.frame_model import FrameState, Linear, share
 from estimator.pixels.solver import Kept, PoseSolution, PoseSolver
 
-_FARTHEST = 6  # cells; 1 mm/s is two or three of them from frame to frame
+FARTHEST = 6
+"""Cells, the longest shift that is searched for; 1 mm/s is two or three from frame to frame."""
 _TURN = 0.02  # standard deviation of the turn from frame to frame, rad
 _SURE = 16.0  # gain of -2 log likelihood: four standard deviations
 _MIDDLE = 0.5 * (COUNT - 1)
 _CELLS = 0.5 * COUNT * SIDES
 """Columns and rows from the window's middle."""
-
-
-def farthest_px(window: CellWindow) -> float:
-    """The longest shift that is searched for."""
-    return float(_FARTHEST * window.side)
 
 
 def registered(
@@ -70,7 +66,7 @@ def registered(
         turned = (moved[2] / _TURN) ** 2
         return float(off @ (weight * off) - explained - np.sum(np.log(weight)) + turned)
 
-    along = range(-_FARTHEST, _FARTHEST + 1)
+    along = range(-FARTHEST, FARTHEST + 1)
     whole_cells = [np.array([column, row, 0.0]) for column in along for row in along]
     best = min(whole_cells, key=lambda moved: misfit(moved, 0))
     steps = np.vstack([np.zeros(3), 0.5 * np.eye(3) * [1.0, 1.0, 2.0 / COUNT]])
@@ -78,7 +74,7 @@ def registered(
         misfit, best, args=(3,), method="Nelder-Mead", options={"initial_simplex": best + steps}
     ).x
     gain = misfit(np.zeros(3), 3) - misfit(found, 3)
-    if gain < _SURE or np.abs(found[:2]).max() > _FARTHEST + 1:
+    if gain < _SURE or np.abs(found[:2]).max() > FARTHEST + 1:
         return None
     return WallMotion.about(window.middle_px, window.side * found[:2], float(found[2]))
 
@@ -175,10 +171,7 @@ def modelled(solver: PoseSolver, frames: list[FrameState], own: Float[np.ndarray
 
 
 def moved(
-    solver: PoseSolver,
-    window: CellWindow,
-    kept: Kept,
-    own: Float[np.ndarray, "q"],
+    solver: PoseSolver, window: CellWindow, kept: Kept, own: Float[np.ndarray, "q"]
 ) -> tuple[PoseSolver, Kept]:
     """The solver of another window with its map, and kept frames with their models there.
 

@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float
 from scipy.linalg import cholesky, null_space, solve_triangular
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
 from estimator.pixels.beam import BeamLight, Sweep, blurred
@@ -98,7 +99,9 @@ def motion_between(
     (pose_0, robot_0), (pose, robot) = first, later
     if robot_0 is None or robot is None:
         return None
-    motions, (turn, angle) = robot.tip - robot_0.tip, _turn(robot_0.axis, robot.axis)
+    motions = robot.tip - robot_0.tip
+    least, _ = Rotation.align_vectors(robot.axis, robot_0.axis)
+    turn, angle = least.as_matrix(), least.magnitude()
     across = np.stack([pose.first, pose.second])
     rest = np.concatenate(
         [motions - (pose.tip - pose_0.tip), across @ (turn @ pose_0.axis - pose.axis)]
@@ -113,15 +116,6 @@ def motion_between(
         first_slopes=first_slopes,
         precision=np.repeat([place, math.hypot(_TURN, _TURNED * angle)], [3, 2]) ** -2.0,
     )
-
-
-def _turn(first: np.ndarray, later: np.ndarray) -> tuple[Float[np.ndarray, "3 3"], float]:
-    """The least rotation from one unit vector to another, and its angle, rad."""
-    axis = np.cross(first, later)
-    cross = np.cross(np.eye(3), axis)  # rows: e_i x axis; as a matrix it turns about the axis
-    cosine = float(first @ later)
-    angle = math.atan2(float(np.linalg.norm(axis)), cosine)
-    return np.eye(3) + cross + cross @ cross / (1.0 + cosine), angle
 
 
 _BLOOM_PX, BLOOM_SIGMA_PX = 0.45, 0.1
@@ -500,9 +494,7 @@ class FrameModel:
         self.lattice = functools.partial(beam.lattice, window)
         self.side_mm = window.side * beam.scale_mm_px
 
-    def linear(
-        self, frame: FrameState, own: np.ndarray, *, trust: np.ndarray | None = None
-    ) -> Linear:
+    def linear(self, frame: FrameState, own: np.ndarray) -> Linear:
         """A frame's model at its state."""
         light, usable = (part.ravel() for part in frame.cells.means(self.window))
         seen = self.beam.irradiance(
@@ -550,7 +542,7 @@ class FrameModel:
                 ]
             ),
             shared=by_beam[POSE:-2],
-            weight=weight if trust is None else weight * trust,
+            weight=weight,
         )
 
     def log_light(self, frame: FrameState, light: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:

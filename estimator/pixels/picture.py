@@ -15,7 +15,6 @@ are dark well within the spot.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import cv2
 import numpy as np
@@ -139,23 +138,21 @@ class Reference:
             self._usable,
             lambda light: ambient.variance(self._noise, light),
         )
-        return partial(_known, cells)
 
+        def known(window: CellWindow) -> tuple[np.ndarray, np.ndarray]:
+            light, usable = (part.ravel() for part in cells.means(window))
+            sigma = np.sqrt(cells.variance(np.maximum(light, 0.0))) / window.side
+            clear = usable & (light > _CLEAR * sigma)
+            if np.count_nonzero(clear) < _FEWEST_CLEAR:
+                return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
+            light = np.where(clear, light, 1.0)
+            weight = np.where(clear, np.square(light / sigma), 0.0)
+            weighted = _SMOOTH * weight
+            smooth = weighted.T @ np.linalg.pinv(weighted @ _SMOOTH.T, hermitian=True) @ weighted
+            information = np.diag(weight) - smooth
+            return information, information @ np.log(light)
 
-def _known(
-    cells: CellLight, window: CellWindow
-) -> tuple[Float[np.ndarray, "n n"], Float[np.ndarray, "n"]]:
-    light, usable = (part.ravel() for part in cells.means(window))
-    sigma = np.sqrt(cells.variance(np.maximum(light, 0.0))) / window.side
-    clear = usable & (light > _CLEAR * sigma)
-    if np.count_nonzero(clear) < _FEWEST_CLEAR:
-        return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
-    light = np.where(clear, light, 1.0)
-    weight = np.where(clear, np.square(light / sigma), 0.0)
-    weighted = _SMOOTH * weight
-    smooth = weighted.T @ np.linalg.pinv(weighted @ _SMOOTH.T, hermitian=True) @ weighted
-    information = np.diag(weight) - smooth
-    return information, information @ np.log(light)
+        return known
 
 
 _DARK = 0.4

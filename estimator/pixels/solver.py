@@ -240,7 +240,7 @@ class PoseSolver:
         own: Float[np.ndarray, "q"],
         *,
         steps: int,
-        trust: Float[np.ndarray, "n"] | None = None,
+        trust: Float[np.ndarray, "n"] | float = 1.0,
         line: Linear | None = None,
     ) -> PoseSolution:
         """Iterate from the frames' states.
@@ -254,9 +254,8 @@ class PoseSolver:
         newest, size = len(kept), OWN * (len(kept) + 1) + len(own)
         blur = OWN * newest + BLUR
         change, damping, converged = np.zeros(size), _DAMPING, False
-        lines = [line for _, line in kept]
         line = self.model.linear(frame, own) if line is None else line
-        lines.append(line if trust is None else line._replace(weight=line.weight * trust))
+        lines = [*(line for _, line in kept), line._replace(weight=line.weight * trust)]
         motions = _motions(frames)
         hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
         information = _Information(hessian)
@@ -280,7 +279,7 @@ class PoseSolver:
                 new_own = own + step[size - len(own) :]
                 # With the weights of before, so that costs compare.
                 trial = [_shifted(line, step, k, size) for k, line in enumerate(lines[:-1])]
-                fresh = self.model.linear(moved, new_own, trust=trust)
+                fresh = self.model.linear(moved, new_own)
                 trial.append(fresh._replace(weight=lines[-1].weight))
                 here = change + step
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
@@ -298,6 +297,7 @@ class PoseSolver:
             assert moved is not None
             frame, own, change = moved, new_own, here
             damping *= 0.1
+            fresh = fresh._replace(weight=fresh.weight * trust)
             frames[-1], lines, motions = frame, [*trial[:-1], fresh], new_motions
             hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
             information = _Information(hessian)

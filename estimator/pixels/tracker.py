@@ -25,7 +25,7 @@ from estimator.pixels.first_frame import (
     explained_alone,
     explained_with,
 )
-from estimator.pixels.frame_fit import farthest_px
+from estimator.pixels.frame_fit import FARTHEST
 from estimator.pixels.frame_model import Direction, RobotPose
 from estimator.pixels.picture import FramePixels, Mix, Reference
 from estimator.pixels.verdict import flag_of, range_of, shake_covariance
@@ -230,7 +230,8 @@ class PixelRanger:
         best, *others = self._hypotheses
         self._last = outline if outline.measured else best.outline
         if wall is WallMemory.DROPPED:
-            self._unknown_px = max(self._unknown_px, farthest_px(best.solution.solver.window))
+            farthest_px = float(FARTHEST * best.solution.solver.window.side)
+            self._unknown_px = max(self._unknown_px, farthest_px)
         return range_of(
             best,
             tuple(float(one.solution.newest.pose.distance) for one in others),

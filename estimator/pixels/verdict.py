@@ -31,14 +31,7 @@ from jaxtyping import Float
 from estimator.distance.range import Range, TipPose, WallMemory
 from estimator.pixels.cells import COUNT, SIDES, WallMotion
 from estimator.pixels.first_frame import Hypothesis
-from estimator.pixels.frame_model import (
-    BLOOM_SIGMA_PX,
-    BLUR,
-    TextureVariances,
-    contrast,
-    halo,
-    lit,
-)
+from estimator.pixels.frame_model import BLOOM_SIGMA_PX, BLUR, TextureVariances, contrast, halo, lit
 from estimator.pixels.solver import PoseSolution
 from formats.spots import Outline, Reason
 from optics.wall_light.pose_light import POSE

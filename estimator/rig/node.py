@@ -12,13 +12,7 @@ import sys
 import time
 from typing import Any
 
-from estimator.rig.messages import (
-    Silence,
-    image_type,
-    message_types,
-    messages_of,
-    status_message,
-)
+from estimator.rig.messages import Silence, image_type, message_types, messages_of, status_message
 from estimator.rig.rig import Parameters, Rig, opened_rig
 from estimator.rig.ros1 import Ros1
 from estimator.rig.ros2 import Ros2

@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
+from pydantic import TypeAdapter
 
 from estimator.run.options import OUTPUT, Options, RecordingOptions
 from estimator.run.progress_bar import progress
@@ -133,7 +134,7 @@ def _sentences(budget: Budget) -> list[str]:
     return [*lines, *(f"Not assessed: {what}." for what in budget.left_out)]
 
 
-def _content(budget: Budget) -> dict[str, Any]:
+def _content(budget: Budget) -> Any:
     """The budget for JSON, where what is infinite or unknown is null."""
     low, high = budget.interval_mm
     largest = budget.largest
@@ -149,7 +150,7 @@ def _content(budget: Budget) -> dict[str, Any]:
         }
         for part in budget.parts
     ]
-    whole = {
+    content = {
         "distance_mm": budget.reading_mm,
         "correction_mm": budget.correction_mm,
         "corrected_mm": budget.corrected_mm,
@@ -160,13 +161,10 @@ def _content(budget: Budget) -> dict[str, Any]:
         "high_mm": high,
         "largest_cause": largest.cause.value if largest else None,
         "remedy": largest.remedy if largest else None,
+        "parts": parts,
+        "left_out": budget.left_out,
     }
-
-    def finite(row: dict[str, Any]) -> dict[str, Any]:
-        unknown = {n for n, v in row.items() if isinstance(v, float) and not math.isfinite(v)}
-        return row | dict.fromkeys(unknown)
-
-    return {**finite(whole), "parts": [*map(finite, parts)], "left_out": list(budget.left_out)}
+    return json.loads(TypeAdapter(Any).dump_json(content))
 
 
 def _freedom(value: float) -> str:

@@ -26,6 +26,7 @@ import sys
 import threading
 import time
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -129,32 +130,27 @@ def _ctrl_c_comes(signals: int) -> bool:
 
 _log = logging.getLogger("eyespot")
 _WHOLE = 5  # tracebacks that are logged, each from another place of the code
-_places: set[tuple[str, int | None]] = set()
-_met = 0
+_bugs: Counter[tuple[str, int | None]] = Counter()  # by their place in the code
 
 
 def taken() -> int:
     """Number of frames that met a bug since this was last called."""
-    global _met
-    number, _met = _met, 0
-    _places.clear()
+    number = _bugs.total()
+    _bugs.clear()
     return number
 
 
 def note(error: Exception, where: str) -> None:
     """Count an unexpected exception, and log its traceback if its place in the code is new."""
-    global _met
-    _met += 1
     place = traceback.extract_tb(error.__traceback__)[-1]
-    known = (place.filename, place.lineno) in _places
-    if known or len(_places) == _WHOLE:
-        return
-    _places.add((place.filename, place.lineno))
-    _log.error(
-        "%s met a bug in eyespot. Its reason is internal_error, as of all frames that meet it.",
-        where,
-        exc_info=error,
-    )
+    at = place.filename, place.lineno
+    if at not in _bugs and len(_bugs) < _WHOLE:
+        _log.error(
+            "%s met a bug in eyespot. Its reason is internal_error, as of all frames that meet it.",
+            where,
+            exc_info=error,
+        )
+    _bugs[at] += 1
 
 
 _REMEDIES = {

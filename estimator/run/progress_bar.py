@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
 from typing import Protocol
 
@@ -38,8 +38,7 @@ class Advance(Protocol):
         """Add to the steps done; a note is shown beside their number."""
 
 
-@contextmanager
-def progress(what: str, *, total: int | None) -> Iterator[Advance]:
+def progress(what: str, *, total: int | None) -> AbstractContextManager[Advance]:
     """Show the progress of a loop on stderr: steps done, their total, the remaining time.
 
         with progress("Measuring", total=len(frames)) as advance:
@@ -47,17 +46,12 @@ def progress(what: str, *, total: int | None) -> Iterator[Advance]:
                 measure(frame)
                 advance()
 
-    Yields:
-        A function to call after each step.
+    Returns:
+        A block, in which a function is to be called after each step.
     """
-    shown = (_bar if sys.stderr.isatty() else _lines) if _BARS.get() else _nothing
-    with shown(what, total) as advance:
-        yield advance
-
-
-@contextmanager
-def _nothing(what: str, total: int | None) -> Iterator[Advance]:
-    yield lambda steps=1, *, note="": None
+    if not _BARS.get():
+        return nullcontext(lambda steps=1, *, note="": None)
+    return _bar(what, total) if sys.stderr.isatty() else _lines(what, total)
 
 
 @contextmanager

@@ -69,12 +69,7 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
             name = in_utf8(path.relative_to(folder))
             with damage_reported(f"{path} (frame {index})", AGAIN):
                 found = read_image(path)
-            yield Frame(
-                index=index,
-                file_name=name,
-                image=found.image,
-                full_scale=found.full_scale,
-            )
+            yield Frame(index=index, file_name=name, image=found.image, full_scale=found.full_scale)
 
     name = pictures[0] if len(pictures) == 1 else folder
     notes: tuple[str, ...] = ()
@@ -136,6 +131,17 @@ def _capturing(what: Path | int, refusal: str) -> Iterator[cv2.VideoCapture]:
         yield capture
 
 
+def _captured(what: Path | int, refusal: str) -> Iterator[tuple[np.ndarray, float]]:
+    """The images, and the time of each by its container, ms."""
+    with _capturing(what, refusal) as capture:
+        while True:
+            seen, image = capture.read()
+            if not seen:
+                return
+            rgb = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
+            yield rgb, capture.get(cv2.CAP_PROP_POS_MSEC)
+
+
 def open_video(path: Path) -> Source:
     """A video file.
 
@@ -153,29 +159,19 @@ def open_video(path: Path) -> Source:
     rate = rate_hz if 0 < rate_hz < math.inf else None
 
     def read() -> Iterator[Frame]:
-        index, time_s = 0, 0.0
-        with _capturing(path, refusal) as capture:
-            while True:
-                seen, image = capture.read()
-                if not seen:
-                    break
-                time_s = round(capture.get(cv2.CAP_PROP_POS_MSEC) / 1e3, 9)
-                name = f"{in_utf8(path.name)}#{index}"
-                yield Frame(index=index, file_name=name, time_s=time_s, image=_rgb(image))
-                index += 1
+        number, time_s = 0, 0.0
+        for number, (image, time_ms) in enumerate(_captured(path, refusal), 1):
+            time_s, name = round(time_ms / 1e3, 9), f"{in_utf8(path.name)}#{number - 1}"
+            yield Frame(index=number - 1, file_name=name, time_s=time_s, image=image)
         # Some containers state only a duration, and the frame rate may vary: a video is truncated
         # if both its frames and its time are fewer than announced.
-        if length and rate and index < length and time_s * rate < length - 2:
+        if length and rate and number < length and time_s * rate < length - 2:
             raise InputError(
-                f"{path} breaks off at frame {index} of the {length} that it announces. {AGAIN}"
+                f"{path} breaks off at frame {number} of the {length} that it announces. {AGAIN}"
             )
 
     notes = (note_of_turn(path.name),) if turned else ()
     return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
-
-
-def _rgb(image: np.ndarray) -> np.ndarray:
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
 def open_camera(digits: str) -> Source:
@@ -198,14 +194,10 @@ def open_camera(digits: str) -> Source:
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
 
     def read() -> Iterator[Frame]:
-        index = 0
-        with _capturing(number, refusal) as capture:
-            while True:
-                seen, image = capture.read()
-                if not seen:
-                    raise InputError(f"camera {number} stopped at frame {index}. Check its cable.")
-                yield Frame(index=index, time_s=time.time(), image=_rgb(image))
-                index += 1
+        count = 0
+        for count, (image, _) in enumerate(_captured(number, refusal), 1):
+            yield Frame(index=count - 1, time_s=time.time(), image=image)
+        raise InputError(f"camera {number} stopped at frame {count}. Check its cable.")
 
     rate = rate_hz if 0 < rate_hz < math.inf else None
     return Source(name=f"camera {number}", read=read, rate_hz=rate, live=True)

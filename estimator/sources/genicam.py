@@ -50,12 +50,7 @@ def open_genicam(name: str) -> Source:
                     with camera.fetch(timeout=_PATIENCE_S) as buffer:
                         message = _message(buffer.payload.components[0])
                 image, full_scale = frame_of_message(message)
-                yield Frame(
-                    index=index,
-                    time_s=time.time(),
-                    image=image,
-                    full_scale=full_scale,
-                )
+                yield Frame(index=index, time_s=time.time(), image=image, full_scale=full_scale)
 
     return Source(name=f"{GENICAM}{name}", read=read, live=True)
 

@@ -6,14 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.sources.files import (
-    IMAGES,
-    TIFF,
-    open_camera,
-    open_images,
-    open_tiff,
-    open_video,
-)
+from estimator.sources.files import IMAGES, TIFF, open_camera, open_images, open_tiff, open_video
 from estimator.sources.genicam import GENICAM, open_genicam
 from estimator.sources.ros import open_bag
 from estimator.sources.source import Frame, Source
@@ -36,7 +29,7 @@ def open_source(
             and the number or name of a GenICam camera.
         exposure: of a stack that has several; by default "metered", whose peaks are never
             saturated.
-        image_topic: of a bag, see `read_frames`.
+        image_topic: of a bag, see `open_bag`.
 
     Raises:
         InputError: the source does not exist, cannot be read or is empty, or it has no such

@@ -126,20 +126,6 @@ def decoded_frame(message: Any, *, index: int, time_s: float) -> Frame:
     return Frame(index=index, time_s=time_s, image=image, full_scale=full_scale)
 
 
-def encoding_of(image: np.ndarray) -> str:
-    """The encoding of a `sensor_msgs/Image` that contains a frame without loss.
-
-    Raises:
-        InputError: floats, for which ROS has no image encoding.
-    """
-    if image.dtype.name not in ("uint8", "uint16"):
-        raise InputError(
-            f"a bag holds images of 8 or 16 bits; got {image.dtype.name}. Convert them, or record "
-            "the spots alone (.csv)."
-        )
-    return ("mono" if image.ndim == 2 else "rgb") + str(8 * image.dtype.itemsize)
-
-
 def _samples(message: Any, layout: _Layout) -> tuple[np.ndarray, int]:
     """The samples in native words, and how many of their bits are used; 0: all."""
     data = np.frombuffer(message.data, np.uint8)
@@ -228,68 +214,62 @@ _UNREADABLE = "%s, %s: %d of %d images could not be decoded, and have no spot. %
 
 
 def open_bag(path: Path, *, topic: str | None = None) -> Source:
-    """The images of a bag as a source.
+    """The images of a bag as a source, in the order of their arrival.
 
-    Raises:
-        InputError: as `read_frames`, or the bag has no images.
-    """
-    with opened_bag(path) as reader:
-        topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
-        length = reader.topics[topic].msgcount
-    if not length:
-        raise InputError(f"{path}: {topic} holds no images. Check that it is the right bag.")
-    return Source(name=str(path), read=partial(read_frames, path, topic=topic), length=length)
-
-
-def read_frames(path: Path, *, topic: str | None = None) -> Iterator[Frame]:
-    """Read the images of a bag, one at a time, in the order of their arrival.
-
-    An image that cannot be decoded is a black frame with a fault. How many there are is logged at
-    the end, and the first stamp that is earlier than one before it.
+    A frame has the time of its header, or of its arrival if the header has none; s since ROS's
+    epoch. An image that cannot be decoded is a black frame with a fault. How many there are is
+    logged at the end, and the first stamp that is earlier than one before it.
 
     Args:
         topic: of the images, raw or compressed; None takes `IMAGE_TOPIC`, or the only one.
 
-    Yields:
-        Frames with the time of their header, or of their arrival if the header has none; s since
-        ROS's epoch.
-
     Raises:
-        InputError: not a bag, damaged, without such a topic, or no image can be decoded.
+        InputError: not a bag, or without such a topic or any images. Reading raises it for damage,
+            or where no image can be decoded.
     """
-    waiting: list[Frame] = []  # until one can be decoded, which says their size
-    number, broken, first, latest_s = 0, 0, "", -math.inf
     with opened_bag(path) as reader:
-        topic = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
+        name = topic_in(reader, path, topic, kinds=IMAGE_MESSAGES, usual=IMAGE_TOPIC)
+        length = reader.topics[name].msgcount
+    if not length:
+        raise InputError(f"{path}: {name} holds no images. Check that it is the right bag.")
+
+    def read() -> Iterator[Frame]:
+        waiting: list[Frame] = []  # until one can be decoded, which says their size
+        number, broken, first, latest_s = 0, 0, "", -math.inf
         try:
-            for number, (received_s, message) in enumerate(messages_of(reader, path, topic), 1):
-                if isinstance(message, InputError):
-                    frame = Frame(index=number - 1, time_s=received_s, fault=f"{message}")
-                else:
-                    time_s = stamp_s(message.header) or received_s
-                    frame = decoded_frame(message, index=number - 1, time_s=time_s)
-                if frame.time_s < latest_s < math.inf:
-                    _log.warning(_BACKWARDS, path, topic, frame.index, frame.time_s, latest_s)
-                    latest_s = math.inf  # said once
-                latest_s = max(frame.time_s, latest_s)
-                waiting.append(frame)
-                if frame.fault:
-                    broken += 1
-                    first = first or f"The first, frame {frame.index}: {frame.fault.rstrip('.')}."
-                else:
-                    seen = frame.image
-                if broken < number:
-                    for one in waiting:
-                        yield replace(one, image=np.zeros_like(seen)) if one.fault else one
-                    waiting.clear()
+            with opened_bag(path) as reader:
+                for number, (received_s, message) in enumerate(messages_of(reader, path, name), 1):
+                    if isinstance(message, InputError):
+                        frame = Frame(index=number - 1, time_s=received_s, fault=f"{message}")
+                    else:
+                        time_s = stamp_s(message.header) or received_s
+                        frame = decoded_frame(message, index=number - 1, time_s=time_s)
+                    if frame.time_s < latest_s < math.inf:
+                        _log.warning(_BACKWARDS, path, name, frame.index, frame.time_s, latest_s)
+                        latest_s = math.inf  # said once
+                    latest_s = max(frame.time_s, latest_s)
+                    waiting.append(frame)
+                    if frame.fault:
+                        broken += 1
+                        first = first or (
+                            f"The first, frame {frame.index}: {frame.fault.rstrip('.')}."
+                        )
+                    else:
+                        seen = frame.image
+                    if broken < number:
+                        for one in waiting:
+                            yield replace(one, image=np.zeros_like(seen)) if one.fault else one
+                        waiting.clear()
             if waiting:
                 raise InputError(
-                    f"{path}, {topic}: none of {number} images can be decoded. {first} Record "
+                    f"{path}, {name}: none of {number} images can be decoded. {first} Record "
                     "again in another encoding, or name another topic."
                 )
         finally:
             if 0 < broken < number:
-                _log.warning(_UNREADABLE, path, topic, broken, number, first)
+                _log.warning(_UNREADABLE, path, name, broken, number, first)
+
+    return Source(name=str(path), read=read, length=length)
 
 
 def write_bag(
@@ -345,6 +325,11 @@ def write_bag(
 def _image_message(frame: Frame, time_ns: int, types: "Typestore") -> Any:
     made = types.types
     image = np.ascontiguousarray(checked_frame(frame.image))
+    if image.dtype.name not in ("uint8", "uint16"):
+        raise InputError(
+            f"a bag holds images of 8 or 16 bits; got {image.dtype.name}. Convert them, or record "
+            "the spots alone (.csv)."
+        )
     seconds, nanoseconds = divmod(time_ns, 10**9)
     stamp = made["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
     header: Any = made["std_msgs/msg/Header"]
@@ -353,7 +338,7 @@ def _image_message(frame: Frame, time_ns: int, types: "Typestore") -> Any:
         header=header(stamp=stamp, frame_id="microscope", **number),
         height=image.shape[0],
         width=image.shape[1],
-        encoding=encoding_of(image),
+        encoding=("mono" if image.ndim == 2 else "rgb") + str(8 * image.dtype.itemsize),
         is_bigendian=sys.byteorder == "big",
         step=image.strides[0],
         data=image.reshape(-1).view(np.uint8),

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from estimator import SubpixelSettings, track
 from estimator.run.offline import Ended, track_source
 from estimator.sources.opening import open_source
-from estimator.sources.ros import IMAGE_TOPIC, frame_of_message, read_frames, write_bag
+from estimator.sources.ros import IMAGE_TOPIC, frame_of_message, write_bag
 from estimator.sources.source import Frame
 from formats.inputs import InputError
 from formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
@@ -149,7 +149,7 @@ def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, enco
     image = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, shape).astype(dtype)
     frame = Frame(index=0, time_s=1.0, image=image)
     write_bag(tmp_path / "a.bag", frames=[frame], poses=[])
-    (back,) = read_frames(tmp_path / "a.bag")
+    (back,) = open_source(tmp_path / "a.bag")
     assert back.image.dtype == dtype
     np.testing.assert_array_equal(back.image, image)
     with AnyReader([tmp_path / "a.bag"]) as reader:
