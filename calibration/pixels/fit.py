@@ -16,7 +16,7 @@ from calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from calibration.pixels.solver import EVEN, BeamSolver, Point
 from calibration.recordings import touch_of
 from calibration.solvers import covariance_and_lost, propagated
-from calibration.spots.cone_trials import BORESIGHT_SIGMA, JointPrior, Prior
+from calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, JointPrior, Prior
 from formats.inputs import InputError
 
 Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]
@@ -130,8 +130,6 @@ def fit_image(
     priors: Mapping[str, Prior] | None = None,
     others: Iterable[Mapping[str, float]] | None = None,
     joint_prior: JointPrior | None = None,
-    lean_sigma: float = np.radians(1.0),
-    boresight_sigma: float = BORESIGHT_SIGMA,
     progress: Callable[[float], None] = lambda chi_squared: None,
 ) -> ImageFit:
     """Fit the light of a cone or of a glue lens to all pixels that the beam reaches.
@@ -152,8 +150,6 @@ def fit_image(
         others: further start values, taken in order while a fit misses light; None: other sags.
         joint_prior: of free parameters that have none in `priors`, such as a lens that was
             calibrated before.
-        lean_sigma: standard deviation of the robot's directions, rad.
-        boresight_sigma: standard deviation of the beam's angle from the tool's axis, rad.
         progress: called with chi squared at every step.
 
     Raises:
@@ -162,7 +158,17 @@ def fit_image(
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
     place, radius = bright_spot(footage)
-    known = _known(footage, place, lean_sigma, boresight_sigma) | dict(priors or {})
+    rim = footage.instrument.fibre_radius
+    touch = touch_of(footage.kind, footage.microscope, place, footage.axis, rim_radius=rim)
+    lean, boresight = Prior(0.0, LEAN_SIGMA), Prior(0.0, BORESIGHT_SIGMA)
+    known = {
+        "touch": touch,
+        "lean": lean,
+        "lean_sideways": lean,
+        "boresight": boresight,
+        "boresight_sideways": boresight,
+        **(priors or {}),
+    }
     at_start = {
         **dict.fromkeys(NUISANCES, 0.0),
         **DEFAULTS,
@@ -210,21 +216,6 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     centre = np.median(centres, axis=1)
     areas = np.count_nonzero(excess, axis=(1, 2))
     return centre, float(np.sqrt(np.median(areas) / np.pi))
-
-
-def _known(
-    footage: Footage, place: Float[np.ndarray, "2"], lean_sigma: float, boresight_sigma: float
-) -> dict[str, Prior]:
-    """What the robot and the touch say of the pose."""
-    rim = footage.instrument.fibre_radius
-    lean, boresight = Prior(0.0, lean_sigma), Prior(0.0, boresight_sigma)
-    return {
-        "touch": touch_of(footage.kind, footage.microscope, place, footage.axis, rim_radius=rim),
-        "lean": lean,
-        "lean_sideways": lean,
-        "boresight": boresight,
-        "boresight_sideways": boresight,
-    }
 
 
 class _FitRun(NamedTuple):
