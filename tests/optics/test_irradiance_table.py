@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 import optics
 from optics.lens_table import IrradianceTable, LensField
 from scenes.world.world import lens_light
+from tests.made_up import a_lens
 from tests.photons import Drop, counted_light
 
 AIR, VITREOUS = 1.0, 1.336
@@ -111,14 +112,8 @@ def test_no_light_behind_the_tip_and_inverse_square_beyond_the_last_row(flat):
 @pytest.mark.slow
 def test_look_ups_near_a_focus_are_right_for_a_camera():
     """Means over a pixel's width of rings: the edge of the core's image moves from row to row."""
-    lens = optics.glue_lens(
-        core_radius=0.2498,
-        aperture_radius=0.2738,
-        glue_index=1.49,
-        sag=0.0171,
-        glue_length=0.0171,
-        numerical_aperture=0.1733,
-    )
+    cap = {"aperture_radius": 0.2738, "sag": 0.0171, "glue_length": 0.0171}
+    lens = a_lens(core_radius=0.2498, numerical_aperture=0.1733, **cap)
     table, exact = optics.irradiance_table(lens, medium_index=AIR), LensField(lens, AIR)
     pixel, parts = 0.0134, 16
     for distance in (3.9, 4.2, 4.5, 5.2):
@@ -227,17 +222,8 @@ def test_the_dome_has_a_waist_in_vitreous_near_0_7_mm(vitreous):
 
 @pytest.mark.slow
 def test_the_half_maximum_follows_the_lens_with_the_right_slope():
-    dome = optics.load_lens("dome")
-
     def radius(sag):
-        lens = optics.glue_lens(
-            core_radius=dome.core_radius,
-            glue_length=0.15,
-            aperture_radius=dome.aperture_radius,
-            sag=sag,
-            glue_index=dome.glue_index,
-            numerical_aperture=dome.numerical_aperture,
-        )
+        lens = a_lens(sag=sag, glue_length=0.15)
         return optics.half_maximum_radius(LensField(lens, AIR), distance=3.0)
 
     slope = float(jax.jacfwd(radius)(0.12))
