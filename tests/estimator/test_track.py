@@ -13,7 +13,7 @@ from estimator import LiteralSettings, SubpixelSettings, TrackState, measure, tr
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 from tests.drawn_spots import with_shaft
-from tests.spotless import false_spots
+from tests.lookalikes import false_spots
 
 _TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
 _SCENE = Drawing(truth=_TRUTH)

@@ -12,10 +12,6 @@ from scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_t
 from tests.command_line import printed
 
 
-def test_the_schema_is_a_schema():
-    jsonschema.Draft202012Validator.check_schema(scene_schema())
-
-
 @pytest.mark.parametrize(
     ("content", "good"),
     [
