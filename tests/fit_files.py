@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calibration.pixels.fit import ImageFit
+from formats.calibration import Calibration
 from formats.inputs import InputError
 
 
@@ -28,6 +30,16 @@ def collected(file: Path, fits: Mapping[str, Callable[[], dict[str, Any]]]) -> p
 def _in(file: Path) -> dict[str, dict[str, Any]]:
     lines = file.read_text().splitlines() if file.exists() else []
     return {row.pop("name"): row for row in map(json.loads, lines)}
+
+
+def assert_within(found: ImageFit | Calibration, truth: Mapping[str, float], sigmas: float) -> None:
+    """Parameters are as near to the truth as their standard errors say."""
+    for name, true in truth.items():
+        if isinstance(found, Calibration):
+            value, sigma = found.values[name], found.sigma(name)
+        else:
+            value, sigma = found.parameters[name]
+        assert abs(value - true) < sigmas * sigma, f"{name}: {value} +- {sigma}, true {true}"
 
 
 def pulls(rows: pd.DataFrame, name: str) -> np.ndarray:

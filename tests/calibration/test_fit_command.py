@@ -22,6 +22,7 @@ from formats.calibration import read_calibration
 from formats.poses import read_poses
 from formats.spots import Spot, SpotRecord, write_spots
 from tests.command_line import call, printed
+from tests.fit_files import assert_within
 from tests.made_up import a_microscope_file, a_spot
 from tests.scene_tables import scene_of
 
@@ -78,8 +79,7 @@ def test_spots_files_of_a_rig_give_the_line_back(rig, tmp_path, ending):
     assert result.exit_code == 0, result.output
     assert "A good fit" in result.output
     found = read_calibration(tmp_path / "c.json")
-    for name, true in (("k", K), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(found, {"k": K, "b": B}, 4)
     # Two touches of 0.02 mm.
     assert found.sigma("b") == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
     assert re.search(r"eyespot \S+, jax \S+, optimistix \S+", found.software)
@@ -303,8 +303,7 @@ def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     # Asked of rendered cones with camera noise: half-angle within 0.3 %, b within 0.02 mm.
     assert found.values["half_angle"] == pytest.approx(np.arctan(1 / K), rel=0.003)
     assert found.values["b"] == pytest.approx(B, abs=0.02)
-    for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(found, {"half_angle": np.arctan(1 / K), "b": B}, 4)
 
 
 @pytest.mark.slow
@@ -326,18 +325,14 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
     out = tmp_path / "square.json"
     square = stack("square", kind="eyeball", c=2.0, incidence=0.0)
     assert "A good fit" in printed("fit", square, "--out", out)
-    found = read_calibration(out)
-    for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(read_calibration(out), {"half_angle": np.arctan(1 / K), "b": B}, 4)
 
 
 @pytest.mark.slow
 def test_the_planar_fit_knows_of_the_rim(stacks, tmp_path):
     out = tmp_path / "plane.json"
     printed("fit", *stacks[:2], "--model", "plane", "--out", out)
-    found = read_calibration(out)
-    for name, true in (("k", K), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(read_calibration(out), {"k": K, "b": B}, 4)
 
 
 @pytest.mark.slow
