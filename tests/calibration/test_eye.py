@@ -61,10 +61,9 @@ def test_three_withdrawals_make_distances_right_within_their_sigma(eye):
 
 @pytest.mark.slow
 def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
-    """Through a flat contact lens, its pupil wide open.
+    """Through a flat contact lens, its pupil wide open: `area` is off by at most 0.05 mm.
 
-    Measured: `area` is off by at most 0.05 mm, `corrected` for a perpendicular beam by 0.04 mm up
-    to c = 4 mm, and the paper's model by 2.1 mm at c = 4 mm and 3.2 mm at 5 mm.
+    `test_eye_rendered` has the other models, square to the wall.
     """
     path = viewing.viewing_path(
         viewing.load_eye("navarro", wavelength_nm=555.0),
@@ -76,12 +75,8 @@ def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
     trials = [withdrawn(eye, c, 2.0 * c) for c in (0.5, 2.0, 3.5, 5.0)]
     fit = eye_fits.fitted(trials, CONE)
     own = eye_fits.calibration(fit.values, fit.covariance, fit.calibration_model)
-    cone = eye_fits.calibration({"half_angle": CONE[0], "b": CONE[1]}, np.zeros((2, 2)), "exact")
     table = replace(eye_fits.MICROSCOPE, scale_mm_px=0.0067, eye_radius_mm=12.0)
-    area, corrected, paper = (
-        Ranger(calibration, table, model=model)
-        for calibration, model in ((own, "area"), (own, "corrected"), (cone, "small_plane"))
-    )
+    area = Ranger(own, table, model="area")
     tilts = [(0.0, 0.0), *((math.radians(30.0), towards) for towards in (0.0, 1.57, 3.14))]
     places = [(c, 0.9, *tilt, d) for c in range(1, 6) for tilt in tilts for d in (1.0, 3.0, 5.0)]
     ellipses, axes = map(np.asarray, eye_fits._seen(*eye, jnp.array(places)))
@@ -89,10 +84,6 @@ def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
         # The noise of the spots is left out: the calibration's is in the distances.
         spot = eye_fits.measured(ellipse, np.random.default_rng(0), errors=0.0)
         assert abs(area.distance(spot, axis=axis).distance_mm - d) < 0.08, (c, tilt, d)
-        if tilt == 0.0 and c <= 4:
-            assert abs(corrected.distance(spot).distance_mm - d) < 0.08, (c, d)
-        if tilt == 0.0 and c >= 4 and d == 5.0:
-            assert abs(paper.distance(spot).distance_mm - d) > 2.0
 
 
 @pytest.mark.slow
