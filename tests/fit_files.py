@@ -1,4 +1,4 @@
-"""Fits by the hundred: each is a line of JSON in a file, so that a run that was killed goes on."""
+"""Files to fit to; and fits by the hundred, a line of JSON each, so that a killed run goes on."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping
@@ -11,6 +11,20 @@ import pandas as pd
 from calibration.pixels.fit import ImageFit
 from formats.calibration import Calibration
 from formats.inputs import InputError
+from formats.spots import Spot, SpotRecord, write_spots
+from formats.stack import KINEMATICS
+
+
+def a_recording(file: Path, spots: Iterable[Spot], times_s: Iterable[float], poses: Any) -> str:
+    """Write what a rig records: spots, and poses in a file beside them, whose path is returned."""
+    records = [
+        SpotRecord(frame=n, file_name="", time_s=time, mode="subpixel", result=spot)
+        for n, (spot, time) in enumerate(zip(spots, times_s, strict=True))
+    ]
+    write_spots(file, records)
+    beside = file.with_name(f"{file.stem}-poses.csv")
+    np.savetxt(beside, poses, delimiter=",", header=",".join(KINEMATICS), comments="")
+    return str(beside)
 
 
 def collected(file: Path, fits: Mapping[str, Callable[[], dict[str, Any]]]) -> pd.DataFrame:

@@ -1,6 +1,5 @@
 """An eye calibrated at the table: its distances, what is refused, what is undetermined."""
 
-import csv
 import math
 from dataclasses import replace
 
@@ -14,10 +13,10 @@ from calibration.command.models import fit_eye
 from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration, write_calibration
 from formats.inputs import InputError
-from formats.spots import SpotRecord, write_spots
 from optics import viewing
 from tests import eye_fits
 from tests.command_line import call, printed
+from tests.fit_files import a_recording
 from tests.made_up import a_microscope_file, a_spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -134,26 +133,15 @@ def test_what_does_not_fit_the_eye_is_refused():
             fit_eye([recording], choices, known)
 
 
-def written(folder, name, trial):
+def written(file, trial):
     """A withdrawal as a rig records it: a spots file and poses."""
-    rows = zip(*map(np.asarray, trial.trial.ellipses), strict=True)
-    records = [
-        SpotRecord(
-            frame=n,
-            file_name="",
-            time_s=float(n),
-            mode="subpixel",
-            result=a_spot(*centre, *shape, covariance=trial.trial.covariances[n]),
-        )
-        for n, (centre, *shape) in enumerate(rows)
+    rows = zip(*map(np.asarray, trial.trial.ellipses), trial.trial.covariances, strict=True)
+    spots = [a_spot(*centre, *shape, covariance=cov) for centre, *shape, cov in rows]
+    poses = [
+        (n, *(-reading * trial.trial.axis), *trial.trial.axis)
+        for n, reading in enumerate(trial.trial.readings)
     ]
-    write_spots(folder / f"{name}.csv", records)
-    with (folder / f"{name}-poses.csv").open("w", newline="") as file:
-        poses = csv.writer(file)
-        poses.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
-        for n, reading in enumerate(trial.trial.readings):
-            poses.writerow([float(n), *(-reading * trial.trial.axis), *trial.trial.axis])
-    return [str(folder / f"{name}.csv"), "--poses", str(folder / f"{name}-poses.csv")]
+    return [str(file), "--poses", a_recording(file, spots, range(len(spots)), poses)]
 
 
 @pytest.mark.slow
@@ -165,7 +153,7 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
     recordings = [
         word
         for c in (0.5, 1.5, 3.0)
-        for word in written(tmp_path, f"c{c}", withdrawn(eye, c, 2.0 * c))
+        for word in written(tmp_path / f"c{c}.csv", withdrawn(eye, c, 2.0 * c))
     ]
     given = [
         *("fit", *recordings, "--model", "eye", "--calibration", str(tmp_path / "cone.json")),

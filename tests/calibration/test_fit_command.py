@@ -1,7 +1,6 @@
 """`eyespot fit`: recordings in, a calibration out where the fit is good, and a reason where not."""
 
 import base64
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +19,9 @@ from estimator import open_source
 from estimator.sources.ros import write_bag
 from formats.calibration import read_calibration
 from formats.poses import read_poses
-from formats.spots import Spot, SpotRecord, write_spots
+from formats.spots import Spot
 from tests.command_line import call, printed
-from tests.fit_files import assert_within
+from tests.fit_files import a_recording, assert_within
 from tests.made_up import a_microscope_file, a_spot
 from tests.scene_tables import scene_of
 
@@ -45,22 +44,16 @@ def rig(tmp_path):
         rng = np.random.default_rng(seed)
         gone = np.linspace(0.0, 6.0, 31)
         axis = np.array([0.5, 0.0, -np.sqrt(0.75)])
-        with (tmp_path / f"{name}-poses.csv").open("w", newline="") as file:
-            rows = csv.writer(file)
-            rows.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
-            # The robot's clock is not the camera's: its reports fall between the frames.
-            for n in np.arange(-0.3, 30.7, 0.4):
-                tip = -axis * 0.2 * n + (0.0, aside * n / 30 + bow * np.sin(np.pi * n / 30), 0.0)
-                rows.writerow([n / 10, *tip, *axis])
+        # The robot's clock is not the camera's: its reports fall between the frames.
+        n = np.arange(-0.3, 30.7, 0.4)
+        beside = aside * n / 30 + bow * np.sin(np.pi * n / 30)
+        tips = np.outer(-0.2 * n, axis) + np.outer(beside, [0.0, 1.0, 0.0])
+        poses = np.column_stack([n / 10, tips, np.tile(axis, (n.size, 1))])
         d = gone + RIM + bend * (gone - 3.0) ** 2
         sizes = (d - B) / (K * SCALE) + rng.normal(0, 0.05, gone.size)
         sizes[list(outliers)] += 3.0
-        records = [
-            SpotRecord(frame=n, file_name="", time_s=n / 10, mode="subpixel", result=spot(size))
-            for n, size in enumerate(sizes)
-        ]
-        write_spots(tmp_path / f"{name}{ending}", records)
-        return str(tmp_path / f"{name}{ending}"), str(tmp_path / f"{name}-poses.csv")
+        file = tmp_path / f"{name}{ending}"
+        return str(file), a_recording(file, map(spot, sizes), np.arange(31) / 10, poses)
 
     return record
 
