@@ -237,11 +237,10 @@ def test_a_boresight_in_the_eye_is_an_angle_in_the_tools_frame(rig, tmp_path):
     spots, poses = rig()
     tool = Rotation.from_euler("xyz", [2.8, 0.3, -0.7])
     axis = tool.apply([0.0, 0.0, 1.0])
-    lines = ["time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"]
-    for n in np.arange(-0.3, 30.7, 0.4):
-        lines.append(",".join(map(repr, [n / 10, *(-0.2 * n * axis), *tool.as_quat()])))
-    poses = tmp_path / "turned.csv"
-    poses.write_text("\n".join(map(str, lines)).replace("np.float64(", "").replace(")", ""))
+    n = np.arange(-0.3, 30.7, 0.4)
+    rows = np.column_stack([n / 10, np.outer(-0.2 * n, axis), np.tile(tool.as_quat(), (n.size, 1))])
+    poses, header = tmp_path / "turned.csv", "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"
+    np.savetxt(poses, rows, delimiter=",", header=header, comments="")
     turn = Rotation.from_euler("zyx", [0.4, 0.2, -0.1])  # from the robot to the eye
     book = replace(log_book(tmp_path, poses), eye_from_robot=tuple(turn.as_quat().tolist()))
     recording = read_recording(spots, log_book=book)
