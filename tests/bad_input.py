@@ -126,8 +126,7 @@ def _of_tree(tree: Any, rng: Rng) -> Any:
 
 
 def _json(data: bytes, rng: Rng) -> bytes:
-    tree = _of_tree(json.loads(data), rng)
-    return json.dumps(tree).encode()
+    return json.dumps(_of_tree(json.loads(data), rng)).encode()
 
 
 def _json_lines(data: bytes, rng: Rng) -> bytes:
@@ -141,11 +140,6 @@ def _json_lines(data: bytes, rng: Rng) -> bytes:
         case _:
             lines[at] = _json(lines[at], rng)
     return b"\n".join(lines) + b"\n"
-
-
-def _toml(data: bytes, rng: Rng) -> bytes:
-    tree = _of_tree(tomllib.loads(data.decode()), rng)
-    return tomli_w.dumps(tree).encode(errors="surrogatepass")
 
 
 def _csv(data: bytes, rng: Rng) -> bytes:
@@ -191,7 +185,9 @@ def _png(data: bytes, rng: Rng) -> bytes:
 _MUTATIONS: dict[str, Callable[[bytes, Rng], bytes]] = {
     "json": _json,
     "jsonl": _json_lines,
-    "toml": _toml,
+    "toml": lambda data, rng: tomli_w.dumps(_of_tree(tomllib.loads(data.decode()), rng)).encode(
+        errors="surrogatepass"
+    ),
     "csv": _csv,
     "words": _words,
     "png": _png,

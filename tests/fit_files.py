@@ -1,4 +1,4 @@
-"""Fits by the hundred: each is a line of JSON in a file, so that a run that was killed goes on."""
+"""Files to fit to; and fits by the hundred, a line of JSON each, so that a killed run goes on."""
 
 import json
 from collections.abc import Callable, Iterable, Mapping
@@ -8,7 +8,23 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calibration.pixels.fit import ImageFit
+from formats.calibration import Calibration
 from formats.inputs import InputError
+from formats.spots import Spot, SpotRecord, write_spots
+from formats.stack import KINEMATICS
+
+
+def a_recording(file: Path, spots: Iterable[Spot], times_s: Iterable[float], poses: Any) -> str:
+    """Write what a rig records: spots, and poses in a file beside them, whose path is returned."""
+    records = [
+        SpotRecord(frame=n, file_name="", time_s=time, mode="subpixel", result=spot)
+        for n, (spot, time) in enumerate(zip(spots, times_s, strict=True))
+    ]
+    write_spots(file, records)
+    beside = file.with_name(f"{file.stem}-poses.csv")
+    np.savetxt(beside, poses, delimiter=",", header=",".join(KINEMATICS), comments="")
+    return str(beside)
 
 
 def collected(file: Path, fits: Mapping[str, Callable[[], dict[str, Any]]]) -> pd.DataFrame:
@@ -28,6 +44,16 @@ def collected(file: Path, fits: Mapping[str, Callable[[], dict[str, Any]]]) -> p
 def _in(file: Path) -> dict[str, dict[str, Any]]:
     lines = file.read_text().splitlines() if file.exists() else []
     return {row.pop("name"): row for row in map(json.loads, lines)}
+
+
+def assert_within(found: ImageFit | Calibration, truth: Mapping[str, float], sigmas: float) -> None:
+    """Parameters are as near to the truth as their standard errors say."""
+    for name, true in truth.items():
+        if isinstance(found, Calibration):
+            value, sigma = found.values[name], found.sigma(name)
+        else:
+            value, sigma = found.parameters[name]
+        assert abs(value - true) < sigmas * sigma, f"{name}: {value} +- {sigma}, true {true}"
 
 
 def pulls(rows: pd.DataFrame, name: str) -> np.ndarray:

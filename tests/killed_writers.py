@@ -31,7 +31,6 @@ import scenes.world.world
 from benchmarks.reporting import Picture, Report, Section
 from benchmarks.sets import card, make
 from benchmarks.sets.formats.export import export
-from benchmarks.sets.read import verify_set
 from benchmarks.sets.spec import PlannedStack, SetSpec
 from benchmarks.study import Study
 from formats.inputs import InputError
@@ -118,19 +117,9 @@ def write_stack(folder: Path) -> None:
     tiny_stack(folder / "stack")
 
 
-def check_stack(folder: Path) -> None:
-    assert len(read_stack(folder / "stack").labels) == 2
-    read_stack(folder / "stack").verify()
-
-
 def write_set(folder: Path) -> None:
     workers: Any = contextlib.nullcontext()
     make.make_set(SPEC, folder / "set", workers=workers)
-
-
-def check_set(folder: Path) -> None:
-    # Two stacks of two frames, masks, radiances and five other files; nine files of the set.
-    assert verify_set(folder / "set") == 2 * (2 * 3 + 5) + 9
 
 
 def write_run(folder: Path) -> None:
@@ -159,18 +148,9 @@ def report(found: dict[str, int]) -> Report:
     return Report(title="?", lead="!", claims=(), sections=[Section("s", picture)])
 
 
-def check_run(folder: Path) -> None:
-    assert (folder / "run" / "report.html").read_text().rstrip().endswith("</html>")
-    assert (folder / "run" / "summary.json").read_text().endswith("}\n")
-
-
 def write_scene(folder: Path) -> None:
     with contextlib.redirect_stdout(None):
         init(folder / "scene.toml")
-
-
-def check_scene(folder: Path) -> None:
-    scenes.load_scene(folder / "scene.toml")
 
 
 def write_export(folder: Path, *, to: Any) -> None:
@@ -181,7 +161,6 @@ class Task(NamedTuple):
     """What is to be written, twice if the first process is killed."""
 
     write: Callable[[Path], None]
-    check: Callable[[Path], None] = nothing
     prepare: Callable[[Path], None] = nothing
     few: int = 1
     """Of the steps only every so manieth is tried in a quick run."""
@@ -198,10 +177,10 @@ SPEC = SetSpec.model_validate(
     }
 )
 TASKS = {
-    "stack": Task(write_stack, check_stack, few=5),
-    "set": Task(write_set, check_set, few=40),
-    "run": Task(write_run, check_run, few=40),
-    "scene": Task(write_scene, check_scene),
+    "stack": Task(write_stack, few=5),
+    "set": Task(write_set, few=40),
+    "run": Task(write_run, few=40),
+    "scene": Task(write_scene),
     "coco": Task(partial(write_export, to="coco"), prepare=write_stack, few=5),
     "hdf5": Task(partial(write_export, to="hdf5"), prepare=write_stack),
     "rosbag2": Task(partial(write_export, to="rosbag2"), prepare=write_stack, few=5),
@@ -252,7 +231,6 @@ def complete(task: Task, folder: Path) -> None:
     except InputError as error:
         if "already exists" not in str(error):
             raise
-    task.check(folder)
 
 
 def stop(name: str, task: Task, *, quick: bool) -> str:

@@ -25,12 +25,7 @@ def transmittance(sine, n1, n2):
 def irradiance(lens, medium, radius, distance, *, steps=500):
     """E on a plane perpendicular to the axis, 1/mm² per unit power, at one radius and distance."""
     cells = partial(_cells, lens, medium, radius, distance)
-    # The other half of the cap mirrors this one.
-    return 2 * _sum(cells, (0.0, 1.0, 0.0, np.pi), steps)
-
-
-def _sum(cells, whole, steps):
-    """Light of all lit cells, on a grid that covers what is lit on a coarser one."""
+    whole = 0.0, 1.0, 0.0, np.pi  # half of the cap, which the other half mirrors
     _, excess, _ = cells(whole, _LOOK)
     near = np.argwhere(excess < 0)
     if not near.size:
@@ -40,7 +35,7 @@ def _sum(cells, whole, steps):
     low, width = np.array(whole[::2]), np.diff(np.reshape(whole, (2, 2)))[:, 0]
     box = np.stack([low + first * width, low + last * width], axis=1).ravel()
     light, excess, steepness = cells(box, steps)
-    return float(np.sum(light * np.clip(0.5 - excess / np.maximum(steepness, 1e-300), 0, 1)))
+    return 2 * float(np.sum(light * np.clip(0.5 - excess / np.maximum(steepness, 1e-300), 0, 1)))
 
 
 def _cells(lens, medium, radius, distance, box, steps):

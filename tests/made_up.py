@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 
 from formats.calibration import Calibration
@@ -15,7 +16,11 @@ from formats.microscope import MicroscopeFile
 from formats.spots import Spot
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
     from calibration.pixels.data import Footage
+    from optics import GlueLens
+    from optics.wall_light.lens import Grid, LensTable
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
@@ -103,6 +108,41 @@ def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> P
     """microscope.json with `microscope_content`."""
     path = folder / "microscope.json"
     path.write_text(json.dumps({"schema": 1} | microscope_content(*size_px, **keys)))
+    return path
+
+
+def a_lens(**changed: float) -> GlueLens:
+    """That of the preset dome."""
+    import optics  # late, as it loads JAX
+
+    dome = {"core_radius": 0.25, "aperture_radius": 0.25, "glue_length": 0.12, "sag": 0.12}
+    return optics.glue_lens(**dome | {"glue_index": 1.49, "numerical_aperture": 0.2} | changed)
+
+
+def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:
+    """Of a lens without parameters: rows of its light."""
+    import jax.numpy as jnp  # late, as it loads JAX
+
+    from optics.wall_light.lens import LensTable
+
+    none = jnp.zeros(0)
+    return LensTable(
+        values=jnp.asarray(values),
+        slopes=jnp.zeros((0, *np.shape(values))),
+        transmitted_value=jnp.ones(()),
+        transmitted_slopes=none,
+        at=none,
+        moved=none,
+        grid=grid,
+    )
+
+
+def an_opencv_file(path: Path, **content: Any) -> Path:
+    """What OpenCV writes of a camera: YAML, XML or JSON by the path's ending."""
+    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
+    for name, value in content.items():
+        storage.write(name, value)
+    storage.release()
     return path
 
 

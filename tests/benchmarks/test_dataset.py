@@ -20,6 +20,7 @@ from benchmarks.sets.read import SetError, read_set, verify_set
 from benchmarks.sets.spec import load_spec, plan
 from benchmarks.sets.workers import local_workers, running_scheduler
 from scenes import SceneError, check_scene
+from tests.command_line import EYESPOT
 from tests.drawn_sets import digests
 
 SPEC = """\
@@ -229,10 +230,6 @@ def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):
     assert found.processor_s > 0
 
 
-def command(*arguments: object) -> list[str]:
-    return [sys.executable, "-m", "eyespot", "dataset", *map(str, arguments)]
-
-
 def started(role: str, *arguments: object) -> subprocess.Popen[bytes]:
     """A process of Dask's."""
     module = f"distributed.cli.dask_{role}"
@@ -241,13 +238,6 @@ def started(role: str, *arguments: object) -> subprocess.Popen[bytes]:
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-
-
-def wait_for(found, process: subprocess.Popen | None = None) -> None:
-    """Until something is there; a process that ends before that has failed."""
-    while not found():
-        assert process is None or process.poll() is None, "it ended too early"
-        time.sleep(0.02)
 
 
 @pytest.mark.slow
@@ -315,7 +305,8 @@ def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
     out = tmp_path / "set"
     runs = [
         subprocess.Popen(
-            command(spec_file, "--out", out, "--workers", 1, *(["--shard", shard] if shard else []))
+            [EYESPOT, "dataset", spec_file, "--out", out, "--workers", "1"]
+            + (["--shard", shard] if shard else [])
         )
         for shard in shards or ["", ""]
     ]
@@ -330,7 +321,9 @@ def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_p
     scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
     worker = started("worker", "--scheduler-file", file, "--nthreads", 2)
     try:
-        wait_for(file.is_file, scheduler)
+        while not file.is_file():
+            assert scheduler.poll() is None, "it ended too early"
+            time.sleep(0.02)
         address = json.loads(file.read_text())["address"]
         make_set(spec, tmp_path / "set", workers=running_scheduler(address))
     finally:

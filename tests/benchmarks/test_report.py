@@ -83,9 +83,8 @@ def measured(trial: StaticTrial, way: Way) -> pd.DataFrame:
     labels = frames_of(trial, way)
     # In literal mode readings are off by ±0.07 mm, as those of the paper are.
     off_px = 0.07 / (K * SCALE) if way is LITERAL else 0.0
-    results: list[Spot | NoSpot] = [
-        spot(row.half_max_semi_minor_px + off_px * (-1) ** row.frame) for row in labels
-    ]
+    sizes = [row.half_max_semi_minor_px + off_px * (-1) ** row.frame for row in labels]
+    results: list[Spot | NoSpot] = [plain_spot(32.0, 24.0, 1.15 * b, b, 0.3) for b in sizes]
     if way is LITERAL_METERED:
         results = [NoSpot(Reason.NONE_FOUND) for _ in labels]
     about = {"trial": trial.name, "source": trial.source, "kind": trial.kind}
@@ -96,26 +95,15 @@ def frames_of(trial: StaticTrial, way: Way) -> list[FrameLabels]:
     assert isinstance(trial.scene.motion, Withdrawal)
     travel = np.linspace(0.0, trial.scene.motion.travel_mm, trial.scene.motion.frames)
     start = CONTACT_MM if trial.kind != "grid" else 0.5
-    distances = (travel + start).tolist()
-    return [label(trial, way.exposure, n, d) for n, d in enumerate(distances)]
-
-
-def label(trial: StaticTrial, exposure: str, frame: int, d: float) -> FrameLabels:
-    axis = (d - CONTACT_MM - B) / (K * SCALE)
-    ellipse = {"x_px": 32.0, "y_px": 24.0, "semi_minor_px": axis, "semi_major_px": 1.15 * axis}
-    ellipses = {f"{k}_{n}": x for k in ("cone", "half_max") for n, x in ellipse.items()}
-    return labels_of(
-        frame,
-        file_name=f"frames/{exposure}-{frame:02d}.png",
-        exposure=exposure,
-        d_mm=d,
-        c_mm=trial.scene.spot.eccentricity_mm,
-        **ellipses,
-    )
-
-
-def spot(semi_minor_px: float) -> Spot:
-    return plain_spot(32.0, 24.0, 1.15 * semi_minor_px, semi_minor_px, 0.3)
+    c_mm, labels = trial.scene.spot.eccentricity_mm, []
+    for frame, d in enumerate((travel + start).tolist()):
+        axis = (d - CONTACT_MM - B) / (K * SCALE)
+        ellipse = {"x_px": 32.0, "y_px": 24.0, "semi_minor_px": axis, "semi_major_px": 1.15 * axis}
+        ellipses = {f"{k}_{n}": x for k in ("cone", "half_max") for n, x in ellipse.items()}
+        name = f"frames/{way.exposure}-{frame:02d}.png"
+        known = {"file_name": name, "exposure": way.exposure, "d_mm": d, "c_mm": c_mm}
+        labels.append(labels_of(frame, **known, **ellipses))
+    return labels
 
 
 def change(table: pd.DataFrame, trial: str, /, source: str = "lens", **values: Any) -> None:
@@ -124,19 +112,14 @@ def change(table: pd.DataFrame, trial: str, /, source: str = "lens", **values: A
     table.loc[row, list(values)] = list(values.values())
 
 
-def small_plane_error(c: float, d: float, height: float) -> float:
-    """Grows with c² and reaches 0.5 mm at d = 6 mm at c = 5 mm, or 2.5 mm for the far pinhole."""
-    reach = 5.0 if height < 100 else 2.5
-    return -0.5 * (c / reach) ** 2 * (1 + d) / 7
-
-
 def model_errors(source: str, *, incidence_deg: float) -> pd.DataFrame:
     places = product((11.5, 200.0), COMPARED, map(float, range(8)), CHOSEN_DISTANCES_MM)
     errors = pd.DataFrame(places, columns=["z_f_mm", "model", "c_mm", "d_mm"])
-    size = [
-        small_plane_error(c, d, height) if model == "small_plane" else 0.001 * (1 + d)
-        for height, model, c, d in errors.to_numpy().tolist()
-    ]
+    # The small plane's grows with c² and reaches 0.5 mm at d = 6 mm at c = 5 mm, or 2.5 mm for the
+    # far pinhole.
+    reach = np.where(errors.z_f_mm < 100, 5.0, 2.5)
+    small_plane = -0.5 * (errors.c_mm / reach) ** 2 * (1 + errors.d_mm) / 7
+    size = small_plane.where(errors.model == "small_plane", 0.001 * (1 + errors.d_mm))
     about: dict[str, Any] = {"source": source, "refit": False, "incidence_deg": incidence_deg}
     return errors.assign(error_mm=size, azimuth_deg=90.0, **about)
 

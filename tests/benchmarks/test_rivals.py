@@ -21,9 +21,8 @@ from benchmarks.sets.read import plain_spot, stacks_of
 from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import read_set_spots
 from estimator import Frame
-from formats.calibration import Calibration
 from formats.inputs import InputError
-from formats.microscope import MicroscopeFile, read_microscope
+from formats.microscope import read_microscope
 from formats.spots import NoSpot, Spot
 from scenes import Scene
 from scenes.drawn import Drawing, Truth, frame_of
@@ -47,18 +46,11 @@ def worker_here(monkeypatch):
     monkeypatch.setattr(running, "local_workers", hired)
 
 
-def microscope() -> MicroscopeFile:
-    return read_microscope(WRITTEN / "microscope.json")
-
-
-def beam() -> Calibration:
-    return true_calibration(Scene.model_validate({"schema": 1, "source": {"kind": "cone"}}))
-
-
 def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None = None) -> Any:
     known = read_constants().get(name, {}) if constants is None else constants
     entry: Entry = KINDS[name].make(known, WEIGHTS)
-    entry.begin(microscope(), beam(), (TRUTH.x, TRUTH.y))
+    beam = true_calibration(Scene.model_validate({"schema": 1, "source": {"kind": "cone"}}))
+    entry.begin(read_microscope(WRITTEN / "microscope.json"), beam, (TRUTH.x, TRUTH.y))
     result, _ = entry.read(Frame(index=0, time_s=0.0, image=image))
     return result
 

@@ -6,7 +6,6 @@ import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -291,20 +290,14 @@ def test_images_that_are_no_sequence_are_measured_each_by_itself(drawn, tmp_path
     assert follows(["--sequence"]) == {True}
 
 
-def per_stack(drawn: Path, folder: Path) -> Path:
-    """Spots as `eyespot track` writes them, stack by stack."""
-    for split, names in STACKS.items():
-        (folder / split).mkdir(parents=True)
-        for name in names:
-            for exposure in ("paper", "metered") if name == "b" else ("",):
-                out = folder / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
-                chosen = ["--exposure", exposure] if exposure else []
-                printed("track", drawn / split / name, "--out", out, *chosen)
-    return folder
-
-
 def test_our_estimator_is_scored_from_its_files_as_when_it_is_run(drawn, tmp_path):
-    tracked = per_stack(drawn, tmp_path / "tracked")
+    tracked = tmp_path / "tracked"  # spots as `eyespot track` writes them, stack by stack
+    for split, name in ((split, name) for split, names in STACKS.items() for name in names):
+        (tracked / split).mkdir(parents=True, exist_ok=True)
+        for exposure in ("paper", "metered") if name == "b" else ("",):
+            out = tracked / split / (f"{name}.{exposure}.csv" if exposure else f"{name}.csv")
+            chosen = ["--exposure", exposure] if exposure else []
+            printed("track", drawn / split / name, "--out", out, *chosen)
     printed("score", drawn, tracked, "--mode", "subpixel", "--out", tmp_path / "score")
     rows = pd.read_csv(tmp_path / "score" / "score.csv")
     read, run = (
@@ -331,20 +324,21 @@ def test_a_stack_by_itself_is_scored_with_the_names_that_track_writes(drawn, tmp
     assert min(images.index) == "frames/000000.png"
 
 
-def test_names_that_the_set_does_not_hold_are_told_in_one_message(drawn, images, tmp_path):
-    records = records_of(images, spot_at)
-    lost = [replace(r, file_name=f"frames/{n}.png") for n, r in enumerate(records.values())]
-    write_spots(tmp_path / "lost.csv", lost)
-    with pytest.raises(ValueError, match=r"lost.csv.*'frames/0.png'.*and 11 more.*such as") as told:
-        read_set_spots(tmp_path / "lost.csv", stacks_of(drawn), images.index)
-    assert "\n" not in str(told.value)
-
-
-def test_two_lines_for_an_image_are_refused(drawn, images, tmp_path):
+def test_spots_that_do_not_belong_to_the_set_are_told_in_one_message(drawn, images, tmp_path):
     records = list(records_of(images, spot_at).values())
-    write_spots(tmp_path / "twice.csv", [*records, records[3]])
-    with pytest.raises(ValueError, match=f"{records[3].file_name} has two lines"):
-        read_set_spots(tmp_path / "twice.csv", stacks_of(drawn), images.index)
+    lost = [replace(r, file_name=f"frames/{n}.png") for n, r in enumerate(records)]
+    (tmp_path / "train").mkdir()
+    for file, own, said in (
+        ("lost.csv", lost, r"lost.csv.*'frames/0.png'.*and 11 more.*such as"),
+        ("twice.csv", [*records, records[3]], f"{records[3].file_name} has two lines"),
+        ("train/z.csv", [], "z.csv: the set has no stack train/z"),
+    ):
+        write_spots(tmp_path / file, own)
+        given = tmp_path if "/" in file else tmp_path / file
+        with pytest.raises(ValueError, match=said) as told:
+            read_set_spots(given, stacks_of(drawn), images.index)
+        assert "\n" not in str(told.value)
+        (tmp_path / file).unlink()
 
 
 @pytest.mark.parametrize(
@@ -360,13 +354,6 @@ def test_what_cannot_be_scored_is_told(drawn, arguments, words):
     done = call(["score", str(drawn), *arguments])
     assert isinstance(done.exception, ValueError)
     assert words in str(done.exception)
-
-
-def test_a_file_of_no_stack_is_named(drawn, images, tmp_path):
-    (tmp_path / "train").mkdir()
-    write_spots(tmp_path / "train" / "z.csv", [])
-    with pytest.raises(ValueError, match=r"z.csv: the set has no stack train/z"):
-        read_set_spots(tmp_path, stacks_of(drawn), images.index)
 
 
 def test_blur_is_counted_at_the_pole():

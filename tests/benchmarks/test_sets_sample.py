@@ -1,7 +1,11 @@
-"""The sample set in the package: small, complete, as its spec says, and scored in a minute."""
+"""The sample set in the package: complete, scored in a minute, loaded as the page of sets says."""
 
 import json
+import re
+from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -10,6 +14,8 @@ from benchmarks.sets.score.judging import images_of
 from benchmarks.sets.score.spots import NAME, sample_folder
 from benchmarks.sets.spec import load_spec, plan
 from tests.command_line import call, printed
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 
 
 def test_the_sample_is_small_and_unchanged():
@@ -56,3 +62,24 @@ def test_a_newcomer_scores_a_file_of_his_own(tmp_path):
 def test_a_set_or_the_sample_must_be_named():
     done = call(["score"])
     assert "FOLDER is missing" in str(done.exception)
+
+
+def test_the_loader_returns_images_ellipses_and_distances_of_a_split():
+    """A map-style dataset of PyTorch is any object with these two methods; torch is not here."""
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (code,) = (block for block in blocks if "class Spots" in block)
+    found: dict[str, Any] = {}
+    exec(code, found)
+    dataset = found["Spots"](sample_folder(), "test")
+    truth = [row for row in rows(read_set(sample_folder())) if row.planned.split == "test"]
+    assert len(dataset) == len(truth) == 30
+    for index in (0, 7, 29):
+        image, ellipse, distance = dataset[index]
+        labels, shown = truth[index].labels, truth[index].stack.image(truth[index].labels)
+        np.testing.assert_allclose(image.transpose(1, 2, 0) * 255, shown, atol=1e-4)
+        # Single precision of numbers up to 320 px.
+        place = (labels.half_max_x_px, labels.half_max_y_px)
+        np.testing.assert_allclose(ellipse[:2], place, rtol=1e-6)
+        np.testing.assert_allclose(ellipse[3], labels.half_max_semi_minor_px, rtol=1e-6)
+        np.testing.assert_allclose(distance, labels.d_mm, rtol=1e-6)
+        assert image.dtype == ellipse.dtype == np.float32

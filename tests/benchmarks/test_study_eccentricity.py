@@ -190,13 +190,6 @@ def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_
 # Shares.
 
 
-def test_the_shares_of_a_pair_of_gloves_are_those_of_the_textbook():
-    # One has a left glove, two have a right one each; a pair is worth 1 (Shapley 1953).
-    members = coalitions(3)
-    worth = (members[:, 0] & (members[:, 1] | members[:, 2])).astype(float)
-    assert shapley_values(worth) == pytest.approx([2 / 3, 1 / 6, 1 / 6])
-
-
 def test_shares_are_the_mean_gain_over_all_orders_of_joining():
     worth = np.random.default_rng(0).normal(size=16)
     gains = np.zeros(4)

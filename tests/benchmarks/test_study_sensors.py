@@ -52,16 +52,10 @@ def test_each_sensor_reads_the_distance_of_exact_marks(pinholes):
     assert float(sensor_views.by_stereo(*pairs, given)) == pytest.approx(3.0, abs=1e-9)
 
 
-def above_the_pole(height, lamp):
-    """A vertical instrument above the pole."""
-    return InstrumentPlace(
-        np.zeros(()), np.asarray(height), POLE - height * DOWN, DOWN, POLE, lamp, DOWN
-    )
-
-
 def test_a_stereo_error_is_the_disparitys_times_distance_over_base(pinholes):
     """By similar triangles dz = e H/B, with e the disparity's error on the object."""
-    one = above_the_pole(2.0, np.array([-5.0, 0.0, 3.0]))
+    lamp, above = np.array([-5.0, 0.0, 3.0]), np.asarray(2.0)
+    one = InstrumentPlace(np.zeros(()), above, POLE - above * DOWN, DOWN, POLE, lamp, DOWN)
     true = sensor_views.marks_of(one, pinholes, points=32)
     off = 0.2
     pair = true.tip_pair + jnp.array([[off, 0.0], [0.0, 0.0]])

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
+from skimage.measure import EllipseModel
 
 import calibration
 import optics
@@ -168,18 +169,14 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         for name, error, sigma in zip(hits, errors, sigmas, strict=True):
             hits[name] += abs(error) < 1.959964 * sigma
         squares.append(fit.chi_squared)
-    # Over the parameters of all three fits: k, b of planes; c of spheres; these.
-    low, high = binomial_interval(runs, parameters=3 + len(hits))
+    # Counts that 95 % intervals give but for 1 % of the time, over the parameters of all three fits
+    # together: k, b of planes; c of spheres; these.
+    level = 0.01 / (3 + len(hits))
+    low, high = stats.binom.ppf([level / 2, 1 - level / 2], runs, 0.95)
     assert all(low <= count <= high for count in hits.values()), hits
     # And chi squared has the mean of its distribution, within four standard errors.
     degrees = fit.degrees_of_freedom
     assert np.mean(squares) == pytest.approx(degrees, abs=4 * np.sqrt(2 * degrees / runs))
-
-
-def binomial_interval(runs: int, *, parameters: int) -> tuple[float, float]:
-    """Counts that 95 % intervals give but for 1 % of the time, over all parameters together."""
-    level = 0.01 / parameters
-    return stats.binom.ppf(level / 2, runs, 0.95), stats.binom.ppf(1 - level / 2, runs, 0.95)
 
 
 def test_scale_and_cone_are_only_seen_together_on_planes_from_a_telecentric_microscope():
@@ -198,7 +195,7 @@ def test_scale_and_cone_are_only_seen_together_on_planes_from_a_telecentric_micr
 
 
 def traced_ellipses(*, beam, motion, readings, noise):
-    """Ellipses of a cone's spots on the plane z = -11.5, in NumPy: generators, pinhole, conic."""
+    """Ellipses of a cone's spots on the plane z = -11.5, in NumPy: generators, then a pinhole."""
     scale, height, plane = 0.0067, 200.0, -11.5
     aside = np.cross(beam, [1.0, 0.0, 0.0])
     aside /= np.linalg.norm(aside)
@@ -211,23 +208,12 @@ def traced_ellipses(*, beam, motion, readings, noise):
         apex = touching - reading * motion + TRUE["b"] * beam
         wall = apex + rays * ((plane - apex[2]) / rays[:, 2])[:, None]
         focal_px = (height - plane) / scale
-        u = focal_px * wall[:, 0] / (height - wall[:, 2])
-        v = -focal_px * wall[:, 1] / (height - wall[:, 2])
-        # The conic through the points, in coordinates in which they are near the unit circle.
-        mean, size = np.array([u.mean(), v.mean()]), np.std(u)
-        x, y = (u - mean[0]) / size, (v - mean[1]) / size
-        a, b, c, d, e = np.linalg.lstsq(
-            np.column_stack([x * x, x * y, y * y, x, y]), np.ones(x.size), rcond=None
-        )[0]
-        form = np.array([[a, b / 2], [b / 2, c]])
-        centre = -np.linalg.solve(2 * form, [d, e])
-        form /= 1 + centre @ form @ centre
-        strength, ways = np.linalg.eigh(form)
-        major, minor = size / np.sqrt(strength)
-        angle = (np.arctan2(ways[1, 0], ways[0, 0]) + np.pi / 2) % np.pi - np.pi / 2
-        rows.append(
-            [*(mean + size * centre), major, minor, (angle + np.pi / 2) % np.pi - np.pi / 2]
-        )
+        image = focal_px * wall[:, :2] * [1, -1] / (height - wall[:, 2:])
+        ellipse = EllipseModel.from_estimate(image)
+        axes, angle = ellipse.axis_lengths, ellipse.theta
+        if axes[0] < axes[1]:
+            axes, angle = axes[::-1], angle + np.pi / 2
+        rows.append([*ellipse.center, *axes, (angle + np.pi / 2) % np.pi - np.pi / 2])
     rows = np.array(rows) + noise.standard_normal((len(readings), 5)) * np.sqrt(np.diag(SIGMAS))
     return optics.Ellipse(*map(jnp.asarray, (rows[:, :2], *rows[:, 2:].T)))
 

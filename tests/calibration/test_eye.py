@@ -1,6 +1,5 @@
 """An eye calibrated at the table: its distances, what is refused, what is undetermined."""
 
-import csv
 import math
 from dataclasses import replace
 
@@ -14,10 +13,10 @@ from calibration.command.models import fit_eye
 from estimator.distance.ranger import Ranger
 from formats.calibration import read_calibration, write_calibration
 from formats.inputs import InputError
-from formats.spots import SpotRecord, write_spots
 from optics import viewing
 from tests import eye_fits
 from tests.command_line import call, printed
+from tests.fit_files import a_recording
 from tests.made_up import a_microscope_file, a_spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -61,10 +60,9 @@ def test_three_withdrawals_make_distances_right_within_their_sigma(eye):
 
 @pytest.mark.slow
 def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
-    """Through a flat contact lens, its pupil wide open.
+    """Through a flat contact lens, its pupil wide open: `area` is off by at most 0.05 mm.
 
-    Measured: `area` is off by at most 0.05 mm, `corrected` for a perpendicular beam by 0.04 mm up
-    to c = 4 mm, and the paper's model by 2.1 mm at c = 4 mm and 3.2 mm at 5 mm.
+    `test_eye_rendered` has the other models, square to the wall.
     """
     path = viewing.viewing_path(
         viewing.load_eye("navarro", wavelength_nm=555.0),
@@ -76,12 +74,8 @@ def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
     trials = [withdrawn(eye, c, 2.0 * c) for c in (0.5, 2.0, 3.5, 5.0)]
     fit = eye_fits.fitted(trials, CONE)
     own = eye_fits.calibration(fit.values, fit.covariance, fit.calibration_model)
-    cone = eye_fits.calibration({"half_angle": CONE[0], "b": CONE[1]}, np.zeros((2, 2)), "exact")
     table = replace(eye_fits.MICROSCOPE, scale_mm_px=0.0067, eye_radius_mm=12.0)
-    area, corrected, paper = (
-        Ranger(calibration, table, model=model)
-        for calibration, model in ((own, "area"), (own, "corrected"), (cone, "small_plane"))
-    )
+    area = Ranger(own, table, model="area")
     tilts = [(0.0, 0.0), *((math.radians(30.0), towards) for towards in (0.0, 1.57, 3.14))]
     places = [(c, 0.9, *tilt, d) for c in range(1, 6) for tilt in tilts for d in (1.0, 3.0, 5.0)]
     ellipses, axes = map(np.asarray, eye_fits._seen(*eye, jnp.array(places)))
@@ -89,10 +83,6 @@ def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
         # The noise of the spots is left out: the calibration's is in the distances.
         spot = eye_fits.measured(ellipse, np.random.default_rng(0), errors=0.0)
         assert abs(area.distance(spot, axis=axis).distance_mm - d) < 0.08, (c, tilt, d)
-        if tilt == 0.0 and c <= 4:
-            assert abs(corrected.distance(spot).distance_mm - d) < 0.08, (c, d)
-        if tilt == 0.0 and c >= 4 and d == 5.0:
-            assert abs(paper.distance(spot).distance_mm - d) > 2.0
 
 
 @pytest.mark.slow
@@ -143,26 +133,15 @@ def test_what_does_not_fit_the_eye_is_refused():
             fit_eye([recording], choices, known)
 
 
-def written(folder, name, trial):
+def written(file, trial):
     """A withdrawal as a rig records it: a spots file and poses."""
-    rows = zip(*map(np.asarray, trial.trial.ellipses), strict=True)
-    records = [
-        SpotRecord(
-            frame=n,
-            file_name="",
-            time_s=float(n),
-            mode="subpixel",
-            result=a_spot(*centre, *shape, covariance=trial.trial.covariances[n]),
-        )
-        for n, (centre, *shape) in enumerate(rows)
+    rows = zip(*map(np.asarray, trial.trial.ellipses), trial.trial.covariances, strict=True)
+    spots = [a_spot(*centre, *shape, covariance=cov) for centre, *shape, cov in rows]
+    poses = [
+        (n, *(-reading * trial.trial.axis), *trial.trial.axis)
+        for n, reading in enumerate(trial.trial.readings)
     ]
-    write_spots(folder / f"{name}.csv", records)
-    with (folder / f"{name}-poses.csv").open("w", newline="") as file:
-        poses = csv.writer(file)
-        poses.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
-        for n, reading in enumerate(trial.trial.readings):
-            poses.writerow([float(n), *(-reading * trial.trial.axis), *trial.trial.axis])
-    return [str(folder / f"{name}.csv"), "--poses", str(folder / f"{name}-poses.csv")]
+    return [str(file), "--poses", a_recording(file, spots, range(len(spots)), poses)]
 
 
 @pytest.mark.slow
@@ -174,7 +153,7 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
     recordings = [
         word
         for c in (0.5, 1.5, 3.0)
-        for word in written(tmp_path, f"c{c}", withdrawn(eye, c, 2.0 * c))
+        for word in written(tmp_path / f"c{c}.csv", withdrawn(eye, c, 2.0 * c))
     ]
     given = [
         *("fit", *recordings, "--model", "eye", "--calibration", str(tmp_path / "cone.json")),

@@ -1,7 +1,6 @@
 """`eyespot fit`: recordings in, a calibration out where the fit is good, and a reason where not."""
 
 import base64
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -20,8 +19,9 @@ from estimator import open_source
 from estimator.sources.ros import write_bag
 from formats.calibration import read_calibration
 from formats.poses import read_poses
-from formats.spots import Spot, SpotRecord, write_spots
+from formats.spots import Spot
 from tests.command_line import call, printed
+from tests.fit_files import a_recording, assert_within
 from tests.made_up import a_microscope_file, a_spot
 from tests.scene_tables import scene_of
 
@@ -44,22 +44,16 @@ def rig(tmp_path):
         rng = np.random.default_rng(seed)
         gone = np.linspace(0.0, 6.0, 31)
         axis = np.array([0.5, 0.0, -np.sqrt(0.75)])
-        with (tmp_path / f"{name}-poses.csv").open("w", newline="") as file:
-            rows = csv.writer(file)
-            rows.writerow(["time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z"])
-            # The robot's clock is not the camera's: its reports fall between the frames.
-            for n in np.arange(-0.3, 30.7, 0.4):
-                tip = -axis * 0.2 * n + (0.0, aside * n / 30 + bow * np.sin(np.pi * n / 30), 0.0)
-                rows.writerow([n / 10, *tip, *axis])
+        # The robot's clock is not the camera's: its reports fall between the frames.
+        n = np.arange(-0.3, 30.7, 0.4)
+        beside = aside * n / 30 + bow * np.sin(np.pi * n / 30)
+        tips = np.outer(-0.2 * n, axis) + np.outer(beside, [0.0, 1.0, 0.0])
+        poses = np.column_stack([n / 10, tips, np.tile(axis, (n.size, 1))])
         d = gone + RIM + bend * (gone - 3.0) ** 2
         sizes = (d - B) / (K * SCALE) + rng.normal(0, 0.05, gone.size)
         sizes[list(outliers)] += 3.0
-        records = [
-            SpotRecord(frame=n, file_name="", time_s=n / 10, mode="subpixel", result=spot(size))
-            for n, size in enumerate(sizes)
-        ]
-        write_spots(tmp_path / f"{name}{ending}", records)
-        return str(tmp_path / f"{name}{ending}"), str(tmp_path / f"{name}-poses.csv")
+        file = tmp_path / f"{name}{ending}"
+        return str(file), a_recording(file, map(spot, sizes), np.arange(31) / 10, poses)
 
     return record
 
@@ -78,8 +72,7 @@ def test_spots_files_of_a_rig_give_the_line_back(rig, tmp_path, ending):
     assert result.exit_code == 0, result.output
     assert "A good fit" in result.output
     found = read_calibration(tmp_path / "c.json")
-    for name, true in (("k", K), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(found, {"k": K, "b": B}, 4)
     # Two touches of 0.02 mm.
     assert found.sigma("b") == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
     assert re.search(r"eyespot \S+, jax \S+, optimistix \S+", found.software)
@@ -244,11 +237,10 @@ def test_a_boresight_in_the_eye_is_an_angle_in_the_tools_frame(rig, tmp_path):
     spots, poses = rig()
     tool = Rotation.from_euler("xyz", [2.8, 0.3, -0.7])
     axis = tool.apply([0.0, 0.0, 1.0])
-    lines = ["time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"]
-    for n in np.arange(-0.3, 30.7, 0.4):
-        lines.append(",".join(map(repr, [n / 10, *(-0.2 * n * axis), *tool.as_quat()])))
-    poses = tmp_path / "turned.csv"
-    poses.write_text("\n".join(map(str, lines)).replace("np.float64(", "").replace(")", ""))
+    n = np.arange(-0.3, 30.7, 0.4)
+    rows = np.column_stack([n / 10, np.outer(-0.2 * n, axis), np.tile(tool.as_quat(), (n.size, 1))])
+    poses, header = tmp_path / "turned.csv", "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"
+    np.savetxt(poses, rows, delimiter=",", header=header, comments="")
     turn = Rotation.from_euler("zyx", [0.4, 0.2, -0.1])  # from the robot to the eye
     book = replace(log_book(tmp_path, poses), eye_from_robot=tuple(turn.as_quat().tolist()))
     recording = read_recording(spots, log_book=book)
@@ -303,8 +295,7 @@ def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     # Asked of rendered cones with camera noise: half-angle within 0.3 %, b within 0.02 mm.
     assert found.values["half_angle"] == pytest.approx(np.arctan(1 / K), rel=0.003)
     assert found.values["b"] == pytest.approx(B, abs=0.02)
-    for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(found, {"half_angle": np.arctan(1 / K), "b": B}, 4)
 
 
 @pytest.mark.slow
@@ -326,18 +317,14 @@ def test_a_perpendicular_withdrawal_from_contact_is_a_good_fit(stack, tmp_path):
     out = tmp_path / "square.json"
     square = stack("square", kind="eyeball", c=2.0, incidence=0.0)
     assert "A good fit" in printed("fit", square, "--out", out)
-    found = read_calibration(out)
-    for name, true in (("half_angle", np.arctan(1 / K)), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(read_calibration(out), {"half_angle": np.arctan(1 / K), "b": B}, 4)
 
 
 @pytest.mark.slow
 def test_the_planar_fit_knows_of_the_rim(stacks, tmp_path):
     out = tmp_path / "plane.json"
     printed("fit", *stacks[:2], "--model", "plane", "--out", out)
-    found = read_calibration(out)
-    for name, true in (("k", K), ("b", B)):
-        assert abs(found.values[name] - true) < 4 * found.sigma(name)
+    assert_within(read_calibration(out), {"k": K, "b": B}, 4)
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from formats.calibration import read_calibration
 from formats.microscope import read_microscope
 from optics.wall_light.lens import lens_parameters
 from tests.command_line import printed
+from tests.fit_files import assert_within
 from tests.made_up import a_spot
 from tests.scene_tables import scene_of
 
@@ -59,11 +60,6 @@ def test_what_follows_an_undetermined_parameter_is_undetermined():
 NAMES = ("half_angle", "b", "scale")
 
 
-def seen_only(*directions: tuple[float, float, float]) -> np.ndarray:
-    rows = np.array(directions)
-    return 1e6 * rows.T @ rows
-
-
 @pytest.mark.parametrize(
     ("seen", "values", "told"),
     [
@@ -77,7 +73,7 @@ def seen_only(*directions: tuple[float, float, float]) -> np.ndarray:
     ],
 )
 def test_what_is_not_seen_is_said_with_a_remedy(seen, values, told):
-    covariance, lost = covariance_and_lost(seen_only(*seen), NAMES, values)
+    covariance, lost = covariance_and_lost(1e6 * np.transpose(seen) @ seen, NAMES, values)
     assert len(lost) == 1
     assert lost[0].startswith(told)
     assert "fix one, give a prior, or add" in lost[0]
@@ -113,8 +109,7 @@ def test_the_cone_is_found_in_pixels(cone, tmp_path):
     found = read_calibration(out)
     assert found.model == "exact"
     assert found.fitted_on == "10 frames of cone"
-    for name, true in (("half_angle", HALF_ANGLE), ("b", B)):
-        assert abs(found.values[name] - true) < 3 * found.sigma(name)
+    assert_within(found, {"half_angle": HALF_ANGLE, "b": B}, 3)
     # Asked of rendered frames with camera noise.
     assert found.values["half_angle"] == pytest.approx(HALF_ANGLE, rel=0.003)
     page = out.with_suffix(".html").read_text()
@@ -132,10 +127,9 @@ def test_a_lens_is_found_over_a_wall_that_nobody_knows(tmp_path, wall):
     fit = fit_image(read_footage(textured, exposure="metered"), source="lens", start=start)
     assert fit.converged
     assert fit.textured
-    for name in ("sag", "numerical_aperture"):
-        value, sigma = fit.parameters[name]
-        assert abs(value - dome[name]) < 3 * sigma, name
-        assert sigma < 0.01 * dome[name]
+    truth = {name: dome[name] for name in ("sag", "numerical_aperture")}
+    assert_within(fit, truth, 3)
+    assert all(fit.parameters[name][1] < 0.01 * true for name, true in truth.items())
 
 
 @pytest.mark.slow  # most of it for the lens's light, to render, to fit and to range with

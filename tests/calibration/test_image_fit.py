@@ -29,9 +29,7 @@ from optics.wall_light.cone import UniformCone
 from optics.wall_light.lens import (
     TABLE_ERROR,
     Grid,
-    LensTable,
     _Field,
-    _means_within,
     lens_of,
     lens_parameters,
     lens_samples,
@@ -42,7 +40,8 @@ from scenes.camera import expose
 from scenes.description.settings import CameraSettings
 from scenes.world.world import World
 from tests.drawn_sets import with_false_labels
-from tests.made_up import a_footage, a_microscope
+from tests.fit_files import assert_within
+from tests.made_up import a_footage, a_lens_table, a_microscope
 from tests.photon_frames import View
 from tests.photon_stacks import Recording, steady_light
 from tests.photons import Drop
@@ -191,20 +190,6 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
         assert np.abs(off).max() < 7e-3
 
 
-def _table_of(values, grid):
-    """A table without parameters."""
-    none = jnp.zeros(0)
-    return LensTable(
-        values=values,
-        slopes=jnp.zeros((0, *values.shape)),
-        transmitted_value=jnp.ones(()),
-        transmitted_slopes=none,
-        at=none,
-        moved=none,
-        grid=grid,
-    )
-
-
 def test_table_is_exact_for_cubic_fields():
     grid = Grid(1.0, 0.5, 0.5, 8.0)
     y, x = np.meshgrid(np.linspace(0, 1, 9), np.linspace(0, 1, 7), indexing="ij")
@@ -212,7 +197,7 @@ def test_table_is_exact_for_cubic_fields():
     def field(x, y):
         return 1 + x - 2 * x**3 + y * x**2 + 3 * y**3
 
-    table = _table_of(jnp.asarray(field(x, y)), grid)
+    table = a_lens_table(field(x, y), grid)
     rng = np.random.default_rng(0)
     s = jnp.asarray(rng.uniform(0.5, 8.0, 50))
     envelope = 1.0 + 0.5 * s
@@ -260,15 +245,6 @@ def test_samples_from_those_of_a_near_lens_are_as_good_as_new_ones():
     assert error.max() < TABLE_ERROR / 4  # the mean over a disc errs much less than a sample
 
 
-def test_known_power_finds_the_place_of_a_step_between_samples():
-    # Light 1 up to x = 0.48, none outside; without the power it would seem to end at 0.44.
-    step, x = 0.48, np.linspace(0.0, 1.0, 9)
-    mean = _means_within((x < step).astype(float)[None, None], np.array([np.pi * step**2]))[0, 0]
-    outside = x > step + x[1]  # the spline through a step errs in the cells next to it
-    np.testing.assert_allclose(mean[outside] * x[outside] ** 2, step**2, rtol=0.03)
-    np.testing.assert_allclose(mean[-1], step**2, rtol=1e-12)
-
-
 def test_light_of_a_lens_is_the_mean_over_a_pixel():
     # Light that flows along the lines rho/e(s), with an edge as wide as a pixel.
     def light(x):
@@ -277,7 +253,7 @@ def test_light_of_a_lens_is_the_mean_over_a_pixel():
     x = np.linspace(0.0, 1.0, 1601)
     within = integrate.cumulative_trapezoid(2 * x * light(x), x, initial=0.0)
     mean = np.append(1.0, within[1:] / x[1:] ** 2)
-    table = _table_of(jnp.tile(jnp.asarray(mean), (9, 1)), Grid(1.0, 0.5, 1.0, 4.0))
+    table = a_lens_table(np.tile(mean, (9, 1)), Grid(1.0, 0.5, 1.0, 4.0))
     eye = optics.microscope(scale=0.02, pinhole_height=11.5, eye_radius=11.5)
     surface = optics.Sphere(jnp.asarray(11.5))
     tip, axis = jnp.array([0.0, 0.0, -9.5]), jnp.array([0.0, 0.0, -1.0])
@@ -526,8 +502,7 @@ def test_what_shows_in_products_alone_is_said(stack):
     assert "sensitivity" in told
     assert math.isinf(fit.parameters["power"][1])
     # What can be seen is seen as well as before.
-    value, sigma = fit.parameters["half_angle"]
-    assert abs(value - HALF_ANGLE) < 3.5 * sigma
+    assert_within(fit, {"half_angle": HALF_ANGLE}, 3.5)
 
 
 @pytest.mark.slow
@@ -539,10 +514,9 @@ def test_wrong_exposures_are_learnt_frame_by_frame(stack, fit):
     # What was told is off by 7 %, RMS; what was right stays within the noise of a frame's light.
     assert 0.04 < learnt.states["exposure"] < 0.12
     assert fit.states["exposure"] < 0.005
-    for name, true in (("half_angle", HALF_ANGLE), ("b", B)):
-        value, sigma = learnt.parameters[name]
-        assert abs(value - true) < 3.5 * sigma, name
-        assert sigma < 1.5 * fit.parameters[name][1]
+    assert_within(learnt, {"half_angle": HALF_ANGLE, "b": B}, 3.5)
+    for name in ("half_angle", "b"):
+        assert learnt.parameters[name][1] < 1.5 * fit.parameters[name][1]
 
 
 @pytest.mark.slow
@@ -623,9 +597,7 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(tmp_path, off_deg):
     noisy = photographed(footage, exposed, np.random.default_rng(6), exposure_s=times)
     fit = fit_image(noisy, source="cone", start=START)
     assert fit.converged
-    for name, true in {"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0}.items():
-        value, sigma = fit.parameters[name]
-        assert abs(value - true) < 3 * sigma, name
+    assert_within(fit, {"half_angle": HALF_ANGLE, "b": B, "sensitivity": 200.0}, 3)
     # Chi squared per degree of n normal numbers, within four standard deviations.
     assert abs(fit.chi_squared_per_dof - 1) < 4 * math.sqrt(2 / fit.degrees_of_freedom)
     angles = np.array([fit.parameters[f"boresight{end}"] for end in ("", "_sideways")])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage, stats
+from scipy import ndimage, optimize, stats
 
 from calibration.pixels.misfit import Pixels, found_misfit
 from calibration.solvers import accepted_range, excess_variance
@@ -24,38 +24,18 @@ TRUTH = np.array([1.0, 0.3, -0.2, 7.0, 0.4])
 
 def fitted(light):
     """Least squares to frames: pixels at the solution, covariance, values."""
-    values = TRUTH.copy()
-    for _ in range(3):  # from the truth; the third step is a millionth of a standard error
-        slopes = np.stack(
-            [
-                np.concatenate(
-                    [
-                        (spot(values + step, f) - spot(values - step, f)) / 2e-5
-                        for f in range(FRAMES)
-                    ]
-                )
-                for step in 1e-5 * np.eye(len(values))
-            ]
-        )
-        off = np.concatenate([spot(values, f) for f in range(FRAMES)]) - light.ravel()
-        information = slopes @ slopes.T / NOISE**2
-        values = values - np.linalg.solve(information, slopes @ off / NOISE**2)
-    frames = [
-        Pixels(
-            frame,
-            U,
-            V,
-            spot(values, frame) - 0.05,
-            spot(values, frame),
-            np.full(U.size, 1 / NOISE),
-            part / NOISE,
-            slope / NOISE,
-        )
-        for frame, (part, slope) in enumerate(
-            zip(off.reshape(FRAMES, -1), np.split(slopes, FRAMES, axis=1), strict=True)
-        )
-    ]
-    return frames, np.linalg.inv(information), values
+
+    def residuals(values):
+        return (np.concatenate([spot(values, f) for f in range(FRAMES)]) - light.ravel()) / NOISE
+
+    found = optimize.least_squares(residuals, TRUTH, jac="3-point", method="lm")
+    parts = zip(np.split(found.fun, FRAMES), np.split(found.jac.T, FRAMES, axis=1), strict=True)
+    frames = []
+    for frame, (off, slopes) in enumerate(parts):
+        seen = spot(found.x, frame)
+        weight = np.full(U.size, 1 / NOISE)
+        frames.append(Pixels(frame, U, V, seen - 0.05, seen, weight, off, slopes))
+    return frames, np.linalg.inv(found.jac.T @ found.jac), found.x
 
 
 def judged(light):

@@ -43,15 +43,6 @@ def stack(tmp_path_factory):
     return render
 
 
-def falsified(stack, copy, source):
-    """The stack with another source in its description, and labels that are all wrong."""
-    with_false_labels(stack, copy)
-    description = tomllib.loads((copy / "stack.toml").read_text())
-    description["scene"]["source"] |= source
-    (copy / "stack.toml").write_text(tomli_w.dumps(description))
-    return copy
-
-
 @pytest.mark.parametrize(
     ("source", "other", "model", "edges"),
     [(LENS, CONE, "lens", "soft"), (CONE, LENS, "cone", "sharp")],
@@ -60,7 +51,12 @@ def test_the_model_follows_the_spots_and_not_the_labels(
     stack, tmp_path, source, other, model, edges
 ):
     true = stack(model, source)
-    for folder in (true, falsified(true, tmp_path / "false", {"kind": other["kind"]})):
+    # Of the copy, the description has another source, and the labels are all wrong.
+    false = with_false_labels(true, tmp_path / "false")
+    description = tomllib.loads((false / "stack.toml").read_text())
+    description["scene"]["source"] |= {"kind": other["kind"]}
+    (false / "stack.toml").write_text(tomli_w.dumps(description))
+    for folder in (true, false):
         chosen, reason = chosen_model([read_recording(folder)])
         assert chosen == model
         assert edges in reason

@@ -17,7 +17,7 @@ from calibration.spots.cone_trials import Prior
 from formats.stack import Stack
 from optics.wall_light.lens import Grid, LensTable
 from scenes import Scene, render_stack
-from tests.made_up import a_footage, a_microscope
+from tests.made_up import a_footage, a_lens_table, a_microscope
 from tests.scene_tables import scene_of
 from tests.spread_disc import lit_by_disc, radii
 
@@ -95,15 +95,7 @@ def test_the_image_of_a_cone_is_a_spread_disc(length):
 def test_the_image_of_a_lens_is_its_light_averaged_over_the_wall():
     x = np.linspace(0.0, 1.0, 65)
     bell = 1 / (1 + np.exp((x - 0.5) / 0.06))
-    table = LensTable(
-        values=jnp.tile(jnp.asarray(bell), (9, 1)),
-        slopes=jnp.zeros((0, 9, 65)),
-        transmitted_value=jnp.array(1.0),
-        transmitted_slopes=jnp.zeros(0),
-        at=jnp.zeros(0),
-        moved=jnp.zeros(0),
-        grid=Grid(jnp.array(0.5), jnp.array(0.2), jnp.array(0.5), jnp.array(8.0)),
-    )
+    table = a_lens_table(np.tile(bell, (9, 1)), Grid(*map(jnp.asarray, (0.5, 0.2, 0.5, 8.0))))
     length = 0.05
     found, sharp = (of_one_frame(own, radius_px=36.0, table=table) for own in (length, 1e-9))
     # The kernel's rings, on the image without spread between its cells.

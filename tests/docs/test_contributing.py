@@ -37,17 +37,6 @@ CHECKS = {
 HOUSE = ["tests/house/test_imports.py", "-k", "face or itself"]
 
 
-def changed_copy(name: str, folder: Path) -> Path:
-    """A copy of the repository with the change of an example."""
-    copy = folder / "copy"
-    for part in PARTS:
-        ignored = shutil.ignore_patterns("__pycache__", "auto_gallery", "generated", "sample-v2")
-        shutil.copytree(HOME / part, copy / part, ignore=ignored)
-    shutil.copy(HOME / "pyproject.toml", copy)
-    subprocess.run(["git", "apply", str(EXAMPLES / f"{name}.diff")], cwd=copy, check=True)
-    return copy
-
-
 def test_every_example_is_checked():
     assert {path.stem for path in EXAMPLES.glob("*.diff")} == set(CHECKS)
 
@@ -60,7 +49,12 @@ def test_the_change_of_an_example_applies(name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CHECKS)
 def test_the_change_of_an_example_works_and_keeps_the_rules(name, tmp_path):
-    copy = changed_copy(name, tmp_path)
+    copy = tmp_path / "copy"
+    ignored = shutil.ignore_patterns("__pycache__", "auto_gallery", "generated", "sample-v2")
+    for part in PARTS:
+        shutil.copytree(HOME / part, copy / part, ignore=ignored)
+    shutil.copy(HOME / "pyproject.toml", copy)
+    subprocess.run(["git", "apply", str(EXAMPLES / f"{name}.diff")], cwd=copy, check=True)
     for selection in (CHECKS[name], HOUSE):
         done = subprocess.run(
             [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *selection],

@@ -84,9 +84,20 @@ BAGS: dict[str, Callable[[Path], Path]] = {
 }
 
 
-@pytest.mark.parametrize("name", BAGS)
-def test_a_bag_gives_the_spots_of_its_frames(tmp_path, name):
-    source = open_source(BAGS[name](tmp_path / name))
+def the_file(bag: Path) -> Path:
+    """A ROS 1 bag, or the one file of messages in a ROS 2 bag."""
+    if bag.is_file():
+        return bag
+    (found,) = (path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "alone"), [*((name, False) for name in BAGS), ("sqlite", True), ("mcap", True)]
+)
+def test_a_bag_gives_the_spots_of_its_frames_as_does_the_file_in_it(tmp_path, name, alone):
+    bag = BAGS[name](tmp_path / name)
+    source = open_source(the_file(bag) if alone else bag)
     assert source.length == len(frames())
     for frame, other in zip(source, frames(), strict=True):
         np.testing.assert_array_equal(frame.image, other.image)
@@ -273,21 +284,6 @@ def test_the_topic_is_the_rigs_or_the_only_one_or_the_one_that_is_named(tmp_path
         read_poses(strange)
 
 
-def the_file(bag: Path) -> Path:
-    """A ROS 1 bag, or the one file of messages in a ROS 2 bag."""
-    if bag.is_file():
-        return bag
-    (found,) = (path for path in bag.iterdir() if path.suffix in (".db3", ".mcap"))
-    return found
-
-
-@pytest.mark.parametrize("name", ["sqlite", "mcap"])
-def test_the_file_in_a_ros2_bag_is_as_good_as_its_folder(tmp_path, name):
-    source = open_source(the_file(BAGS[name](tmp_path / name)))
-    for frame, other in zip(source, frames(), strict=True):
-        np.testing.assert_array_equal(frame.image, other.image)
-
-
 @pytest.mark.parametrize("name", BAGS)
 @pytest.mark.parametrize("share", [0.01, 0.5, 0.999])
 def test_a_bag_cut_short_is_refused_with_a_remedy(tmp_path, name, share):
@@ -390,16 +386,11 @@ def test_a_pose_is_interpolated_from_the_first_to_the_last():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_vector_is_turned_as_scipy_turns_it(seed):
+def test_a_pose_turns_vectors_as_scipy_does_and_its_axis_is_the_third_column(seed):
     rng = np.random.default_rng(seed)
     turn, vector = Rotation.random(rng=rng), tuple(rng.normal(size=3))
-    assert turned(vector, tuple(turn.as_quat())) == pytest.approx(tuple(turn.apply(vector)))
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_poses_axis_is_the_third_column_of_its_rotation(seed):
-    turn = Rotation.random(rng=np.random.default_rng(seed))
     pose = Pose(time_s=0.0, position_mm=(0, 0, 0), rotation=tuple(turn.as_quat()))
+    assert turned(vector, pose.rotation) == pytest.approx(tuple(turn.apply(vector)))
     assert pose.axis == pytest.approx(tuple(turn.as_matrix()[:, 2]), abs=1e-14)
     again = Pose.along(pose.axis, time_s=0.0, position_mm=(0, 0, 0))
     assert again.axis == pytest.approx(pose.axis, abs=1e-14)

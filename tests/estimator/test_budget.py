@@ -142,26 +142,26 @@ def test_without_a_budget_the_interval_is_that_of_a_normal_distribution():
     assert low + high == pytest.approx(4.0)
 
 
+AT_THE_POLE = spot(320.0, 240.0, 60.0, 60.0, covariance=SPOT_COVARIANCE)
+SIZE = ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
+DOWN = np.array([0.0, 0.0, -1.0])
+
+
 def test_the_linear_part_is_that_of_another_program():
     """Of a plane wall and a square beam, where d = delta k e + b in every quantity."""
     covariance = np.array([[4e-4, -1e-4], [-1e-4, 1e-4]])
-    seen = spot(320.0, 240.0, 60.0, 60.0, covariance=SPOT_COVARIANCE)
-    view = microscope(math.inf, plane_normal=(0.0, 0.0, 1.0))
-    stated = Stated(touch_sigma_mm=0.03, axis_sigma_deg=0, clock_sigma_s=0.01)
-    down = np.array([0.0, 0.0, -1.0])
     budget = budget_of(
         model="planar",
-        seen=seen,
+        seen=AT_THE_POLE,
         covariance=covariance,
-        view=view,
-        stated=stated,
-        axis=down,
+        view=microscope(math.inf, plane_normal=(0.0, 0.0, 1.0)),
+        stated=Stated(touch_sigma_mm=0.03, axis_sigma_deg=0, clock_sigma_s=0.01),
+        axis=DOWN,
         motion=ToolMotion(velocity_mm_s=(0.5, 0.0, 2.0)),
     )
     k, b = correlated_values([K, B], covariance)
-    size = ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
     late, touch = ufloat(0.0, 0.01), ufloat(0.0, 0.03)
-    expected = SCALE * k * size + b + touch + 2.0 * late
+    expected = SCALE * k * SIZE + b + touch + 2.0 * late
     assert budget.corrected_mm == pytest.approx(expected.nominal_value, abs=1e-6)
     # First differences of 1e-5 of a quantity.
     assert budget.sigma_mm == pytest.approx(expected.std_dev, rel=1e-4)
@@ -169,18 +169,15 @@ def test_the_linear_part_is_that_of_another_program():
 
 def test_on_a_sphere_the_linear_part_is_that_of_another_program():
     """Of a telecentric view onto the pole, where d = k R + b + r - sqrt(r^2 - R^2), R = delta e."""
-    covariance = np.diag([4e-4, 1e-4])
-    seen = spot(320.0, 240.0, 60.0, 60.0, covariance=SPOT_COVARIANCE)
-    stated = Stated(eye_radius_sigma_mm=0.5, axis_sigma_deg=0)
     budget = budget_of(
-        seen=seen,
-        covariance=covariance,
+        seen=AT_THE_POLE,
+        covariance=np.diag([4e-4, 1e-4]),
         view=microscope(math.inf),
-        stated=stated,
-        axis=np.array([0.0, 0.0, -1.0]),
+        stated=Stated(eye_radius_sigma_mm=0.5, axis_sigma_deg=0),
+        axis=DOWN,
     )
     k, b, r = ufloat(K, 0.02), ufloat(B, 0.01), ufloat(R_EYE, 0.5)
-    radius = SCALE * ufloat(60.0, math.sqrt(SPOT_COVARIANCE[3, 3]))
+    radius = SCALE * SIZE
     expected = k * radius + b + r - umath.sqrt(r**2 - radius**2)
     assert budget.corrected_mm == pytest.approx(expected.nominal_value, abs=1e-6)
     assert budget.sigma_mm == pytest.approx(expected.std_dev, rel=1e-4)

@@ -70,9 +70,18 @@ def test_a_file_holds_every_digit(tmp_path, model, values):
     assert [path.name for path in tmp_path.iterdir()] == ["c.json"]
 
 
-def test_sigma_is_the_root_of_the_variance():
-    assert calibration().sigma("k") == pytest.approx(0.2)
-    assert calibration().sigma("b") == pytest.approx(0.07)
+@pytest.mark.parametrize(
+    ("covariance", "sigmas"),
+    [
+        ([[0.04, -0.012], [-0.012, 0.0049]], (0.2, 0.07)),
+        (np.zeros((2, 2)), (0.0, 0.0)),
+        # Correlation -1: only a combination is known, as of k and b from one distance.
+        (np.outer([0.2, -0.1], [0.2, -0.1]), (0.2, 0.1)),
+    ],
+)
+def test_sigma_is_the_root_of_the_variance(covariance, sigmas):
+    known = calibration(covariance=covariance)
+    assert (known.sigma("k"), known.sigma("b")) == pytest.approx(sigmas)
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -161,13 +170,3 @@ def test_what_is_no_calibration_file_is_refused(tmp_path, content):
 def test_a_model_has_its_own_parameters(changed, told):
     with pytest.raises(InputError, match=told):
         calibration(**changed)
-
-
-def test_parameters_known_without_error_are_fine():
-    assert calibration(covariance=np.zeros((2, 2))).sigma("k") == 0.0
-
-
-def test_parameters_bound_to_each_other_are_fine():
-    # Correlation -1: only a combination is known, as of k and b from one distance.
-    bound = calibration(covariance=np.outer([0.2, -0.1], [0.2, -0.1]))
-    assert bound.sigma("b") == pytest.approx(0.1)

@@ -149,13 +149,15 @@ def test_hot_pixels_above_the_level_do_not_hide_it():
     assert_within(spot, truth)
 
 
-def _srgb(light: np.ndarray) -> np.ndarray:
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+@pytest.fixture(scope="module")
+def frame():
+    """Of 12 bits, with a curve."""
+    light = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
+    curved = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    return np.rint(4095 * curved).astype(np.uint16)
 
 
-def test_a_curve_counts_from_the_cameras_full_scale(tmp_path):
-    image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
-    frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
+def test_a_curve_counts_from_the_cameras_full_scale(frame):
     for response in (Response(curve="srgb", full_scale=4095), Response(curve="srgb")):
         # Without a stated full scale, values whose lowest bits are 0 show it.
         shifted = frame << 4 if response.full_scale is None else frame
@@ -171,9 +173,7 @@ SHEET = {"full_well_e": 9000.0, "read_noise_e": 8.0, "black_level_dn": 8.0, "bit
 
 
 @pytest.mark.parametrize("keys", [{"camera": SHEET}, {"full_scale": 4095}])
-def test_a_microscope_file_says_the_full_scale(keys, tmp_path):
-    image = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4, peak=0.75, background=0.03)
-    frame = np.rint(4095 * _srgb(image)).astype(np.uint16)
+def test_a_microscope_file_says_the_full_scale(frame, keys, tmp_path):
     size = SHAPE[1], SHAPE[0]
     microscope = a_microscope_file(tmp_path, size, pinhole_height_mm=11.5, response="srgb", **keys)
     reader = Options.of({"microscope": microscope}).reader()

@@ -36,7 +36,7 @@ from formats.poses import Pose, PoseTrack, read_poses
 from formats.spots import NoSpot, Reason, Spot, read_spots
 from formats.stack import read_stack
 from tests import drawn_spots
-from tests.made_up import a_spot
+from tests.made_up import a_microscope_file, a_spot
 from tests.rig_recordings import HOME, calibrated, rendered_stack
 
 PATIENCE_S = 30.0
@@ -268,15 +268,8 @@ def test_exposure_is_advised_where_light_is_lost_or_missing():
 
 @pytest.mark.parametrize("pinhole_height_mm", [11.5, 200.0])
 def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height_mm):
-    focal_px = (pinhole_height_mm + 11.5) / 0.0134
-    file = tmp_path / "microscope.yaml"
-    matrix = [focal_px, 0, 159.5, 0, focal_px, 119.5, 0, 0, 1]
-    file.write_text(
-        "image_width: 320\nimage_height: 240\n"
-        f"camera_matrix: {{rows: 3, cols: 3, data: {matrix}}}\n"
-        "distortion_coefficients: {rows: 1, cols: 5, data: [0, 0, 0, 0, 0]}\n"
-    )
-    microscope = read_microscope(file, pinhole_height_mm=pinhole_height_mm, eye_radius_mm=11.5)
+    seen = {"scale_mm_px": 0.0134, "pinhole_height_mm": pinhole_height_mm}
+    microscope = read_microscope(a_microscope_file(tmp_path, (320, 240), **seen))
     tip = TipPose(tip_mm=np.array([0.4, -0.7, -8.0]), axis=np.array([0, 0, -1.0]), distance_mm=3.0)
     found = Range(distance_mm=3.0, sigma_mm=0.1, poses=(tip,))
     view = View(

@@ -98,18 +98,14 @@ def cfa_tags(pattern: bytes) -> list[tuple]:
     return [(33421, 3, 2, (2, 2), True), (33422, 1, 4, pattern, True)]
 
 
-def png_with(data: bytes, name: bytes, content: bytes) -> bytes:
-    """A PNG with a further chunk after its header of 33 bytes."""
-    crc = struct.pack(">I", zlib.crc32(name + content))
-    return data[:33] + struct.pack(">I", len(content)) + name + content + crc + data[33:]
-
-
 def sbit(shift: int) -> Write:
-    """12 bits in a PNG of 16, which says so."""
+    """12 bits in a PNG of 16, which says so in a chunk after its header of 33 bytes."""
+    name_and_bits = b"sBIT" + bytes([12])
+    chunk = struct.pack(">I", 1) + name_and_bits + struct.pack(">I", zlib.crc32(name_and_bits))
 
     def write(path: Path, light: np.ndarray) -> None:
         data = cv2.imencode(".png", samples(light, 12) << shift)[1].tobytes()
-        path.write_bytes(png_with(data, b"sBIT", bytes([12])))
+        path.write_bytes(data[:33] + chunk + data[33:])
 
     return write
 

@@ -205,16 +205,10 @@ def test_pictures_that_do_not_fit_are_named_and_none_is_left_in_part(tmp_path, f
     assert list(tmp_path.iterdir()) == [frames]
 
 
-def dark_frames(number: int) -> Source:
-    def read() -> Iterator[Frame]:
-        for index in range(number):
-            yield Frame(index=index, image=np.zeros((9, 9), "u1"))
-
-    return Source(name="darkness", read=read, length=number)
-
-
 def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path):
-    sizes = []
+    dark, sizes = np.zeros((9, 9), "u1"), []
+    frames = (Frame(index=index, image=dark) for index in range(3000))
+    source = Source(name="darkness", read=lambda: frames, length=3000)
 
     def note(record: SpotRecord) -> None:
         if record.frame in (500, 2999):
@@ -223,7 +217,7 @@ def test_a_run_whose_records_are_written_elsewhere_does_not_grow(tmp_path):
     tracemalloc.start()
     try:
         with spots_stream(tmp_path / "spots.csv") as write:
-            tracking = track_source(dark_frames(3000), new_reader(), write=write, progress=note)
+            tracking = track_source(source, new_reader(), write=write, progress=note)
     finally:
         tracemalloc.stop()
     assert tracking.frames == 3000

@@ -12,7 +12,7 @@ import pytest
 import optics
 from formats.inputs import InputError
 from formats.microscope import read_microscope
-from tests.made_up import microscope_content
+from tests.made_up import an_opencv_file, microscope_content
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])
@@ -113,14 +113,8 @@ def test_response_curves_keep_their_meaning(written, response, curve):
     ],
 )
 def test_what_opencv_writes_is_read(tmp_path, suffix, names):
-    path = tmp_path / f"camera{suffix}"
-    storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_WRITE)
-    for name, value in zip(names[:2], (MATRIX, DISTORTION), strict=True):
-        storage.write(name, value)
-    for name, count in zip(names[2:], (640, 480), strict=True):
-        storage.write(name, count)
-    storage.release()
-    microscope = read_microscope(path, **EYE)
+    content = dict(zip(names, (MATRIX, DISTORTION, 640, 480), strict=True))
+    microscope = read_microscope(an_opencv_file(tmp_path / f"camera{suffix}", **content), **EYE)
     assert (microscope.width_px, microscope.height_px) == (640, 480)
     np.testing.assert_array_equal(microscope.camera_matrix, MATRIX)
     np.testing.assert_array_equal(microscope.distortion, DISTORTION)
@@ -216,6 +210,9 @@ def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, tol
         ("0.05]", "0.05, 1]", "6 numbers, but rows and cols say"),
         ("-0.21", "red", "must hold numbers"),
         ("-0.21, 0.13", ".nan, 0.13", "finite coefficients"),
+        ("  rows: 3\n", "  rows: -3\n", "rows and cols say -3 x 3"),
+        ("  rows: 3\n", "  rows: x\n", "must hold numbers"),
+        ("[3432.8, 0, 330.5, 0, 3432.8, 224.25, 0, 0, 1]", "[]", "0 numbers, but rows and cols"),
     ],
 )
 def test_nonsense_in_a_ros_file_is_refused(written, old, new, told):

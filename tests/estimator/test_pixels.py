@@ -57,6 +57,12 @@ def cone_stack(folder: Path, **tables):
     return render_stack(Scene.model_validate(scene | tables), folder)
 
 
+def aimed(c: float, azimuth: float, incidence: float, incidence_azimuth: float):
+    """A spot's table: mm and degrees."""
+    place = {"eccentricity_mm": c, "azimuth_deg": azimuth, "incidence_deg": incidence}
+    return place | {"incidence_azimuth_deg": incidence_azimuth}
+
+
 def calibration_in(folder: Path, *, sigma_b_mm: float = 1e-5) -> Path:
     """The calibration file of the cone that is rendered, whose b has some stated error."""
     path = folder / "cone.json"
@@ -194,12 +200,7 @@ def test_a_vessel_that_comes_into_the_light_is_not_another_wall(tmp_path):
         tmp_path,
         seed=968783527,
         phantom={"wall": "printed paper", "texture_seed": 968783527},
-        spot={
-            "eccentricity_mm": 1.28,
-            "azimuth_deg": 75.061,
-            "incidence_deg": 22.609,
-            "incidence_azimuth_deg": 246.684,
-        },
+        spot=aimed(1.28, 75.061, 22.609, 246.684),
         microscope=LARGE,
         motion={"start_mm": 2.5406, "travel_mm": 0.7619, "frames": 5, "speed_mm_s": 1.0},
     )
@@ -218,12 +219,7 @@ def hidden_stack(tmp_path_factory):
         phantom=PAPER | {"texture_seed": 15728707},
         instrument={"visible": True},
         source={"kind": "lens"},
-        spot={
-            "eccentricity_mm": 0.231,
-            "azimuth_deg": 148.9,
-            "incidence_deg": 18.07,
-            "incidence_azimuth_deg": 125.6,
-        },
+        spot=aimed(0.231, 148.9, 18.07, 125.6),
         microscope={"pinhole_height_mm": 200.0, **LARGE},
         motion={"start_mm": 0.967, "travel_mm": 1.8, "frames": 8},
         exposures={"kinds": ["metered"], "sensitivity_mm2_sr_mj": 2000.0},
@@ -261,12 +257,7 @@ def test_a_vessel_that_comes_into_a_light_of_the_same_size_is_learnt(tmp_path):
         phantom=PAPER | {"texture_seed": 6},
         instrument={"visible": True},
         source={"kind": "lens"},
-        spot={
-            "eccentricity_mm": 4.748,
-            "azimuth_deg": 83.068,
-            "incidence_deg": 12.4,
-            "incidence_azimuth_deg": 320.652,
-        },
+        spot=aimed(4.748, 83.068, 12.4, 320.652),
         microscope=LARGE,
         motion={"start_mm": 0.763, "travel_mm": 1.842, "frames": 8, "speed_mm_s": 0.1},
     )

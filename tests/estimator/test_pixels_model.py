@@ -5,13 +5,10 @@ import math
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
-from scipy.special import k1
-from scipy.stats import norm
 
 import optics
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion, rolled
+from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, rolled
 from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import (
     LENGTHS_MM,
@@ -21,7 +18,6 @@ from estimator.pixels.frame_model import (
     Linear,
     RobotPose,
     TextureVariances,
-    covered,
     motion_between,
     texture_of,
 )
@@ -35,7 +31,7 @@ from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes
 from tests.made_up import a_microscope
 
 HALF_ANGLE, APEX, SCALE = math.atan(1 / 20), -5.117, 0.0067
-CONE, WALL = UniformCone.of(HALF_ANGLE, APEX), optics.Sphere(11.5)
+CONE = UniformCone.of(HALF_ANGLE, APEX)
 CAMERA = optics.microscope(
     scale=SCALE, pinhole_height=11.5, eye_radius=11.5, principal_point=(100.0, 100.0)
 )
@@ -59,38 +55,14 @@ def beam_frame(tip=TIP, axis=AXIS, distance=2.45):
     )
 
 
-def light_on_cells(frame, *, corner=(-30.5, -30.5), side=10.0, steps=None):
-    """Irradiance of the cells, its derivatives, and the cells' areas."""
-    lattice = square_lattice(
-        CAMERA, WALL, corner=np.array(corner), right=np.array([side, 0.0]), count=COUNT
-    )
+def light_on_cells(frame, steps=None):
+    """Irradiance of the cells, and its derivatives."""
+    corner, right = np.full(2, -30.5), np.array([10.0, 0.0])
+    lattice = square_lattice(CAMERA, optics.Sphere(11.5), corner=corner, right=right, count=COUNT)
     light = irradiance_and_slopes(
         lattice, CONE, frame, own=np.zeros(2), spread=np.eye(2), steps=steps
     )
-    return *map(np.asarray, light), np.asarray(lattice.area).ravel()
-
-
-def test_a_cone_s_whole_power_falls_on_the_cells_around_its_spot():
-    value, _, area = light_on_cells(beam_frame([0.0, 0.0, -9.0], [0.0, 0.0, -1.0], 2.5))
-    # The cells' areas are those of their tangent planes: off by the sagitta of a cell of 0.067 mm
-    # on a sphere of 11.5 mm, 4e-6 of the area. Elsewhere the sum telescopes, edge by edge.
-    assert value @ area == pytest.approx(1.0, abs=2e-5)
-
-
-def test_derivatives_of_the_cells_light_are_central_differences():
-    frame, step = beam_frame(), 1e-5
-    _, slopes, _ = light_on_cells(frame)
-
-    def moved(sign):
-        turned = unit(*(AXIS + sign * step * frame.first))
-        return light_on_cells(frame._replace(tip=TIP + 2.45 * (AXIS - turned), axis=turned))[0]
-
-    differences = (moved(1) - moved(-1)) / (2 * step)
-    # The edge moves by 2.5 mm x 1e-5, 4e-4 of a cell. Where it crosses a corner within the step,
-    # the derivative changes by some ten times that.
-    scale = np.abs(slopes[3]).max()
-    np.testing.assert_allclose(differences, slopes[3], atol=5e-3 * scale)
-    assert np.mean(np.abs(differences - slopes[3]) < 1e-4 * scale) > 0.98
+    return tuple(map(np.asarray, light))
 
 
 def test_the_light_of_a_beam_that_moves_has_the_derivatives_of_its_whole_way():
@@ -99,7 +71,7 @@ def test_the_light_of_a_beam_that_moves_has_the_derivatives_of_its_whole_way():
     aways = ways[:, None] * np.array([1.0, 0.5, 0.0])
     turns = 0.02 * ways[:, None] * np.array([0.0, 1.0, 0.0])
     steps = Steps(tips=aways, axes=turns, shares=np.full(8, 1 / 8))
-    value, slopes, _ = light_on_cells(frame, steps=steps)
+    value, slopes = light_on_cells(frame, steps)
     step = 1e-5
 
     def seen(aside):
@@ -115,33 +87,11 @@ def test_the_light_of_a_beam_that_moves_has_the_derivatives_of_its_whole_way():
 
     np.testing.assert_allclose(value, seen(0.0), rtol=1e-12, atol=1e-12)
     differences = (seen(step) - seen(-step)) / (2 * step)
-    # As above: where an edge crosses a corner of a cell within the step, the derivative jumps.
+    # Where an edge crosses a corner of a cell within the step, the derivative jumps.
     scale = np.abs(slopes[0]).max()
     np.testing.assert_allclose(differences, slopes[0], atol=5e-3 * scale)
     # A beam at rest has all of its edge in one place, and there the steepest light.
     assert scale < 0.6 * np.abs(light_on_cells(frame)[1][0]).max()
-
-
-def test_a_cell_that_the_cone_s_edge_cuts_has_the_mean_light_of_its_points():
-    axis = np.array([0.3, 0.25, -math.sqrt(1 - 0.1525)])
-    meeting = WALL.intersect(TIP, axis)
-    corner = np.round(np.asarray(CAMERA.project(meeting.point)) - 130.0) - 0.5
-    distance = float(np.linalg.norm(np.asarray(meeting.point) - TIP))
-    value, _, _ = light_on_cells(beam_frame(TIP, axis, distance), corner=corner)
-    light, side, fine = value.reshape(COUNT, COUNT), 10.0, 100
-    cut = np.argwhere((light > 0.05 * light.max()) & (light < 0.9 * light.max()))[::4]
-    place = side * (np.arange(fine) + 0.5) / fine
-    for row, column in cut:
-        u, v = np.meshgrid(corner[0] + side * column + place, corner[1] + side * row + place)
-        seen = WALL.intersect(*CAMERA.ray(np.stack([u.ravel(), v.ravel()], axis=-1)))
-        offset = np.asarray(seen.point) - (TIP + APEX * axis)
-        far = np.linalg.norm(offset, axis=1)
-        inside = offset @ axis > far * math.cos(HALF_ANGLE)
-        cosine = -np.sum(offset * np.asarray(seen.normal), axis=1) / far
-        points = np.where(inside, cosine / far**2, 0.0) / (2 * np.pi * (1 - math.cos(HALF_ANGLE)))
-        # Of 100 rows of points each is cut at a random place: 0.3 / sqrt(100) of a point's share,
-        # 3e-4 of the step. Rows along the edge are cut alike, which is up to ten times as much.
-        assert light[row, column] == pytest.approx(points.mean(), abs=3e-3 * light.max())
 
 
 def test_the_mixture_of_channels_cancels_what_they_share():
@@ -216,52 +166,6 @@ def test_a_point_keeps_its_light_and_gets_variance_and_kurtosis(variance, kurtos
     assert found == pytest.approx(variance, rel=slack)
     if variance > 1:
         assert along @ away**4 / found**2 - 3.0 == pytest.approx(kurtosis, abs=0.02)
-
-
-def disc_share(x, variance):
-    x = np.clip(x / (2.0 * np.sqrt(variance)), -1.0, 1.0)
-    return 0.5 + (x * np.sqrt(1.0 - x * x) + np.arcsin(x)) / np.pi
-
-
-def exponential_share(x, variance):
-    length = np.sqrt(variance / 3.0)
-
-    def line(y):
-        return y * k1(y / length) / (np.pi * length**2) if y > 0 else 1.0 / (np.pi * length)
-
-    return 0.5 + np.sign(x) * quad(line, 0.0, abs(x))[0]
-
-
-BLURS = {
-    # Light beyond a line, kurtosis, and what passes of the lattice's shortest wave.
-    "Gaussian": (
-        lambda x, variance: norm.cdf(x / np.sqrt(variance)),
-        0.0,
-        lambda variance: np.exp(-0.5 * variance * np.pi**2),
-    ),
-    "disc": (disc_share, -1.0, lambda variance: 1.6 / (2 * np.pi * np.sqrt(variance)) ** 1.5),
-    "exponential": (exponential_share, 2.0, lambda variance: (1 + variance * np.pi**2 / 3) ** -1.5),
-}
-
-
-@pytest.mark.parametrize("blur", BLURS)
-@pytest.mark.parametrize("variance", [0.25, 1.0, 2.0])
-def test_an_edge_is_that_of_the_blur(blur, variance):
-    share, kurtosis, passes = BLURS[blur]
-    edge = np.zeros((COUNT, COUNT))
-    edge[:, MIDDLE:] = 1.0
-    seen = blurred(edge.ravel(), variance, kurtosis).reshape(COUNT, COUNT)[MIDDLE]
-    exact = [
-        quad(lambda x: share(x, variance), k, k + 1)[0] for k in range(-MIDDLE, COUNT - MIDDLE)
-    ]
-    # The mean over cells of an edge has at most 2 / w^2 of a wave of number w. What lies beyond the
-    # shortest wave of the lattice, w = pi, is missing, and what it has instead is as much at most:
-    # 2/pi times the integral of 2 / w^2 from pi on, times what the blur passes there. Among the
-    # longer waves an edge between two cells is (w/2)^2 / sin(w/2)^2 too strong, 1 + w^2/12: as if
-    # the variance were 1/6 less. Half of that times a Gaussian's steepest slope, 0.242 / variance;
-    # the next order, w^4 / 240, adds less than a tenth.
-    slack = 4.0 / np.pi**2 * passes(variance) + 1.1 * 0.242 / (12.0 * variance)
-    assert np.abs(np.subtract(seen, exact)).max() < slack
 
 
 @pytest.mark.parametrize("kurtosis", [-0.5, 0.7])
@@ -340,41 +244,6 @@ def test_light_that_is_steep_within_a_cell_is_blurred_where_it_is_steep(sharp):
     assert np.abs(seen - exact).max() < 0.25 * np.abs(still - exact).max()
 
 
-SPOT = Outline(150.3, 119.6, 60.0, 50.0, 0.4, edge_width_px=0.5)
-
-
-def covered_by_the_spot(shape=(240, 300), *, parts=8):
-    """Share of each pixel that an ellipse covers, by points in it."""
-    height, width = shape
-    v, u = (np.indices((height * parts, width * parts)) + 0.5) / parts - 0.5
-    u, v = u - SPOT.x_px, v - SPOT.y_px
-    c, s = np.cos(SPOT.angle_rad), np.sin(SPOT.angle_rad)
-    inside = np.hypot((u * c + v * s) / SPOT.semi_major_px, (v * c - u * s) / SPOT.semi_minor_px)
-    return (inside < 1).reshape(height, parts, width, parts).mean(axis=(1, 3))
-
-
-@pytest.mark.parametrize("full_scales", [3.0, 30.0])
-def test_cells_at_the_edge_of_a_saturated_spot_are_covered_in_part(full_scales):
-    side, ambient = 7, 0.1
-    share = covered_by_the_spot((side * COUNT, side * COUNT + 90))[:, 58:-32]
-    seen = np.minimum(full_scales * share + ambient, 1.0)
-
-    def cells(pixels):
-        return pixels.reshape(COUNT, side, COUNT, side).mean(axis=(1, 3)).ravel()
-
-    light = cells(full_scales * share)
-    right, down = np.gradient(share, axis=1), np.gradient(share, axis=0)
-    slopes = -full_scales * np.stack([cells(right), cells(down)])
-    room = np.full(light.size, 1.0 - ambient)
-    model = covered(light, room, slopes, pixel_mm=1.0).light + ambient
-    # Light of r full scales moves the edge outwards by 0.64 (1 - 1/r), 0.43 and 0.62 px; a cell's
-    # share of that beyond its side is lost, 0.03 px. The model moves it by 0.45.
-    contour_px = np.pi * (SPOT.semi_major_px + SPOT.semi_minor_px)
-    assert abs((model - cells(seen)).sum()) * side**2 < 0.2 * contour_px
-    # In each cell the pixels that the edge cuts are right to half a pixel, seven or eight of them.
-    assert np.abs(model - cells(seen)).max() < 0.5 * 8 / side**2
-
-
 def test_the_only_bright_region_may_be_a_spot_that_has_grown_threefold():
     # Behind a dome in vitreous a spot grew by that within 0.75 mm; its fitted light decides.
     def outline(size, x=300.0):
@@ -386,17 +255,6 @@ def test_the_only_bright_region_may_be_a_spot_that_has_grown_threefold():
     assert _like(last, [grown, other]) == last
     assert _like(last, [grown, outline(21.0)]) == outline(21.0)
     assert _like(last, []) == last
-
-
-def test_a_point_of_the_map_comes_back_from_the_image():
-    rng = np.random.default_rng(1)
-    motion = WallMotion(12.0, -7.0, 0.08)
-    points = rng.uniform(0, 500, (20, 2))
-    np.testing.assert_allclose(motion.map_px(motion.image_px(points)), points, atol=1e-9)
-    step = WallMotion(-3.0, 1.0, -0.02)
-    later = step.after(motion)
-    np.testing.assert_allclose(later.image_px(points), step.image_px(motion.image_px(points)))
-    np.testing.assert_allclose(later.since(motion), step, atol=1e-12)
 
 
 def test_a_shift_of_the_wall_is_found_although_the_light_has_changed():

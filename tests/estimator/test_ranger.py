@@ -388,14 +388,10 @@ def test_what_does_not_fit_is_refused_with_a_remedy():
         Ranger(calibration(), microscope(), eccentricity_mm=12.0)
     with pytest.raises(ValueError, match="one is a cone, the other a lens"):
         Ranger(calibration(), microscope(), model="lens")
+    with pytest.raises(InputError, match="another microscope, or of another zoom"):
+        Ranger(calibration(k=K, b=B, scale=2 * SCALE), microscope())
     with pytest.raises(ValueError, match="unit vector"):
         Ranger(calibration(), microscope()).distance(spot(*CENTRE, 60, 55), axis=[0, 0, -2])
-
-
-def test_a_calibration_of_another_microscope_is_refused():
-    zoomed = calibration(k=K, b=B, scale=2 * SCALE)
-    with pytest.raises(InputError, match="another microscope, or of another zoom"):
-        Ranger(zoomed, microscope())
 
 
 def test_closed_forms_load_no_jax():

@@ -119,7 +119,7 @@ def test_the_pose_of_an_image_is_the_last_of_its_run_that_came_before(received_s
     for moment_s in received_s:
         rig.poses.take(pose_message(), moment_s)
     details = rig.output(grey_message(disc(150, 110, 40)), image_s, 0).details
-    assert pose_age_s(details) == pytest.approx(age_s, abs=1e-9, nan_ok=True)
+    assert float(details["pose_age_s"]) == pytest.approx(age_s, abs=1e-9, nan_ok=True)
 
 
 def test_a_topic_of_compressed_images_is_looked_for_as_such():
@@ -383,17 +383,18 @@ def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
     poses = read_poses(bag) if with_axis else None
     numbers, doubts = measured_offline(frames_of(stack), settings, start, ranger, poses)
     received = [
-        [*xyz(spot.point), *xyz(axes.vector), distance.range]
+        [*(getattr(part, n) for part in (spot.point, axes.vector) for n in "xyz"), distance.range]
         for spot, axes, distance in zip(live["spot"], live["axes"], live["range"], strict=True)
     ]
     # The same code ran on the same pixels: not a bit differs.
     np.testing.assert_array_equal(received, numbers)
     assert [message.status[0].message for message in live["status"]] == doubts
     for messages in live.values():
-        assert [nanoseconds(message.header.stamp) for message in messages] == stamps
+        times = (message.header.stamp for message in messages)
+        assert [time.sec * 10**9 + time.nanosec for time in times] == stamps
     # At 200 Hz the last pose is 5 ms old; the bound leaves room for a machine that is busy.
     details = ({item.key: item.value for item in m.status[0].values} for m in live["status"])
-    ages = [pose_age_s(one) for one in details]
+    ages = [float(one["pose_age_s"]) for one in details]
     assert 0 <= min(ages) <= max(ages) < 1.0
     spots = int(np.sum(numbers, axis=0)[2])
     assert 0 < spots < len(numbers)
@@ -401,10 +402,6 @@ def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
         f"{model}: of {len(numbers)} frames {spots} with a spot; equal: {np.size(numbers)} numbers,"
         f" {len(doubts)} statuses, {len(stamps) * len(live)} stamps"
     )
-
-
-def xyz(vector: Any) -> list[float]:
-    return [vector.x, vector.y, vector.z]
 
 
 @pytest.mark.slow
@@ -426,14 +423,6 @@ def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(ros
         )
         session.wait_until(lambda: reader.poll() is not None, "the end of the images")
     read_as_a_source(out, frames_of(stack))
-
-
-def nanoseconds(stamp: Any) -> int:
-    return stamp.sec * 10**9 + stamp.nanosec
-
-
-def pose_age_s(details: dict[str, str]) -> float:
-    return float(details["pose_age_s"])
 
 
 @pytest.mark.slow

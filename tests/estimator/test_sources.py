@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
+from unittest import mock
 
 import cv2
 import numpy as np
@@ -221,51 +222,26 @@ def test_missing_and_empty_places_are_refused(tmp_path):
         open_source(tmp_path)
 
 
-def test_what_was_measured_before_a_break_is_kept(tmp_path, images, expected):
-    path = cut(write_video(tmp_path / "video.avi", images), 0.6)
-    tracking = tracked(open_source(path))
-    assert tracking.ended is Ended.BROKEN
-    count = len(tracking.records)
-    assert f"breaks off at frame {count} of the 12" in tracking.fault
-    assert_same(tracking.records, expected[:count])
-
-
-class FakeCamera:
+@pytest.fixture
+def camera(monkeypatch):
     """Stands in for cv2.VideoCapture of a camera, which no test machine has."""
-
-    def __init__(self, images: list[np.ndarray], end: BaseException | None) -> None:
-        self._images, self._end = iter(images), end
-
-    def isOpened(self) -> bool:
-        return True
-
-    def get(self, _: int) -> float:
-        return 30.0
-
-    def set(self, _: int, value: float) -> bool:
-        return True
-
-    def read(self) -> tuple[bool, np.ndarray | None]:
-        image = next(self._images, None)
-        if image is None and self._end is not None:
-            raise self._end
-        return image is not None, image
-
-    def release(self) -> None:
-        pass
+    camera = mock.Mock()
+    camera.get.return_value = 30.0
+    monkeypatch.setattr(cv2, "VideoCapture", lambda number: camera)
+    return camera
 
 
-def test_a_camera_runs_until_it_is_stopped(monkeypatch, images, expected):
-    frames = [np.ascontiguousarray(opencv_order(image)) for image in images]
-    monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(frames, KeyboardInterrupt()))
+def test_a_camera_runs_until_it_is_stopped(camera, images, expected):
+    frames = [(True, np.ascontiguousarray(opencv_order(image))) for image in images]
+    camera.read.side_effect = [*frames, KeyboardInterrupt]
     source = open_source("0")
     assert source.live
     assert source.length is None
     assert_same(offline(source), expected)
 
 
-def test_a_camera_that_stops_by_itself_is_a_fault(monkeypatch, images):
-    monkeypatch.setattr(cv2, "VideoCapture", lambda number: FakeCamera(images[:2], None))
+def test_a_camera_that_stops_by_itself_is_a_fault(camera, images):
+    camera.read.side_effect = [*((True, image) for image in images[:2]), (False, None)]
     tracking = tracked(open_source("0"))
     assert tracking.ended is Ended.BROKEN
     assert "camera 0 stopped at frame 2" in tracking.fault

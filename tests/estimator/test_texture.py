@@ -20,23 +20,15 @@ def bell(semi_minor_px: float = SEMI_MINOR_PX) -> np.ndarray:
     return 160 * np.exp(-math.log(2) * square / semi_minor_px**2) + 13
 
 
-def veins(rng: np.random.Generator, width_px: float) -> np.ndarray:
-    """Blobs and bands of a pigment, 1 where it is thick."""
-    noise = gaussian_filter(rng.standard_normal(SHAPE), width_px)
-    return np.clip(noise / noise.std() - 0.8, 0, 1)
-
-
-def tinted(light: np.ndarray, pigment: np.ndarray) -> np.ndarray:
-    """Light in three channels after the pigment, (h, w, 3) float32."""
-    return (light[..., None] * np.exp(-pigment[..., None] * DENSITY)).astype(np.float32)
-
-
 @pytest.mark.parametrize("semi_minor_px", [25.0, 35.0])
 def test_a_bell_on_a_veined_wall_is_measured_better_in_colour(semi_minor_px):
     rng = np.random.default_rng(2)
     errors: dict[str, list[float]] = {"colour": [], "red": []}
     for _ in range(12):
-        image = tinted(bell(semi_minor_px), veins(rng, 5.0)) + rng.normal(0, 2, (*SHAPE, 3))
+        noise = gaussian_filter(rng.standard_normal(SHAPE), 5.0)
+        veins = np.clip(noise / noise.std() - 0.8, 0, 1)  # blobs and bands of the pigment
+        image = bell(semi_minor_px)[..., None] * np.exp(-veins[..., None] * DENSITY)
+        image = image + rng.normal(0, 2, (*SHAPE, 3))
         frame = np.clip(np.rint(image), 0, 255).astype(np.uint8)
         red = np.ascontiguousarray(frame[..., 0])
         for name, seen in (("colour", frame), ("red", red)):

@@ -13,7 +13,7 @@ from estimator import LiteralSettings, SubpixelSettings, TrackState, measure, tr
 from formats.spots import NoSpot, Reason, Spot
 from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 from tests.drawn_spots import with_shaft
-from tests.spotless import false_spots
+from tests.lookalikes import false_spots
 
 _TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
 _SCENE = Drawing(truth=_TRUTH)
@@ -24,30 +24,18 @@ def _near(result: Spot | NoSpot, truth: Truth, within: float = 0.1) -> bool:
     return isinstance(result, Spot) and bool(np.abs(truth.errors(result)).max() < within)
 
 
-def _two_spots(first: Truth, second: Truth, rng: np.random.Generator) -> np.ndarray:
-    frames = [frame_of(replace(_SCENE, truth=truth, noise=0.0), rng) for truth in (first, second)]
-    return np.maximum(*frames)
-
-
 def test_the_first_frame_needs_no_start():
     rng = np.random.default_rng(0)
-    for truth in (
-        _TRUTH,
-        replace(_TRUTH, x=90, y=390),
-        replace(_TRUTH, semi_major=22, semi_minor=20),
+    for truth, shape in (
+        (_TRUTH, SHAPE),
+        (replace(_TRUTH, x=90, y=390), SHAPE),
+        (replace(_TRUTH, semi_major=22, semi_minor=20), SHAPE),
+        (replace(_TRUTH, x=1700, y=150), (1080, 1920)),
     ):
-        spot, state = measure(
-            frame_of(replace(_SCENE, truth=truth), rng), TrackState(), SubpixelSettings()
-        )
+        frame = frame_of(replace(_SCENE, truth=truth), rng, shape)
+        spot, state = measure(frame, TrackState(), SubpixelSettings())
         assert _near(spot, truth)
         assert state.spot is spot
-
-
-def test_a_spot_is_found_in_a_large_frame():
-    truth = replace(_TRUTH, x=1700, y=150)
-    frame = frame_of(replace(_SCENE, truth=truth), np.random.default_rng(0), (1080, 1920))
-    spot, _ = measure(frame, TrackState(), SubpixelSettings())
-    assert _near(spot, truth)
 
 
 def test_jumps_of_60_px_and_slow_growth_are_followed():
@@ -90,7 +78,8 @@ def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(chan
 
 def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides():
     left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
-    frame = _two_spots(left, right, np.random.default_rng(5))
+    rng = np.random.default_rng(5)
+    frame = np.maximum(*(frame_of(replace(_SCENE, truth=t, noise=0.0), rng) for t in (left, right)))
     result, state = measure(frame, TrackState(), SubpixelSettings())
     assert result == NoSpot(Reason.AMBIGUOUS)
     assert state == TrackState()
@@ -109,34 +98,21 @@ def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one():
     assert all(_near(result, left) for result in results)
 
 
-def _shafted(scene: Drawing, rng: np.random.Generator) -> Drawing:
-    return with_shaft(scene, rng, 0.3, 75)
-
-
-def _textured(scene: Drawing, rng: np.random.Generator) -> Drawing:
-    return replace(scene, wall=any_wall(rng))
-
-
-def _red(scene: Drawing, rng: np.random.Generator) -> Drawing:
-    """Red is saturated, blue is not."""
-    wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
-    return replace(scene, wall=wall, amplitude=1.7 * 255 - 15)
-
-
-_KINDS: dict[str, Callable[[Drawing, np.random.Generator], Drawing]] = {
-    "even": lambda scene, rng: scene,
-    "retina": _textured,
-    "saturated": lambda scene, rng: replace(scene, amplitude=430.0),
-    "saturated in red": _red,
-    "clipped": lambda scene, rng: replace(scene, truth=replace(scene.truth, x=40)),
-    "behind a shaft": _shafted,
+_REDDISH = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
+_KINDS: dict[str, Callable[[np.random.Generator], Drawing]] = {
+    "even": lambda rng: _SCENE,
+    "retina": lambda rng: replace(_SCENE, wall=any_wall(rng)),
+    "saturated": lambda rng: replace(_SCENE, amplitude=430.0),
+    "saturated in red": lambda rng: replace(_SCENE, wall=_REDDISH, amplitude=1.7 * 255 - 15),
+    "clipped": lambda rng: replace(_SCENE, truth=replace(_TRUTH, x=40)),
+    "behind a shaft": lambda rng: with_shaft(_SCENE, rng, 0.3, 75),
 }
 
 
 @pytest.mark.parametrize("kind", _KINDS)
 def test_a_spot_that_is_followed_is_the_one_that_is_found(kind, monkeypatch):
     rng = np.random.default_rng(12)
-    scene = _KINDS[kind](_SCENE, rng)
+    scene = _KINDS[kind](rng)
     places = [scene.truth.moved(dx, dy) for dx, dy in ((0, 0), (2, 1), (1, 7), (9, 3), (8, 4))]
     frames = [frame_of(replace(scene, truth=place), rng) for place in places]
     settings = SubpixelSettings()
@@ -178,10 +154,9 @@ def test_what_takes_the_place_of_a_spot_is_not_followed():
 
 def test_saturation_and_channel_follow_the_light():
     rng = np.random.default_rng(14)
-    wall = np.broadcast_to(np.array([1.0, 0.6, 0.5]), (*SHAPE, 3))
     state = TrackState()
     for amplitude, saturated in ((180, 0), (600, 1), (200, 0), (430, 0)):
-        frame = frame_of(replace(_SCENE, wall=wall, amplitude=amplitude), rng)
+        frame = frame_of(replace(_SCENE, wall=_REDDISH, amplitude=amplitude), rng)
         spot, state = measure(frame, state, SubpixelSettings())
         anew, _ = measure(frame, TrackState(), SubpixelSettings())
         assert isinstance(spot, Spot) and isinstance(anew, Spot)

@@ -6,6 +6,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from PIL import Image
@@ -14,10 +15,11 @@ from estimator.rig.rig import Parameters, opened_rig
 from estimator.viewer import check_recording_path, record_stack
 from formats.spots import Spot, read_spots
 from formats.stack import read_stack
-from scenes import load_scene, render_stack
+from scenes import render_stack
 from tests.command_line import printed
 from tests.drawn_sets import labels_of, write_stack
 from tests.drawn_spots import disc
+from tests.scene_tables import scene_of
 
 
 def columns_of(recording: Path) -> dict[str, dict[int, Any]]:
@@ -51,7 +53,10 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(sta
         # Single precision, and rerun's corner of the first pixel is at (-0.5, -0.5).
         np.testing.assert_allclose(np.subtract(centre, 0.5), record.result.ellipse[:2], rtol=1e-6)
         (contour,) = columns["/microscope/spot:LineStrips2D:strips"][record.frame]
-        assert areas_px(contour) == pytest.approx(area_px(record.result.ellipse), rel=1e-3)
+        # One of 180 corners lacks 2e-4 of its ellipse's area.
+        _, _, semi_major, semi_minor, _ = record.result.ellipse
+        area = cv2.contourArea(np.float32(contour))
+        assert area == pytest.approx(np.pi * semi_major * semi_minor, rel=1e-3)
         assert columns["/distance/truth:Scalars:scalars"][record.frame] == [labels.d_mm]
         (blob,) = columns["/microscope:EncodedImage:blob"][record.frame]
         image = np.asarray(Image.open(io.BytesIO(bytes(blob))))
@@ -60,20 +65,15 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(sta
 
 def test_a_fit_is_recorded_with_the_robots_distances_and_its_residuals(tmp_path):
     pytest.importorskip("rerun", reason="pip install 'eyespot[rerun]'")
-    scene = load_scene(
-        None,
-        [
-            "source.kind=cone",
-            "microscope.width_px=320",
-            "microscope.height_px=240",
-            "microscope.scale_mm_px=0.0134",
-            "motion.frames=9",
-            "phantom.wall=uniform",
-            'exposures.kinds=["metered"]',
-        ],
-    )
+    scene = {
+        "source": {"kind": "cone"},
+        "microscope": {"width_px": 320, "height_px": 240, "scale_mm_px": 0.0134},
+        "motion": {"frames": 9},
+        "phantom": {"wall": "uniform"},
+        "exposures": {"kinds": ["metered"]},
+    }
     stack, recording = tmp_path / "stack", tmp_path / "fit.rrd"
-    render_stack(scene, stack)
+    render_stack(scene_of(scene), stack)
     printed("fit", stack, "--model", "cone", "--out", tmp_path / "c.json", "--rerun", recording)
     columns = columns_of(recording)
     measured = columns["/distance/measured:Scalars:scalars"]
@@ -105,16 +105,6 @@ def test_the_rig_records_what_it_measures(tmp_path):
         np.testing.assert_allclose(
             np.subtract(centres[number][0], 0.5), output.centre[:2], rtol=1e-6
         )
-
-
-def area_px(ellipse: tuple[float, ...]) -> float:
-    return np.pi * ellipse[2] * ellipse[3]
-
-
-def areas_px(contour: list[list[float]]) -> float:
-    """Area of a closed polygon; one of 180 corners lacks 2e-4 of its ellipse's."""
-    x, y = np.transpose(contour)
-    return abs(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1])) / 2
 
 
 def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack, tmp_path):

@@ -35,6 +35,7 @@ from scenes.world.world import World
 from tests.bad_input import OLD, odd, spoilt
 from tests.command_line import run_process
 from tests.drawn_recording import write_video
+from tests.made_up import an_opencv_file
 
 STACK = "small-v1/train/0000"
 SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}
@@ -53,13 +54,13 @@ def folder(tmp_path_factory):
     )
     claim_run(folder)
     for suffix in ("yml", "xml", "json"):
-        storage = cv2.FileStorage(str(folder / f"camera.{suffix}"), cv2.FILE_STORAGE_WRITE)
-        matrix = np.array([[3432.8, 0, 330.5], [0, 3432.8, 224.25], [0, 0, 1]])
-        storage.write("camera_matrix", matrix)
-        storage.write("distortion_coefficients", np.zeros((1, 5)))
-        storage.write("image_width", 640)
-        storage.write("image_height", 480)
-        storage.release()
+        an_opencv_file(
+            folder / f"camera.{suffix}",
+            camera_matrix=np.array([[3432.8, 0, 330.5], [0, 3432.8, 224.25], [0, 0, 1]]),
+            distortion_coefficients=np.zeros((1, 5)),
+            image_width=640,
+            image_height=480,
+        )
     image = cv2.imread(str(folder / STACK / "frames" / "000000.png"))
     assert image is not None
     for suffix in ("png", "jpg", "bmp", "webp", "jp2", "tif"):

@@ -10,7 +10,7 @@ import pytest
 from estimator.sources.opening import open_source
 from formats.calibration import read_calibration
 from formats.images import MOST_PIXELS, decoded_image
-from formats.inputs import InputError, shortened
+from formats.inputs import InputError
 from formats.microscope import read_microscope
 from formats.poses import read_poses
 from formats.stack import read_stack
@@ -122,32 +122,12 @@ def test_a_file_that_is_too_large_is_refused_unread(tmp_path):
         read_poses(path)
 
 
-@pytest.mark.parametrize(
-    ("matrix", "words"),
-    [
-        (
-            "rows: 3\n   cols: 3\n   dt: '9999999999x'\n   data: [ 1 ]",
-            "1 numbers, but rows and cols",
-        ),
-        (
-            "rows: 1000000\n   cols: 1000000\n   dt: d\n   data: [ 1 ]",
-            "1 numbers, but rows and cols",
-        ),
-        ("rows: -3\n   cols: 3\n   dt: d\n   data: [ 1 ]", "rows and cols say -3 x 3"),
-        ("rows: x\n   cols: 3\n   dt: d\n   data: [ 1 ]", "must hold numbers"),
-        ("rows: 3\n   cols: 3\n   dt: d\n   data: []", "0 numbers, but rows and cols"),
-    ],
-)
-def test_an_odd_matrix_of_opencv_is_refused(tmp_path, matrix, words):
+@pytest.mark.parametrize("dt", ["'9999999999x'", "d"])
+def test_an_odd_matrix_of_opencv_is_refused(tmp_path, dt):
     path = tmp_path / "camera.yml"
     path.write_text(
-        f"%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\nK: !!opencv-matrix\n   {matrix}\n"
+        "%YAML:1.0\n---\nimage_width: 640\nimage_height: 480\nK: !!opencv-matrix\n"
+        f"   rows: 1000000\n   cols: 1000000\n   dt: {dt}\n   data: [ 1 ]\n"
     )
-    with pytest.raises(InputError, match=words):
+    with pytest.raises(InputError, match="1 numbers, but rows and cols"):
         read_microscope(path, pinhole_height_mm=200.0, eye_radius_mm=11.5)
-
-
-def test_a_value_in_a_message_has_at_most_two_hundred_characters():
-    assert shortened("x") == "'x'"
-    assert len(shortened("x" * 200_000)) == 201
-    assert "large" in shortened(10**5000)

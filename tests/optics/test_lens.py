@@ -17,22 +17,11 @@ from optics.lens_table import (
 )
 from optics.refraction import fresnel_transmittance, refracted_cosine
 from tests.lens_quadrature import transmittance
+from tests.made_up import a_lens
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
-
-
-def lens(**changes) -> optics.GlueLens:
-    shape = {
-        "core_radius": 0.25,
-        "glue_length": 0.12,
-        "aperture_radius": 0.25,
-        "sag": 0.12,
-        "glue_index": GLUE,
-        "numerical_aperture": 0.2,
-    }
-    return optics.glue_lens(**{**shape, **changes})
 
 
 @pytest.mark.parametrize(
@@ -50,7 +39,7 @@ def lens(**changes) -> optics.GlueLens:
 )
 def test_impossible_lenses_are_refused_with_the_rule_and_the_way_out(change, rule):
     with pytest.raises(ValueError, match=rule):
-        lens(**change)
+        a_lens(**change)
 
 
 def test_presets_are_found_by_name_and_by_path(tmp_path):
@@ -88,17 +77,17 @@ def test_a_wrong_lens_file_is_refused_with_its_fault(tmp_path, text, reason):
 def test_the_cap_is_a_sphere_through_vertex_and_rim():
     radius_of_curvature = (0.25**2 + 0.12**2) / (2 * 0.12)
     rho = np.linspace(0.0, 0.25, 7)
-    depth = np.asarray(lens().sagitta(rho))
+    depth = np.asarray(a_lens().sagitta(rho))
     distance = np.hypot(rho, radius_of_curvature - depth)
     np.testing.assert_allclose(distance, radius_of_curvature, rtol=1e-14)
     assert depth[-1] == pytest.approx(0.12, rel=1e-14)
 
 
 def test_the_flat_end_is_exact_and_has_a_slope():
-    flat = lens(sag=0.0)
+    flat = a_lens(sag=0.0)
     assert np.all(np.asarray(flat.sagitta(np.linspace(0.0, 0.25, 5))) == 0.0)
     # Depth is rho² h / a² to first order in h.
-    slope = jax.grad(lambda sag: lens(sag=sag).sagitta(0.1))(0.0)
+    slope = jax.grad(lambda sag: a_lens(sag=sag).sagitta(0.1))(0.0)
     assert float(slope) == pytest.approx(0.1**2 / 0.25**2, rel=1e-12)
 
 
@@ -125,7 +114,7 @@ def test_fresnel_at_normal_incidence_and_at_brewsters_angle():
 def test_emitted_rays_obey_snell_on_the_cap():
     rng = np.random.default_rng(1)
     points, directions = rng.uniform(-0.12, 0.12, (400, 2)), rng.uniform(-0.1, 0.1, (400, 2))
-    rays = emitted_rays(lens(), medium_index=VITREOUS, points=points, directions=directions)
+    rays = emitted_rays(a_lens(), medium_index=VITREOUS, points=points, directions=directions)
     assert np.all(np.asarray(rays.status) == TRANSMITTED)
     point, out = np.asarray(rays.point), np.asarray(rays.direction)
     inside = np.column_stack([directions, np.sqrt(1 - np.sum(directions**2, axis=1))])
@@ -148,12 +137,12 @@ def test_rays_beyond_the_critical_angle_and_beside_the_cap_say_so():
     heights = np.array([0.999 * critical, 1.001 * critical])
     axial = np.zeros((2, 2))
     rays = emitted_rays(
-        lens(), medium_index=AIR, points=np.column_stack([heights, np.zeros(2)]), directions=axial
+        a_lens(), medium_index=AIR, points=np.column_stack([heights, np.zeros(2)]), directions=axial
     )
     assert list(rays.status) == [TRANSMITTED, TOTAL_INTERNAL_REFLECTION]
     assert float(rays.transmittance[1]) == 0.0
     beside = emitted_rays(
-        lens(glue_length=2.0),
+        a_lens(glue_length=2.0),
         medium_index=AIR,
         points=np.array([[0.2, 0.0]]),
         directions=np.array([[0.1, 0.0]]),
@@ -163,7 +152,7 @@ def test_rays_beyond_the_critical_angle_and_beside_the_cap_say_so():
 
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
 def test_axial_rays_meet_at_the_paraxial_focus(medium):
-    dome = lens()
+    dome = a_lens()
     height = 1e-4
     rays = emitted_rays(
         dome, medium_index=medium, points=np.array([[height, 0.0]]), directions=np.zeros((1, 2))
@@ -181,12 +170,12 @@ def test_a_ray_traced_forwards_is_found_again_backwards():
     rng = np.random.default_rng(2)
     # Tangential starts as well as radial ones; along x after turning the wall point there.
     points, directions = rng.uniform(-0.1, 0.1, (50, 2)), rng.uniform(-0.09, 0.09, (50, 2))
-    rays = emitted_rays(lens(), medium_index=AIR, points=points, directions=directions)
+    rays = emitted_rays(a_lens(), medium_index=AIR, points=points, directions=directions)
     point, out = np.asarray(rays.point), np.asarray(rays.direction)
     wall = point + 0.7 * out
     radius, cap_radius = np.hypot(wall[:, 0], wall[:, 1]), np.hypot(point[:, 0], point[:, 1])
     turn = np.arctan2(wall[:, 1], wall[:, 0]) - np.arctan2(point[:, 1], point[:, 0])
-    rays = RingRays(lens(), *map(jnp.asarray, (AIR, radius, wall[:, 2])))
+    rays = RingRays(a_lens(), *map(jnp.asarray, (AIR, radius, wall[:, 2])))
     back = rays.trace(cap_radius, np.sin(turn / 2) ** 2)
     sine_limit, core = 0.2 / GLUE, 0.25
     # cone and face are squared ratios less 1: rounding of order 1e-15 over the ratio of distances.
@@ -196,20 +185,9 @@ def test_a_ray_traced_forwards_is_found_again_backwards():
     np.testing.assert_allclose(back.face, np.sum(points**2, axis=1) / core**2 - 1, atol=1e-12)
 
 
-def test_no_light_comes_through_the_cap_from_behind():
-    # In a medium of the glue's index the two cosines of such a ray cancel: 0/0 but for rounding.
-    rng = np.random.default_rng(0)
-    wall = GLUE, rng.uniform(0.0, 0.5, 10_000), rng.uniform(0.001, 0.1, 10_000)
-    cap = rng.uniform(0.0, 0.25, 10_000), rng.uniform(0.0, 1.0, 10_000)
-    back = RingRays(lens(), *map(jnp.asarray, wall)).trace(*map(jnp.asarray, cap))
-    behind = np.asarray(back.drop) >= 0.0
-    assert 0.2 < np.mean(behind) < 1.0
-    assert np.all(np.isfinite(back.axial)) and np.all(np.isfinite(back.lateral))
-
-
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])
 def test_power_of_the_flat_end_is_the_fresnel_integral(medium):
-    flat = lens(sag=0.0, glue_length=0.0, numerical_aperture=0.5)
+    flat = a_lens(sag=0.0, glue_length=0.0, numerical_aperture=0.5)
     limit = 0.5 / GLUE
     expected, _ = quad(lambda q: 2 * q * transmittance(q, GLUE, medium), 0, limit, epsabs=1e-14)
     # Gauss-Legendre of a smooth function: exact to rounding.
@@ -228,13 +206,13 @@ def test_power_of_a_collimated_dome_is_the_fresnel_integral_over_its_cap(medium)
         return 2 * height * passes * edge * np.cos(turn)
 
     expected, _ = quad(ring, 0, np.pi / 2, epsabs=1e-13, epsrel=1e-12)
-    power = float(transmitted_power(lens(numerical_aperture=1e-4), medium_index=medium))
+    power = float(transmitted_power(a_lens(numerical_aperture=1e-4), medium_index=medium))
     # The cone of 1e-4 changes the power by its square: 1e-8.
     assert power == pytest.approx(expected / 0.25**2, abs=1e-6)
 
 
 def test_an_index_matched_cap_loses_nothing():
-    assert float(transmitted_power(lens(), medium_index=GLUE)) == pytest.approx(1.0, abs=1e-12)
+    assert float(transmitted_power(a_lens(), medium_index=GLUE)) == pytest.approx(1.0, abs=1e-12)
 
 
 def test_a_long_drop_loses_what_meets_its_side():
@@ -242,7 +220,7 @@ def test_a_long_drop_loses_what_meets_its_side():
     # point at height p, rays within the cone leave through the rim's disc. Index-matched, so no
     # Fresnel loss; the referee counts straight rays in NumPy.
     length, cone = 1.5, 0.3
-    drop = lens(glue_length=length, sag=0.0, numerical_aperture=cone)
+    drop = a_lens(glue_length=length, sag=0.0, numerical_aperture=cone)
     power = float(transmitted_power(drop, medium_index=GLUE))
     rng = np.random.default_rng(3)
     count = 400_000
@@ -258,14 +236,14 @@ def test_a_long_drop_loses_what_meets_its_side():
 def test_a_gaussian_launch_carries_unit_power_and_underfills_the_cone():
     # A narrow Gaussian launch sees the flat end at normal incidence: T there, to the square of its
     # width; so its radiance integrates to one.
-    narrow = lens(sag=0.0, launch_radius=0.05, launch_aperture=0.002)
+    narrow = a_lens(sag=0.0, launch_radius=0.05, launch_aperture=0.002)
     normal = 1 - ((GLUE - AIR) / (GLUE + AIR)) ** 2
     assert float(transmitted_power(narrow, medium_index=AIR)) == pytest.approx(normal, abs=1e-6)
 
 
 def test_power_has_the_derivatives_of_its_differences():
     def power(sag, index, medium):
-        return transmitted_power(lens(sag=sag, glue_index=index), medium_index=medium)
+        return transmitted_power(a_lens(sag=sag, glue_index=index), medium_index=medium)
 
     at = (0.11, 1.49, 1.0)
     slopes = jax.jacfwd(power, argnums=(0, 1, 2))(*at)

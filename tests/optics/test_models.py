@@ -17,13 +17,11 @@ KNOWN = {"scale": SCALE, "k": K, "b": B, "eye_radius": R_EYE}
 def exact(height, *, d, c):
     """e1' of the exact contour, px."""
     eye = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
-    return compiled_exact(eye, d, c)
+    return exact_semi_minor(optics.Sphere(R_EYE), eye, distance=d, eccentricity=c, **CONE)
 
 
-@jax.jit
-def compiled_exact(eye, d, c):
-    # Without jit, JAX compiles the loop in `ellipse_of_contour` again at every call.
-    return optics.exact_semi_minor(optics.Sphere(R_EYE), eye, distance=d, eccentricity=c, **CONE)
+# Without jit, JAX compiles the loop in `ellipse_of_contour` again at every call.
+exact_semi_minor = jax.jit(optics.exact_semi_minor)
 
 
 # Errors of small_plane at c = 3 mm, mm, from an independent computation (three decimals given).

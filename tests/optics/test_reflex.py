@@ -20,13 +20,6 @@ def path_to(lens=None, *, distance=DISTANCE_MM):
     )
 
 
-def with_round_cornea(path):
-    """The same path with a sphere as the cornea's front."""
-    return eqx.tree_at(
-        lambda p: p.elements[0].surface.asphericity, path, jnp.zeros(()), is_leaf=lambda _: False
-    )
-
-
 def seen_at(reflex, lamp):
     """Aim at which a line of sight near the axis returns to a place of the lamp."""
     small = 1e-3
@@ -51,7 +44,8 @@ def test_purkinjes_first_image_is_that_of_a_convex_mirror(distance):
 
 
 def test_off_the_axis_a_sphere_reflects_by_the_law_of_reflection():
-    path = with_round_cornea(path_to())
+    # The same path with a sphere as the cornea's front.
+    path = eqx.tree_at(lambda p: p.elements[0].surface.asphericity, path_to(), jnp.zeros(()))
     radius = 1 / float(path.elements[0].surface.curvature)
     aim = 2.0
     pinhole, towards = np.array([0.0, DISTANCE_MM]), np.array([aim, 0.0])

@@ -7,8 +7,8 @@ import pytest
 from scipy import ndimage
 
 import optics
-import scenes
 from optics import viewing
+from tests.scene_tables import BARE, scene_of
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -41,31 +41,18 @@ def flat_lens(form):
 
 def cone_scene(form):
     """An even, dark retina that a cone lights, seen through the same lens and eye."""
-    return scenes.Scene.model_validate(
-        {
-            "phantom": {"wall": "uniform", "reflectance": REFLECTANCE, "indirect": "off"},
-            "source": {"kind": "cone", "medium": "vitreous", "cone_k": 3.0},
-            "spot": {"eccentricity_mm": 1.0, "azimuth_deg": 30.0, "incidence_deg": 20.0},
-            "motion": {"start_mm": 2.0, "travel_mm": 1.0, "frames": 1},
-            "instrument": {"visible": False},
-            "microscope": {
-                "width_px": WIDTH,
-                "height_px": HEIGHT,
-                "scale_mm_px": SCALE,
-                "samples": 400,
-                "illumination_mw_mm2": 0.0,
-                # 203 mm above the cornea's vertex, as in `flat_lens`.
-                "pinhole_height_mm": 203.0 + 23.9203 - RADIUS,
-            },
-            "viewing": {
-                "eye": "navarro",
-                "lens": "flat",
-                "form": form,
-                "pupil_mm": 100.0,
-                "wavelengths_nm": [543.0] * 3,
-            },
-        }
-    )
+    window = {"width_px": WIDTH, "height_px": HEIGHT, "scale_mm_px": SCALE, "samples": 400}
+    # 203 mm above the cornea's vertex, as in `flat_lens`.
+    height = {"pinhole_height_mm": 203.0 + 23.9203 - RADIUS}
+    dark = {
+        "phantom": {"reflectance": REFLECTANCE},
+        "source": {"medium": "vitreous", "cone_k": 3.0},
+        "spot": {"eccentricity_mm": 1.0, "azimuth_deg": 30.0, "incidence_deg": 20.0},
+        "motion": {"start_mm": 2.0, "travel_mm": 1.0, "frames": 1},
+        "microscope": window | height,
+        "viewing": {"eye": "navarro", "lens": "flat", "form": form, "pupil_mm": 100.0},
+    }
+    return scene_of(BARE, dark, {"viewing": {"wavelengths_nm": [543.0] * 3}})
 
 
 def seen_through(glass, path, camera, spp):
@@ -78,26 +65,6 @@ def seen_through(glass, path, camera, spp):
         "sensor": glass.outside_camera(path, camera, width=WIDTH, height=HEIGHT, spp=spp),
         **glass.surfaces(path),
     }
-
-
-def photographed(glass, path, camera):
-    """Mitsuba's images, seeds x H x W, of a dark wall that a point lights from inside the eye."""
-    import mitsuba as mi
-
-    scene = mi.load_dict(
-        {
-            "type": "scene",
-            "lamp": {
-                "type": "point",
-                "position": LAMP.tolist(),
-                "intensity": {"type": "rgb", "value": 1.0},
-            },
-            **seen_through(glass, path, camera, SPP),
-        }
-    )
-    return np.array(
-        [np.array(mi.render(scene, seed=mi.UInt32(seed)))[..., 1] for seed in range(SEEDS)]
-    )
 
 
 def expected(path, camera):
@@ -118,13 +85,20 @@ def expected(path, camera):
 
 @pytest.mark.parametrize("form", ["phakic", pytest.param("aphakic", marks=pytest.mark.slow)])
 def test_mitsuba_sees_the_same_retina_through_real_surfaces(glass, form):
+    import mitsuba as mi
+
     path = flat_lens(form)
     camera = eqx.tree_at(
         lambda c: c.principal_point,
         viewing.path_camera(path, scale=SCALE),
         jnp.array([(WIDTH - 1) / 2, (HEIGHT - 1) / 2]),
     )
-    images, (truth, c) = photographed(glass, path, camera), expected(path, camera)
+    # A dark wall that a point lights from inside the eye.
+    lamp = {"position": LAMP.tolist(), "intensity": {"type": "rgb", "value": 1.0}}
+    seen_by_mitsuba = seen_through(glass, path, camera, SPP)
+    scene = mi.load_dict({"type": "scene", "lamp": {"type": "point", **lamp}, **seen_by_mitsuba})
+    images = np.array([np.array(mi.render(scene, seed=mi.UInt32(k)))[..., 1] for k in range(SEEDS)])
+    truth, c = expected(path, camera)
     seen = c < 4.0  # within the lens's mesh
     assert np.mean(seen) > 0.7
     off = np.log(images.mean(axis=0) / truth)

@@ -19,7 +19,7 @@ import scipy.stats
 import optics
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers import least_squares
-from scenes import Scene, SceneError, World, load_mitsuba
+from scenes import Scene, World, load_mitsuba
 from scenes.world.world import LensLight
 from tests.scene_tables import BARE, scene_of
 
@@ -181,68 +181,7 @@ def test_the_light_in_the_image_is_what_leaves_the_cap(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("medium", ["air", "vitreous"])
-def test_images_and_derivatives_are_those_of_the_closed_form_lens(medium, tmp_path):
-    """Pixel by pixel, by Student's t over seeds; nothing is scaled to fit."""
-    square = scene(
-        DEEP_DOME,
-        tmp_path,
-        phantom=PLANE,
-        spot=SQUARE,
-        source={"medium": medium},
-        microscope={"pinhole_height_mm": float("inf")},
-    )
-    free, seeds = ("sag", "numerical_aperture", "glue_index", "tip_z"), 16
-    rendered = []
-    for seed in range(seeds):
-        image = photon_image(square, free=free, photons=1 << 20, seed=seed)
-        value, jacobian = image.value_and_jacobian(image.start)
-        rendered.append(np.concatenate([value[..., :1], jacobian[..., 0, :]], axis=-1))
-    distance = image.start[3] + 11.5
-
-    def profile(sag, aperture, index, distance):
-        changed = {"sag": sag, "numerical_aperture": aperture, "glue_index": index}
-        lens = optics.glue_lens(**{**DEEP_DOME, **changed})
-        _, axial = optics.vector_irradiance(
-            lens, medium_index=optics.MEDIA[medium], radius=RADII, distance=distance
-        )
-        return 0.5 / np.pi * axial
-
-    start = (*image.start[:3], distance)
-    slopes = jax.jacfwd(profile, argnums=(0, 1, 2, 3))(*start)
-    expected = _spline_pixels(np.stack([profile(*start), *slopes], axis=-1))
-
-    mean = np.mean(rendered, axis=0)
-    error = np.std(rendered, axis=0, ddof=1) / np.sqrt(seeds)
-    # Photons in a pixel and seed: 200 make a sum near normal.
-    lit = expected[..., 0] > 200 * expected[..., 0].sum() / (1 << 20)
-    assert lit.sum() > 100
-    student = scipy.stats.t(seeds - 1)
-    for name, t in zip(("value", *free), ((mean - expected)[lit] / error[lit]).T, strict=True):
-        assert np.abs(t).max() < student.isf(ALPHA / t.size / 2), name
-        assert scipy.stats.kstest(t, student.cdf).pvalue > ALPHA, name
-
-
-RADII = np.linspace(0.0, 1.75, 512)
-"""Of the closed form's profile, mm: to the window's corner."""
-
-
-def _spline_pixels(profile: np.ndarray) -> np.ndarray:
-    """What pixels of the quadratic spline see of a profile about the window's middle."""
-    interpolate = scipy.interpolate.make_interp_spline(RADII, profile, k=1)
-    parts = 12  # of a pixel: the spot's edge is sharper than one
-    offset = (np.arange(3 * parts) + 0.5) / parts - 1.5
-    spline = np.where(abs(offset) < 0.5, 0.75 - offset**2, 0.5 * (1.5 - abs(offset)) ** 2) / parts
-    v, u = np.arange(48) - 23.5, np.arange(64) - 31.5
-    pixels = np.zeros((v.size, u.size, profile.shape[1]))
-    for du, across in zip(offset, spline, strict=True):
-        for dv, along in zip(offset, spline, strict=True):
-            radius = 0.04 * np.hypot(*np.meshgrid(u + du, v + dv))
-            pixels += across * along * interpolate(radius)
-    return pixels
-
-
-@pytest.mark.slow
-def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
+def test_images_are_those_of_mitsuba_s_own_glass(medium, tmp_path):
     """Blocks of pixels by Welch's t over seeds; nothing is scaled to fit."""
     load_mitsuba()
     import mitsuba as mi
@@ -250,12 +189,14 @@ def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
     from scenes.rendering.build import mitsuba_dict, mover
     from scenes.rendering.photons import photon_image as by_particles
 
-    inside = scene(DEEP_DOME, tmp_path, spot={"eccentricity_mm": 2.0})
+    parts = {"spot": {"eccentricity_mm": 2.0}, "source": {"medium": medium}}
+    inside = scene(DEEP_DOME, tmp_path, **parts)
     seeds, per_pixel = 16, 64
     world = World(inside)
     # Photons do not use the table, which would take half a minute to compute.
     cells, nothing = jnp.zeros((2, 2, 2)), jnp.zeros(())
-    world.light = LensLight(optics.IrradianceTable(cells, nothing + 1.336, nothing, nothing), 1.0)
+    index = nothing + optics.MEDIA[medium]
+    world.light = LensLight(optics.IrradianceTable(cells, index, nothing, nothing), 1.0)
     loaded = mi.load_dict(mitsuba_dict(world, uniform=np.zeros(3)))
     (tip,), (axis,) = world.motion.at(world.times[:1])
     mover(inside, loaded)(tip, axis)
@@ -280,20 +221,18 @@ def test_images_are_those_of_mitsuba_s_own_glass(tmp_path):
     assert scipy.stats.kstest(p, "uniform").pvalue > ALPHA
 
 
-@pytest.mark.parametrize("part", ["instrument", "second_tool"])
-def test_what_would_hide_photons_is_refused(part, tmp_path):
-    with pytest.raises(SceneError, match=rf"{part}.visible = true .*errors up to 20 %"):
-        photon_image(scene(DEEP_DOME, tmp_path, **{part: {"visible": True}}), free=("sag",))
-
-
-def test_a_cone_is_refused(tmp_path):
-    with pytest.raises(SceneError, match="'cone' has no lens"):
-        photon_image(scene(DEEP_DOME, tmp_path, source={"kind": "cone"}), free=("sag",))
-
-
-def test_an_unknown_parameter_is_named_beside_the_known_ones(tmp_path):
-    with pytest.raises(ValueError, match=r"does not know sagg. Choose from core_radius, .*power"):
-        photon_image(scene(DEEP_DOME, tmp_path), free=("sagg",))
+@pytest.mark.parametrize(
+    ("parts", "free", "said"),
+    [
+        ({"instrument": {"visible": True}}, "sag", "instrument.visible = true .*up to 20 %"),
+        ({"second_tool": {"visible": True}}, "sag", "second_tool.visible = true .*up to 20 %"),
+        ({"source": {"kind": "cone"}}, "sag", "'cone' has no lens"),
+        ({}, "sagg", r"does not know sagg. Choose from core_radius, .*power"),
+    ],
+)
+def test_what_photons_cannot_show_is_refused(parts, free, said, tmp_path):
+    with pytest.raises(ValueError, match=said):
+        photon_image(scene(DEEP_DOME, tmp_path, **parts), free=(free,))
 
 
 def test_parameters_that_make_no_lens_are_refused(tmp_path):

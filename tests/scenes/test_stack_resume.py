@@ -4,6 +4,7 @@ import json
 import shutil
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -29,16 +30,9 @@ def scene(**parts: Any) -> Scene:
     return scene_of(plain, parts)
 
 
-class Stop:
+def stop(frames: int) -> Mock:
     """A progress bar that stops the run after so many frames."""
-
-    def __init__(self, frames: int) -> None:
-        self.left = frames
-
-    def __call__(self) -> None:
-        self.left -= 1
-        if self.left == 0:
-            raise KeyboardInterrupt
+    return Mock(side_effect=[None] * (frames - 1) + [KeyboardInterrupt])
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +50,7 @@ def test_a_run_that_was_stopped_goes_on_and_ends_byte_for_byte_the_same(whole, t
     out = tmp_path / "stack"
     for frames in (4, 7):
         with pytest.raises(KeyboardInterrupt):
-            render_stack(scene(), out, progress=Stop(frames))
+            render_stack(scene(), out, progress=stop(frames))
         assert not out.exists()
     partial = tmp_path / ".stack.partial"
     before = {path.name: path.stat().st_mtime_ns for path in (partial / "frames").iterdir()}
@@ -73,7 +67,7 @@ def test_a_run_that_was_stopped_goes_on_and_ends_byte_for_byte_the_same(whole, t
 def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, cut):
     out = tmp_path / "stack"
     with pytest.raises(KeyboardInterrupt):
-        render_stack(scene(), out, progress=Stop(6))
+        render_stack(scene(), out, progress=stop(6))
     lines = tmp_path / ".stack.partial" / "metadata.jsonl"
     lines.write_bytes(lines.read_bytes()[:-cut])
     left = tmp_path / ".stack.partial" / "frames" / ".000003.png.unfinished"
@@ -89,7 +83,7 @@ def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, 
 def test_frames_of_another_scene_are_not_used(whole, tmp_path):
     out = tmp_path / "stack"
     with pytest.raises(KeyboardInterrupt):
-        render_stack(scene(seed=5), out, progress=Stop(5))
+        render_stack(scene(seed=5), out, progress=stop(5))
     render_stack(scene(), out)
     assert digests(out) == digests(whole.folder)
 
@@ -102,7 +96,7 @@ def test_frames_of_another_wall_image_are_not_used(tmp_path):
         return scene(phantom={"wall": "image", "wall_image": str(picture)}, motion={"frames": 3})
 
     with pytest.raises(KeyboardInterrupt):
-        render_stack(painted(90), tmp_path / "stack", progress=Stop(2))
+        render_stack(painted(90), tmp_path / "stack", progress=stop(2))
     render_stack(painted(200), tmp_path / "stack")
     render_stack(painted(200), tmp_path / "whole")
     assert digests(tmp_path / "stack") == digests(tmp_path / "whole")
