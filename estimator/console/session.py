@@ -174,7 +174,7 @@ class Session:
         response: Response | None = None,
         poses: Callable[[], PoseTrack] | None = None,
     ) -> None:
-        self.source = open_()
+        self.source, self.mode = open_(), reader.mode
         self._open, self._reader, self._response = open_, reader, response or Response()
         reader.prepare()
         self.has_poses = poses is not None
@@ -204,11 +204,6 @@ class Session:
         self._command(_ended=True)
         self._thread.join()
         self.stop_recording()
-
-    @property
-    def mode(self) -> str:
-        """Name of the reader's mode."""
-        return self._reader.mode
 
     @property
     def course(self) -> list[CoursePoint]:

@@ -19,7 +19,6 @@ straight way through the dark leads out. A letter or a ring is dark behind a bri
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import cv2
 import numpy as np
@@ -46,17 +45,13 @@ class Region:
 
     frame: np.ndarray
     settings: SubpixelSettings
+    full_scale: float
     coarse: Coarse
     channel: int
     clips: tuple[float, ...]
     saturated: tuple[float, ...]
     bright: Bright
     faint: bool
-
-    @cached_property
-    def full_scale(self) -> float:
-        """Value at which the frame's samples end."""
-        return self.settings.response.full_scale_of(self.frame)
 
     @property
     def area_px(self) -> float:
@@ -97,7 +92,7 @@ def regions_in(
         if channel != GREY:
             coarse = coarse_of(frame, window, channel, settings)
             bright = bright.relevelled(coarse)
-        yield Region(frame, settings, coarse, channel, clips, full, bright, faint)
+        yield Region(frame, settings, full_scale, coarse, channel, clips, full, bright, faint)
 
 
 def region_at(
@@ -130,7 +125,7 @@ def region_at(
         ellipse = AffineEllipse((window.x0, window.y0) + stride * centroid, ellipse.shape)
     bright = Bright([ellipse], 0.0, 0.0, mask.view(bool)).relevelled(coarse)
     faint = bright.is_below(settings.min_contrast)
-    return Region(frame, settings, coarse, channel, clips, full, bright, faint)
+    return Region(frame, settings, full_scale, coarse, channel, clips, full, bright, faint)
 
 
 def coarse_of(

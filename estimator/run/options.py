@@ -189,11 +189,10 @@ class Options(Given):
         microscope = self.microscope_file()
         beam = None if self.calibration is None else read_calibration(self.calibration)
         mode: str = self.mode
+        of_outlines = ("model", "eccentricity_mm")
+        asked = next((option(n) for n in of_outlines if getattr(self, n) is not None), "")
         if mode == "auto":
-            asked = [n for n in ("model", "eccentricity_mm") if getattr(self, n) is not None]
-            mode, why = best_mode(
-                beam, microscope, asked=option(asked[0]) if asked else "", rate_hz=self.rate_hz
-            )
+            mode, why = best_mode(beam, microscope, asked=asked, rate_hz=self.rate_hz)
             if why:
                 say(why)
         settings = self._settings(mode, microscope)
@@ -215,14 +214,13 @@ class Options(Given):
             stated = self._stated(None)
             if beam is None or microscope is None:
                 raise InputError("the mode pixels needs a calibration. Give --calibration.")
-            for name in ("model", "eccentricity_mm"):
-                if getattr(self, name) is not None:
-                    raise InputError(
-                        f"{option(name)} has no effect in the mode pixels, whose geometry is exact."
-                        " Leave it out, or take the sub-pixel mode."
-                    )
-            known_wall, shake_px = self._reference_image(microscope), stated.shake_px
-            pixels = PixelRanger(beam, microscope, known_wall, shake_px=shake_px)
+            if asked:
+                raise InputError(
+                    f"{asked} has no effect in the mode pixels, whose geometry is exact. Leave it "
+                    "out, or take the sub-pixel mode."
+                )
+            known_wall = self._reference_image(microscope)
+            pixels = PixelRanger(beam, microscope, known_wall, shake_px=stated.shake_px)
             return PixelsMode(settings, pixels, stated=stated, **more)
         if beam is not None and microscope is not None:
             ranger = Ranger(

@@ -2,10 +2,9 @@
 
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from contextvars import ContextVar
-from typing import Protocol
 
 SECONDS_BETWEEN_LINES = 30.0
 """Without a terminal, so that a log stays short and still shows that the command is alive."""
@@ -31,11 +30,8 @@ def say(text: str, *, result: bool = False) -> None:
         print(text, file=sys.stdout if result else sys.stderr, flush=True)
 
 
-class Advance(Protocol):
-    """Reports that some of the steps are done."""
-
-    def __call__(self, steps: int = 1, *, note: str = "") -> None:
-        """Add to the steps done; a note is shown beside their number."""
+Advance = Callable[..., None]
+"""`advance(steps=1, *, note="")` adds to the steps done; a note is shown beside their number."""
 
 
 def progress(what: str, *, total: int | None) -> AbstractContextManager[Advance]:
