@@ -11,7 +11,7 @@ world, and added in every other as they are: what noise and edges do to a contou
 size and light, which the geometric links change by a few per cent.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -297,8 +297,8 @@ def worths(eye: CauseEye, *, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
 def _worths(spots: tuple[CauseEye, Array, Array]) -> Float[Array, "n models sets"]:
     sets = jnp.asarray(coalitions(len(CAUSES)))
 
-    def of(*spot: Any) -> Float[Array, "models sets"]:
-        return jax.vmap(lambda causes: _model_errors(*spot, causes), out_axes=1)(sets)
+    def of(eye: CauseEye, d: Array, shift: Array) -> Float[Array, "models sets"]:
+        return jax.vmap(lambda causes: _model_errors(eye, d, shift, causes), out_axes=1)(sets)
 
     return jax.vmap(of)(*spots)
 

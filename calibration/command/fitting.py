@@ -204,7 +204,7 @@ class Fit:
         )
 
     @property
-    def _origin(self) -> dict[str, str]:
+    def _origin(self) -> dict[str, Any]:
         checksums = json.dumps([recording.sha256 for recording in self.recordings])
         packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
         return {

@@ -137,7 +137,7 @@ def _irradiance(
     own: Float[ArrayLike, "q"],
     spread: Float[ArrayLike, "p q"],
     steps: Steps | None = None,
-    pose: Float[ArrayLike, "5"] = (0.0,) * POSE,
+    pose: Any = (0.0,) * POSE,
 ) -> Float[Array, "n"]:
     moved, turned = beam.moved(pose)
     changed = source.changed(jnp.asarray(spread) @ own)
