@@ -26,8 +26,10 @@ def hidden_edge(
 ) -> tuple[Levels, float, float] | None:
     """Levels, radius offset and that offset's variance, of an edge whose plateau is at full scale.
 
-    The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width):
-    the plateau follows from the flank's curvature, so the edge must be a Gaussian-blurred step.
+    The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width)
+    by damped Gauss-Newton steps (Levenberg 1944): the plateau follows from the flank's curvature,
+    so the edge must be a Gaussian-blurred step.
+    SciPy's solver settles on flanks of other shapes, too.
 
     Args:
         ellipse: about which the contour is averaged over the inliers' rays.
@@ -35,47 +37,24 @@ def hidden_edge(
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
-    from scipy.optimize import least_squares
-    from scipy.special import ndtr
-
     bins = max(int(2 * reach * ellipse.axes()[1] / 0.25), 8)  # a quarter of a px wide
     flank = _visible_flank(patch, ellipse, inliers, reach, bins, levels.background)
     if flank is None:
         return None
-    x, y, root = flank
-
-    def residuals(at: np.ndarray) -> np.ndarray:
-        return (np.exp(at[0]) * ndtr((at[1] - x) / np.exp(at[2])) - y) * root
-
-    def jacobian(at: np.ndarray) -> np.ndarray:
-        amplitude, width = np.exp(at[0]), np.exp(at[2])
-        z = (at[1] - x) / width
-        density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
-        slopes = np.stack([amplitude * ndtr(z), density / width, -density * z], axis=1)
-        return slopes * root[:, None]
-
-    start = math.log(1.4), x[0], math.log(levels.width)
-    with np.errstate(all="ignore"):  # a flank of another shape may lead anywhere
-        found = least_squares(residuals, start, jac=jacobian, method="lm")
-        amplitude, width = np.exp(found.x[[0, 2]]).tolist()
-        information = found.jac.T @ found.jac
-        size = np.sqrt(np.diag(information))
-    # No light is left on the flank, or it is so short that rounding decides on the inverse.
-    if not _ROUNDING < size.min() <= size.max() < math.inf:
+    start = np.array([math.log(1.4), float(flank[0][0]), math.log(levels.width)])
+    try:
+        fitted, covariance, misfit = _flank(start, *flank)
+    except np.linalg.LinAlgError:  # too little of the flank to separate height, place and width
         return None
-    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
-        return None
-    offset, square = float(found.x[1]), 2 * found.cost
-    variance = float(np.linalg.inv(information)[1, 1]) * square / (x.size - 3)
-    peak = levels.background + patch.ceiling * amplitude
+    peak = levels.background + patch.ceiling * math.exp(fitted[0])
+    variance = float(covariance[1, 1])
     vague = not (
         peak < 2 * Saturated.READABLE * patch.ceiling and 0 <= variance < Saturated.VAGUEST**2
     )
     # A lamp's reflex has a halo, and misfits.
-    misfit = math.sqrt(square / float(root @ root))
-    if vague or abs(offset) > reach or misfit > Saturated.MISFIT:
+    if vague or abs(fitted[1]) > reach or misfit > Saturated.MISFIT:
         return None
-    return replace(levels, peak=peak, width=width), offset, variance
+    return replace(levels, peak=peak, width=math.exp(fitted[2])), float(fitted[1]), variance
 
 
 def _visible_flank(
@@ -112,6 +91,49 @@ def _visible_flank(
     if x.size - first < 8:  # three parameters and five degrees of freedom
         return None
     return x[first:], (mean[first:] - background) / patch.ceiling, np.sqrt(number[first:])
+
+
+def _flank(
+    start: np.ndarray, x: np.ndarray, y: np.ndarray, root: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fitted (log amplitude, offset, log width), their covariance, and the deviation left.
+
+    Raises:
+        LinAlgError: the flank does not determine them.
+    """
+
+    def linearised(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        amplitude, width = math.exp(at[0]), math.exp(at[2])
+        z = (at[1] - x) / width
+        edge = amplitude * np.array([0.5 * math.erfc(-v / math.sqrt(2)) for v in z.tolist()])
+        density = amplitude * np.exp(-0.5 * z * z) / math.sqrt(2 * math.pi)
+        jacobian = np.stack([edge, density / width, -density * z], axis=1)
+        return (y - edge) * root, jacobian * root[:, None]
+
+    fitted, damping = start, 1e-3
+    residual, jacobian = linearised(fitted)
+    for _ in range(25):
+        gram = jacobian.T @ jacobian
+        gram.flat[::4] *= 1 + damping
+        step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
+        trial_residual, trial_jacobian = linearised(fitted + step)
+        if trial_residual @ trial_residual < residual @ residual:
+            fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
+            damping /= 4
+        else:
+            damping *= 8
+        if np.abs(step).max() < 1e-5:  # a thousandth of a px
+            break
+    information = jacobian.T @ jacobian
+    size = np.sqrt(np.diag(information))
+    # No light is left on the flank, or it is so short that rounding decides on the inverse.
+    if not size.min() > _ROUNDING:
+        raise np.linalg.LinAlgError
+    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
+        raise np.linalg.LinAlgError
+    square = float(residual @ residual)
+    covariance = square / (x.size - 3) * np.linalg.inv(information)
+    return fitted, covariance, math.sqrt(square / float(root @ root))
 
 
 def hidden_bell(
