@@ -28,8 +28,7 @@ def hidden_edge(
 
     The visible part of the flank is fitted with background + amplitude * Phi((offset - x) / width)
     by damped Gauss-Newton steps (Levenberg 1944): the plateau follows from the flank's curvature,
-    so the edge must be a Gaussian-blurred step.
-    SciPy's solver settles on flanks of other shapes, too.
+    so the edge must be a Gaussian-blurred step. SciPy's solver settles on other flanks, too.
 
     Args:
         ellipse: about which the contour is averaged over the inliers' rays.
