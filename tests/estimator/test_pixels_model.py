@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 import optics
 from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, rolled
+from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, rolled
 from estimator.pixels.frame_fit import registered
 from estimator.pixels.frame_model import (
     LENGTHS_MM,
@@ -25,7 +25,6 @@ from estimator.pixels.frame_model import (
     texture_of,
 )
 from estimator.pixels.picture import _most_even
-from estimator.pixels.solver import together
 from estimator.pixels.tracker import _like
 from formats.spots import Outline
 from optics.wall_light.cells import square_lattice
@@ -414,34 +413,3 @@ def test_the_texture_is_as_large_as_the_wall_s_whether_it_is_even_or_not(contras
     hidden = noise**2 / 14
     assert found.variance < 4 * (true.variance + hidden)
     assert np.sum(found.variances[:2]) > np.sum(true.variances[:2]) / 2
-
-
-def seen_in_a_bell(wall, rng, *, middle):
-    """A wall in a bell of light that the fit knows nothing of but the bell's kind."""
-    place = COUNT * SIDE_MM / 2 * SHADES[:2] - np.array(middle)[:, None]
-    x, y = place / 0.4
-    square = x**2 + y**2
-    light = np.exp(-square) + 0.02
-    noise = 0.003 / np.sqrt(light)
-    # Gain, ambient light, and a bell that moves, widens, tilts and stretches.
-    changes = [1, x, y, square, x**2 - y**2, x * y, x * square, y * square]
-    bell = (light - 0.02) / light
-    slopes = np.stack([bell * change for change in changes] + [1.0 / light])
-    residual = wall + noise * rng.standard_normal(wall.size)
-    return Linear(residual, slopes, np.zeros((0, wall.size)), noise**-2.0)
-
-
-@pytest.mark.slow  # 25 s
-def test_frames_in_different_light_show_a_texture_that_one_frame_hides_in_its_light():
-    rng = np.random.default_rng(8)
-    true = TextureVariances(np.array([0.02, 0.06, 0.08]) ** 2)
-    off = np.zeros((5, 2))
-    for wall, row in zip(drawn_walls(true, COUNT, rng, 5), off, strict=True):
-        lines = [seen_in_a_bell(wall, rng, middle=middle) for middle in ((0, 0), (0.3, 0.2))]
-        for k, seen in enumerate((lines[:1], lines)):
-            texture = texture_of(*together(seen), count=COUNT, side_mm=SIDE_MM)
-            row[k] = abs(np.log(texture.variances[-1] / true.variances[-1]))
-    one, both = np.median(off, axis=0)
-    # Of the longest part a window shows one wave or two, so that one wall may be far off.
-    assert both < 0.7 * one
-    assert both < np.log(3.0)
