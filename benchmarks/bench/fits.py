@@ -104,13 +104,14 @@ def frame_pose(full: bool = False) -> pd.DataFrame:
                     name: getattr(footage, name)[[frame]]
                     for name in ("light", "clear", "exposure_s")
                 }
+                lean = Prior(0.0, math.radians(PRIOR_DEG))
+                known_pose = {"lean": lean, "lean_sideways": lean}
                 fit = fit_image(
                     replace(footage, **alone, readings=np.zeros(1), axis=axis),
                     source=kind,  # type: ignore[arg-type]
                     start=known,
                     free=(),
-                    priors={"touch": Prior(distance, _DISTANCE_SIGMA_MM), **_LIGHT},
-                    lean_sigma=math.radians(PRIOR_DEG),
+                    priors={"touch": Prior(distance, _DISTANCE_SIGMA_MM), **known_pose, **_LIGHT},
                 )
                 sigmas = (fit.parameters[name][1] for name in ("lean", "lean_sideways"))
                 rows.append(

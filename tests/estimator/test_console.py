@@ -268,8 +268,8 @@ def test_exposure_is_advised_where_light_is_lost_or_missing():
 
 @pytest.mark.parametrize("pinhole_height_mm", [11.5, 200.0])
 def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height_mm):
-    seen = {"scale_mm_px": 0.0134, "pinhole_height_mm": pinhole_height_mm}
-    microscope = read_microscope(a_microscope_file(tmp_path, (320, 240), **seen))
+    keys = {"scale_mm_px": 0.0134, "pinhole_height_mm": pinhole_height_mm}
+    microscope = read_microscope(a_microscope_file(tmp_path, (320, 240), **keys))
     tip = TipPose(tip_mm=np.array([0.4, -0.7, -8.0]), axis=np.array([0, 0, -1.0]), distance_mm=3.0)
     found = Range(distance_mm=3.0, sigma_mm=0.1, poses=(tip,))
     view = View(

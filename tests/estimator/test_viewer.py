@@ -55,7 +55,7 @@ def test_a_tracked_stack_is_recorded_with_what_was_measured_and_what_is_true(sta
         (contour,) = columns["/microscope/spot:LineStrips2D:strips"][record.frame]
         # One of 180 corners lacks 2e-4 of its ellipse's area.
         _, _, semi_major, semi_minor, _ = record.result.ellipse
-        area = cv2.contourArea(np.float32(contour))
+        area = cv2.contourArea(np.asarray(contour, np.float32))
         assert area == pytest.approx(np.pi * semi_major * semi_minor, rel=1e-3)
         assert columns["/distance/truth:Scalars:scalars"][record.frame] == [labels.d_mm]
         (blob,) = columns["/microscope:EncodedImage:blob"][record.frame]
