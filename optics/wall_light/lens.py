@@ -382,8 +382,8 @@ def _first_order(
     if near is None:
         shape = _ROWS * 2**halvings + 1, _COLUMNS * 2**halvings + 1
         return np.zeros((1 + at.size, *shape)), np.zeros(shape, bool)
-    light, *slopes = near.values
-    change = np.tensordot(at - near.at, np.array(slopes), axes=1)
+    light, slopes = near.values[0], near.values[1:]
+    change = np.tensordot(at - near.at, slopes, axes=1)
     peak = light.max(axis=1, keepdims=True)
     moved = maximum_filter(np.abs(change), 3) > _CHANGE * peak
     # A step between two samples moves, although both have no derivative: about as many cells as
