@@ -158,8 +158,10 @@ def fit_image(
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
     place, radius = bright_spot(footage)
-    rim = footage.instrument.fibre_radius
-    touch = touch_of(footage.kind, footage.microscope, place, footage.axis, rim_radius=rim)
+    file, rim = footage.microscope, footage.instrument.fibre_radius
+    camera = file.camera()
+    undistorted = place if camera is None else camera.undistorted(place)[0]
+    touch = touch_of(footage.kind, file, undistorted, footage.axis, rim_radius=rim)
     lean, boresight = Prior(0.0, LEAN_SIGMA), Prior(0.0, BORESIGHT_SIGMA)
     known = {
         "touch": touch,
@@ -172,8 +174,8 @@ def fit_image(
     at_start = {
         **dict.fromkeys(NUISANCES, 0.0),
         **DEFAULTS,
-        "scale": footage.microscope.scale_mm_px,
-        "eye_radius": footage.microscope.eye_radius_mm,
+        "scale": file.scale_mm_px,
+        "eye_radius": file.eye_radius_mm,
         "u": float(place[0]),
         "v": float(place[1]),
         **{name: prior.mean for name, prior in known.items()},

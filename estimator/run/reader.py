@@ -122,6 +122,8 @@ class Reader(ABC, Generic[S, R]):
 
     def prepare(self) -> None:
         """Do now what some frame may need later, for a camera that does not wait."""
+        if self._ranger is not None:
+            import scipy.special  # noqa: F401 - of intervals: half a second, five of a rig's images
 
     @property
     def expected_px(self) -> tuple[float, float] | None:
