@@ -272,6 +272,15 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
 
 
 def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
+    for recording in recordings:
+        seen = recording.microscope
+        beyond = seen.viewing_path is not None or seen.retina_semi_axes_mm is not None
+        if beyond and MODELS[model].parameters and model != "eye":
+            raise InputError(
+                f"{recording.name} shows a wall through a viewing lens, or one that is no sphere; "
+                f"--model {model} sees planes and spheres through a pinhole. Fit a recording of a "
+                "phantom; `track` then looks through what the microscope file describes."
+            )
     fitted = MODELS[model].fit(recordings, choices)
     if choices.known and model != "eye":
         for change in _learned(fitted, choices.known):
