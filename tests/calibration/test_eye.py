@@ -11,7 +11,7 @@ from scipy import stats
 from calibration.command.choices import Choices
 from calibration.command.models import fit_eye
 from estimator.distance.ranger import Ranger
-from formats.calibration import read_calibration, write_calibration
+from formats.calibration import LENS_PARAMETERS, read_calibration, write_calibration
 from formats.inputs import InputError
 from optics import viewing
 from tests import eye_fits
@@ -113,14 +113,7 @@ def test_what_does_not_fit_the_eye_is_refused():
     on_plane = trial._replace(trial=replace(trial.trial, kind="plane"))
     cone = eye_fits.calibration({"half_angle": 0.05, "b": -5.0}, np.zeros((2, 2)), "exact")
     given = Choices()
-    lens = {
-        "core_radius": 0.2,
-        "glue_length": 0.1,
-        "aperture_radius": 0.25,
-        "sag": 0.1,
-        "glue_index": 1.49,
-        "numerical_aperture": 0.2,
-    }
+    lens = dict.fromkeys(LENS_PARAMETERS[:6], 0.2) | {"glue_index": 1.49}
     of_lens = eye_fits.calibration(lens, np.zeros((6, 6)), "lens")
     for recording, choices, known, said in (
         (trial, given, None, "needs --calibration FILE"),
