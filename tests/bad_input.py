@@ -86,7 +86,6 @@ def _of_bytes(data: bytes, rng: Rng) -> bytes:
 
 
 def odd(rng: Rng) -> Any:
-    """One of `ODD`."""
     return copy.deepcopy(ODD[rng.integers(len(ODD))])
 
 

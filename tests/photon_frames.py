@@ -43,8 +43,6 @@ _MARGIN = 1.001  # of the largest chance over that at the pixels' centres
 
 
 class Frames(NamedTuple):
-    """Frames of a recording."""
-
     images: np.ndarray  # 8 bit, frames x height x width x channels
     exposure_s: np.ndarray  # of each frame
     principal_point: np.ndarray  # px

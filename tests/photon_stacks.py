@@ -90,7 +90,6 @@ def _turned(axis: np.ndarray, by: tuple[float, float]) -> np.ndarray:
 
 
 def poses(recording: Recording) -> Poses:
-    """Poses of a recording's frames."""
     own = recording
     spot = own.eccentricity * np.array([np.cos(own.azimuth), np.sin(own.azimuth), 0.0])
     # Where the rim of the face touches: on a plane a tan ι; in a sphere the deepest point of the

@@ -85,7 +85,6 @@ def _fitted(stack: Path, out: Path, **choices: Any) -> tuple[dict[str, Any], eye
 
 
 def _errors(fit: eyespot.Fit, truth: dict[str, float]) -> dict[str, list[float]]:
-    """Error and standard error by name."""
     found = fit.parameters
     return {
         name: [float(found.value[name]) - true, float(found.sigma[name])]
@@ -159,8 +158,6 @@ KINDS: dict[str, Callable[[int, Path], dict[str, Any]]] = {"lenses": lens, "cone
 
 
 def results(file: Path, kind: str, seeds: range) -> pd.DataFrame:
-    """Fits by seed."""
-
     def fit(seed: int) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             return KINDS[kind](seed, Path(folder))

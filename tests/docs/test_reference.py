@@ -61,7 +61,6 @@ def test_every_reason_is_there_with_what_to_do(pages):
 
 @pytest.fixture(scope="module")
 def nodes():
-    """All nodes of all modules, each with its file."""
     paths = [path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))]
     trees = ((str(path), ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
     return [(file, node) for file, tree in trees for node in ast.walk(tree)]

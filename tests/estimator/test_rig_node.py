@@ -50,7 +50,6 @@ from tests.ros_messages import ROS1, image_message, message
 
 
 def grey_message(image: np.ndarray) -> Any:
-    """A `sensor_msgs/Image` of a grey image."""
     return image_message(ROS1, image, "mono8", time_s=1.0)
 
 

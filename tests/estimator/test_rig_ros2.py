@@ -202,7 +202,6 @@ def test_under_ros_2_the_node_measures_what_is_measured_offline(
 def played(
     python: str, environment: dict[str, str], bag: Path, folder: Path, *, speed: float
 ) -> dict[str, Any]:
-    """What the node answers to a bag."""
     answers = folder / "answers.json"
     player = [python, f"{HOME}/tests/ros2_player.py", str(bag), str(answers), f"{speed}"]
     done = subprocess.run(player, env=environment, capture_output=True, text=True)

@@ -31,7 +31,6 @@ def path_camera():
 
 
 def file_of(camera, **changed):
-    """The microscope file of a path."""
     given = {
         "scale_mm_px": float(camera.scale),
         "principal_point_px": (0.0, 0.0),
@@ -66,7 +65,6 @@ def _seen(camera, c, azimuth, incidence, towards, d):
 
 
 def seen(camera, c, d, *, incidence_deg=0.0, towards_deg=0.0):
-    """A spot and its axis."""
     ellipse, axis = _seen(
         camera, c, 0.7, math.radians(incidence_deg), math.radians(towards_deg), float(d)
     )
