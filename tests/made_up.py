@@ -24,6 +24,9 @@ if TYPE_CHECKING:
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
+DOME = {"core_radius": 0.25, "glue_length": 0.12, "aperture_radius": 0.25, "sag": 0.12}
+DOME |= {"glue_index": 1.49, "numerical_aperture": 0.2}
+"""The lens of the preset dome."""
 
 
 def a_spot(*ellipse: float, covariance: np.ndarray | None = None, **changed: float) -> Spot:
@@ -112,11 +115,9 @@ def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> P
 
 
 def a_lens(**changed: float) -> GlueLens:
-    """That of the preset dome."""
     import optics  # late, as it loads JAX
 
-    dome = {"core_radius": 0.25, "aperture_radius": 0.25, "glue_length": 0.12, "sag": 0.12}
-    return optics.glue_lens(**dome | {"glue_index": 1.49, "numerical_aperture": 0.2} | changed)
+    return optics.glue_lens(**DOME | changed)
 
 
 def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import tomli_w
 from scipy.spatial.transform import Rotation
 
 import eyespot
@@ -105,8 +106,7 @@ def lens(seed: int, folder: Path) -> dict[str, Any]:
         "numerical_aperture": rng.uniform(0.09, 0.22),
     }
     drop["glue_length"] = drop["sag"]
-    numbers = "\n".join(f"{name} = {value}" for name, value in drop.items())
-    (folder / "drop.toml").write_text(f"schema = 1\n[lens]\n{numbers}\n")
+    (folder / "drop.toml").write_text(tomli_w.dumps({"schema": 1, "lens": drop}))
     beam = {
         **_SMALL,
         "source.lens": str(folder / "drop.toml"),

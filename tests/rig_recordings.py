@@ -70,11 +70,7 @@ def frames_of(stack: Path, rounds: int = 1) -> list[Frame]:
 def recording_of(
     stack: Path, bag: Path, *, ros: Literal[1, 2] = 1, rounds: int = 1, pose_rate_hz: float = 200.0
 ) -> list[int]:
-    """Write a stack as the rig records it: images at 10 Hz, poses at the robot's rate.
-
-    Returns:
-        The images' time stamps, ns.
-    """
+    """Write a stack as the rig records it: images at 10 Hz, poses; the images' time stamps, ns."""
     frames, labels = frames_of(stack, rounds), read_stack(stack).labels
     # From a second before the first image, while clocks and topics come to life.
     at = np.arange(-1.0, len(frames) / RATE_HZ, 1 / pose_rate_hz)

@@ -11,13 +11,13 @@ from scipy import stats
 from calibration.command.choices import Choices
 from calibration.command.models import fit_eye
 from estimator.distance.ranger import Ranger
-from formats.calibration import LENS_PARAMETERS, read_calibration, write_calibration
+from formats.calibration import read_calibration, write_calibration
 from formats.inputs import InputError
 from optics import viewing
 from tests import eye_fits
 from tests.command_line import call, printed
 from tests.fit_files import a_recording
-from tests.made_up import a_microscope_file, a_spot
+from tests.made_up import DOME, a_microscope_file, a_spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -113,8 +113,7 @@ def test_what_does_not_fit_the_eye_is_refused():
     on_plane = trial._replace(trial=replace(trial.trial, kind="plane"))
     cone = eye_fits.calibration({"half_angle": 0.05, "b": -5.0}, np.zeros((2, 2)), "exact")
     given = Choices()
-    lens = dict.fromkeys(LENS_PARAMETERS[:6], 0.2) | {"glue_index": 1.49}
-    of_lens = eye_fits.calibration(lens, np.zeros((6, 6)), "lens")
+    of_lens = eye_fits.calibration(DOME, np.zeros((6, 6)), "lens")
     for recording, choices, known, said in (
         (trial, given, None, "needs --calibration FILE"),
         (on_plane, given, cone, "was taken on a plane"),

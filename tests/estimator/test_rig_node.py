@@ -251,8 +251,7 @@ def ros():
 class RosSession:
     """A roscore of its own on a free port; what is started in it ends with it.
 
-    Args:
-        home: empty folder for ROS's files and the processes' output.
+    `home` is an empty folder for ROS's files and the processes' output.
     """
 
     def __init__(self, home: Path) -> None:

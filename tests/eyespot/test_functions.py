@@ -11,7 +11,6 @@ from formats.inputs import InputError
 from formats.spots import read_spots
 from tests.command_line import printed, run_python
 
-HOME = Path(__file__).resolve().parents[2]
 TABLE = {
     "source.kind": "cone",
     "phantom.kind": "plane",
