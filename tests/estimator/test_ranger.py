@@ -245,11 +245,10 @@ def test_eccentricity_is_read_off_the_image(height, c):
 
 
 @pytest.mark.parametrize("height", HEIGHTS)
-@pytest.mark.parametrize("c", [0.0, 3.0])
-@pytest.mark.parametrize("incidence", [0.0, 0.2, 0.5])
-def test_exact_returns_distance_and_tip_of_exact_geometry(height, c, incidence):
+@pytest.mark.parametrize(("c", "distances"), [(0.0, (0.5, 3.0, 6.0)), (3.0, (6.0, 0.5, 3.0))])
+def test_exact_returns_distance_and_tip_of_exact_geometry(height, c, distances):
     ranger = Ranger(calibration(), microscope(height), model="exact")
-    for d in (0.5, 3.0, 6.0):
+    for incidence, d in zip((0.0, 0.2, 0.5), distances, strict=True):
         seen, tip, axis, _ = exact_spot(height, d=d, c=c, incidence=incidence)
         known = ranger.distance(seen, axis=axis, axis_sigma_rad=1e-4)
         # The solver's 32 points leave 1e-7 px: k delta = 0.134 mm/px of it in d, and in the tip
@@ -347,7 +346,8 @@ def test_sigma_of_exact_is_the_scatter_of_many_repeats(incidence, axis_sigma):
         if axis_sigma is not None:
             told = axis + axis_sigma * rng.standard_normal(2) @ sides
             given = {"axis": told / np.linalg.norm(told), "axis_sigma_rad": axis_sigma}
-        predicted.append(ranger.distance(one, **given).sigma_mm)
+        if len(predicted) < 25:  # it hardly scatters
+            predicted.append(ranger.distance(one, **given).sigma_mm)
         again = Ranger(calibration(k=k, b=b), microscope(200.0), model="exact")
         found.append(again.distance(one, **given).distance_mm)
     # 1/sqrt(300) = 6 % from the repeats, three of these, and a few percent of sigma's own.

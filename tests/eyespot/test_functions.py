@@ -45,8 +45,12 @@ def test_nothing_is_printed(made):
     assert (made / "printed.txt").read_text() == ""
 
 
-def test_track_returns_what_the_command_writes(made):
-    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+@pytest.fixture(scope="module")
+def spots(made):
+    return eyespot.track(made / "stack", calibration=made / "beam.json")
+
+
+def test_track_returns_what_the_command_writes(made, spots):
     out = made / "spots.csv"
     words = ("track", made / "stack", "--calibration", made / "beam.json", "-o", out)
     printed(*words)
@@ -59,8 +63,7 @@ def test_track_returns_what_the_command_writes(made):
     assert read_spots(made / "own.csv")[1].result
 
 
-def test_a_table_of_spots_begins_with_what_one_looks_at(made):
-    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+def test_a_table_of_spots_begins_with_what_one_looks_at(spots):
     assert [*spots.columns[:9]] == [
         *("frame", "file_name", "time_s", "distance_mm", "distance_low_mm", "distance_high_mm"),
         *("x_px", "y_px", "semi_major_px"),
