@@ -107,14 +107,8 @@ def test_perfect_spots_have_no_error_and_miss_nothing(images):
     assert (counts.found, counts.missed, counts.false_spots) == (len(visible), 0, 0)
     assert counts.hidden == len(images) - len(visible) == 1
     of_all = result.errors[result.errors.condition == "all"]
-    assert dict(zip(of_all.quantity, of_all.max_abs, strict=True)) == {
-        "x_px": 0.0,
-        "y_px": 0.0,
-        "centre_px": 0.0,
-        "semi_major_px": 0.0,
-        "semi_minor_px": 0.0,
-        "angle_rad": 0.0,
-    }
+    names = ("x_px", "y_px", "centre_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    assert of_all.set_index("quantity").max_abs.to_dict() == dict.fromkeys(names, 0.0)
 
 
 def test_the_angle_is_scored_where_the_ellipse_is_not_round(images):
@@ -164,12 +158,8 @@ def test_what_was_missed_or_invented_is_counted():
 
 def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(images):
     records = records_of(images, spot_at)
-    told = {
-        name: record
-        for name, record in records.items()
-        if images.split[name] == "train" and images.exposure[name] == "metered"
-    }
-    told.pop("train/a/frames/000002.png")
+    metered = images[(images.split == "train") & (images.exposure == "metered")].index
+    told = {name: records[name] for name in metered.drop("train/a/frames/000002.png")}
     result = scored(images, told)
     counts = counts_in(result)
     assert (counts.images, counts.missed) == (8, 1)

@@ -621,9 +621,8 @@ def test_lens_returns_the_distance_of_its_half_maximum_contour(flat_end, wall, c
 def counted():
     """The flat end's light, counted by photons without any code of `optics`."""
     drop = Drop.of(optics.load_lens("paper-candidate"))
-    return counted_light(
-        drop, 1.0, nearest=2.0, farthest=8.0, contact=0.35, slope=0.15, count=1 << 23
-    )
+    planes = {"nearest": 2.0, "farthest": 8.0, "contact": 0.35, "slope": 0.15}
+    return counted_light(drop, 1.0, **planes, count=1 << 23)
 
 
 @pytest.mark.slow
@@ -631,16 +630,8 @@ def counted():
 @pytest.mark.parametrize("c", [0.0, 3.0])
 def test_lens_returns_the_distance_of_a_spot_that_photons_made(flat_end, counted, c, incidence):
     _, ranger = flat_end
-    side = 360
-    recording = Recording(
-        drop=Drop.of(optics.load_lens("paper-candidate")),
-        wall="eyeball",
-        width=side,
-        height=side,
-        scale=SCALE,
-        pinhole=200.0,
-        radius=R_EYE,
-    )
+    drop, side = Drop.of(optics.load_lens("paper-candidate")), 360
+    recording = Recording(drop=drop, wall="eyeball", width=side, height=side, scale=SCALE)
     for d in (3.0, 4.0, 6.0):
         beam = beam_at(d, c=c, incidence=incidence)
         tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)

@@ -410,15 +410,8 @@ def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(ros
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
         program = HOME / "tests" / "topic_reader.py"
         reader = session.start(sys.executable, program, "/decklink/camera/image_raw", out)
-        session.start(
-            "rosbag",
-            "play",
-            "--wait-for-subscribers",
-            "--topics",
-            "/decklink/camera/image_raw",
-            "--bags",
-            bag,
-        )
+        only_images = "--topics", "/decklink/camera/image_raw", "--bags", bag
+        session.start("rosbag", "play", "--wait-for-subscribers", *only_images)
         session.wait_until(lambda: reader.poll() is not None, "the end of the images")
     read_as_a_source(out, frames_of(stack))
 
