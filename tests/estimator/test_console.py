@@ -269,7 +269,8 @@ def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height
     tip = TipPose(tip_mm=np.array([0.4, -0.7, -8.0]), axis=np.array([0, 0, -1.0]), distance_mm=3.0)
     found = Range(distance_mm=3.0, sigma_mm=0.1, poses=(tip,))
     reading = Reading("pixels", NoSpot(Reason.NONE_FOUND), found)
-    view = View(0, 0, Frame(index=0, image=disc(30)), reading, expected_px=None, arrived_s=0.0)
+    frame = Frame(index=0, image=disc(30))
+    view = View(version=0, number=0, frame=frame, reading=reading, expected_px=None, arrived_s=0.0)
     cross = re.search(r'M([0-9.]+) ([0-9.]+)l14 14m0 -14l-14 14"', svg_of(view, microscope))
     assert cross is not None
     # The tip is 3.5 mm above the pole. A cross is 14 px wide, and pixels begin at their corner.

@@ -621,8 +621,9 @@ def test_lens_returns_the_distance_of_its_half_maximum_contour(flat_end, wall, c
 def counted():
     """The flat end's light, counted by photons without any code of `optics`."""
     drop = Drop.of(optics.load_lens("paper-candidate"))
-    planes = {"nearest": 2.0, "farthest": 8.0, "contact": 0.35, "slope": 0.15}
-    return counted_light(drop, 1.0, **planes, count=1 << 23)
+    return counted_light(
+        drop, 1.0, nearest=2.0, farthest=8.0, contact=0.35, slope=0.15, count=1 << 23
+    )
 
 
 @pytest.mark.slow
