@@ -212,7 +212,8 @@ def test_coverage_is_the_visible_part_of_the_contour():
 
 
 def test_a_quarter_in_shadow_and_glints_are_left_out():
-    for spoilt in (with_quarter_in_shadow, partial(with_glints, on_edge=True)):
+    on_edge: Callable[..., Drawing] = partial(with_glints, on_edge=True)
+    for spoilt in (with_quarter_in_shadow, on_edge):
         errors = _errors(lambda rng: spoilt(Drawing(truth=any_truth(rng, 60)), rng), 8)  # noqa: B023
         assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
