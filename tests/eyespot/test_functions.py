@@ -31,7 +31,7 @@ def made(tmp_path_factory):
     code = (
         "import eyespot\n"
         f"eyespot.render(eyespot.Scene(), 'stack', {TABLE})\n"
-        "eyespot.fit('stack', model='cone').save('beam.json')\n"
+        "eyespot.fit('stack', model='plane').save('beam.json')\n"
         "eyespot.track('stack', calibration='beam.json')\n"
         "eyespot.score('stack', mode='subpixel')\n"
     )
@@ -69,12 +69,12 @@ def test_a_table_of_spots_begins_with_what_one_looks_at(spots):
         *("x_px", "y_px", "semi_major_px"),
     ]
     assert spots.attrs["microscope"]["scale_mm_px"] == 0.0134
-    assert spots.attrs["calibration"]["half_angle"] == pytest.approx(0.05, rel=0.01)
+    assert spots.attrs["calibration"]["k"] == pytest.approx(20.0, rel=0.01)
     assert spots.attrs["ended"] == "complete"
 
 
 def test_a_fit_has_its_parameters_with_standard_deviations(made):
-    fit = eyespot.fit(made / "stack", model="cone")
+    fit = eyespot.fit(made / "stack", model="plane")
     calibration = read_calibration(made / "beam.json")
     for name, value in calibration.values.items():
         assert fit.parameters.value[name] == pytest.approx(value, rel=1e-9)
