@@ -27,7 +27,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from benchmarks.bench.load import memory_mb
-from estimator import LiteralSettings, SubpixelSettings
+from estimator import LiteralSettings
 from estimator.distance.ranger import Ranger
 from estimator.rig import node as rig_node
 from estimator.rig.messages import Silence
@@ -39,6 +39,8 @@ from tests import drawn_spots
 from tests.made_up import a_microscope_file
 from tests.rig_recordings import (
     HOME,
+    LITERAL,
+    SUBPIXEL,
     calibrated,
     frames_of,
     measured_offline,
@@ -354,11 +356,7 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "start", "model", "with_axis"),
-    [
-        (SubpixelSettings(), None, "exact", True),
-        # The grey of the spot stays below the paper's threshold; the last spots are too large.
-        (LiteralSettings(threshold=60, max_minor_axis_px=60.0), (159.0, 119.0), "corrected", False),
-    ],
+    [(*SUBPIXEL, True), (*LITERAL, False)],
     ids=["subpixel", "literal"],
 )
 def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(

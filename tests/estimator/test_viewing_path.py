@@ -136,13 +136,8 @@ def test_without_an_axis_the_area_gives_no_distance(path_camera):
 
 def test_the_areas_sigma_is_the_spread_of_noisy_repeats(path_camera):
     noise = np.random.default_rng(3)
-    values = {
-        "k": K,
-        "b": B,
-        "scale": 0.0067,
-        "inverse_working_distance": KAPPA,
-        "eye_radius": 12.0,
-    }
+    values = {"k": K, "b": B, "scale": 0.0067, "inverse_working_distance": KAPPA}
+    values |= {"eye_radius": 12.0}
     sigmas = np.array([0.05, 0.02, 1e-5, 0.002, 0.5])
     correlation = 0.6 ** np.abs(np.subtract.outer(range(5), range(5)))
     covariance = correlation * np.outer(sigmas, sigmas)
