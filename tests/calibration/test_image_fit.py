@@ -210,9 +210,10 @@ def test_samples_from_those_of_a_near_lens_are_as_good_as_new_ones():
     near = lens_samples(values, free, **settings)
     moved = values | {"sag": 0.07014, "numerical_aperture": 0.1497}
     found = lens_samples(moved, free, **settings, near=near)
-    # The same grid, all of it by quadrature.
-    shape = found.values.shape
-    exact = _Field(moved, free, index, near.grid)(np.ones(shape[1:], bool), np.zeros(shape))
+    # The same grid, all of it by quadrature; its slopes are not looked at.
+    _, *shape = found.values.shape
+    light = _Field(moved, (), index, near.grid)(np.ones(shape, bool), np.zeros((1, *shape)))
+    exact = np.concatenate([light, found.values[1:]])
     peak = exact[0].max(axis=1, keepdims=True)
     before, off = (np.abs(own.values[0] - exact[0]) / peak for own in (near, found))
     assert np.quantile(before, 0.99) > TABLE_ERROR

@@ -89,7 +89,7 @@ def test_half_maximum_label_is_the_contour_of_light_that_photons_made(renderer):
     scene, truth = renderer.scene, renderer.world.truth
     drop = Drop.of(optics.load_lens("dome"))
     light = counted_light(
-        drop, 1.0, nearest=0.6, farthest=3.4, contact=0.3, slope=0.6, count=1 << 22, planes=36
+        drop, 1.0, nearest=0.4, farthest=4.0, contact=0.3, slope=0.6, count=1 << 22, planes=48
     )
     recording = Recording(
         drop=drop,
