@@ -178,7 +178,7 @@ def test_bytes_as_rospy_gives_them_are_read_too():
 
 
 def test_compressed_images_are_read(tmp_path):
-    compressed = [("/camera/compressed", 1, compressed_message(ROS1, RGB))]
+    compressed = [("/camera/compressed", 1.0, compressed_message(ROS1, RGB))]
     (frame,) = open_source(write(tmp_path / "a.bag", ROS1, compressed))  # the only image topic
     np.testing.assert_array_equal(frame.image, RGB)
     assert frame.time_s == EPOCH_S

@@ -340,7 +340,7 @@ def test_sigma_of_exact_is_the_scatter_of_many_repeats(incidence, axis_sigma):
     sides = np.stack([first, np.cross(axis, first)]) / np.linalg.norm(first)
     own = calibration(covariance=CALIBRATION_COVARIANCE)
     ranger = Ranger(own, microscope(200.0), model="exact")
-    found, predicted = [], []
+    found, predicted = [], list[float]()
     for k, b in rng.multivariate_normal([K, B], CALIBRATION_COVARIANCE, size=150):
         one, given = drawn(rng, seen, covariance), {}
         if axis_sigma is not None:
