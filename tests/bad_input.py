@@ -86,7 +86,6 @@ def _of_bytes(data: bytes, rng: Rng) -> bytes:
 
 
 def odd(rng: Rng) -> Any:
-    """One of `ODD`."""
     return copy.deepcopy(ODD[rng.integers(len(ODD))])
 
 
@@ -178,8 +177,12 @@ def _png(data: bytes, rng: Rng) -> bytes:
         header[at : at + 4] = struct.pack(">I", sides[rng.integers(len(sides))])
     else:
         header[8 + rng.integers(5)] = rng.integers(256)
-    checked = b"IHDR" + bytes(header)
-    return data[:12] + checked + struct.pack(">I", zlib.crc32(checked)) + data[33:]
+    return data[:8] + png_chunk(b"IHDR", bytes(header)) + data[33:]
+
+
+def png_chunk(name: bytes, content: bytes) -> bytes:
+    checked = name + content
+    return struct.pack(">I", len(content)) + checked + struct.pack(">I", zlib.crc32(checked))
 
 
 _MUTATIONS: dict[str, Callable[[bytes, Rng], bytes]] = {

@@ -94,7 +94,6 @@ class Seen(NamedTuple):
 
 
 def scene_at(place: tuple[float, float, str], seed: int) -> Scene:
-    """The scene around one place."""
     c, height, wall = place
     return load_scene(
         None,

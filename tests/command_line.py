@@ -30,7 +30,6 @@ WORDS = [
 
 
 def command_of(words: str) -> App:
-    """A command, loaded."""
     return functools.reduce(App.__getitem__, words.split(), eyespot.app)
 
 

@@ -35,16 +35,9 @@ def digests(folder: Path) -> dict[str, str]:
 
 def image_row(labels: FrameLabels, *, stack: str) -> dict[str, Any]:
     """Row of an image of a cone on an even wall, in a set that lies on no disk."""
-    return vars(labels) | {
-        "stack": stack,
-        "split": "test",
-        "adverse": "",
-        "pair": "",
-        "viewing": "",
-        "scale_mm_px": 0.01,
-        "source": "cone",
-        "wall": "uniform",
-    }
+    of_stack = {"stack": stack, "split": "test", "adverse": "", "pair": "", "viewing": ""}
+    of_scene = {"scale_mm_px": 0.01, "source": "cone", "wall": "uniform"}
+    return vars(labels) | of_stack | of_scene
 
 
 def labels_of(index: int, **known: Any) -> FrameLabels:

@@ -26,7 +26,6 @@ def flank(width: float) -> Profile:
 
 
 def bell(t: np.ndarray, distance: np.ndarray) -> np.ndarray:
-    """Gaussian profile."""
     return np.exp(-math.log(2) * t * t)
 
 
@@ -46,26 +45,15 @@ def spot_image(
     clip: float = math.inf,
     rng: np.random.Generator | None = None,
 ) -> np.ndarray:
-    """A grey image of one spot, before it is rounded to whole samples.
+    """A grey image of one spot as `Truth` describes it, before it is rounded to whole samples.
 
     Args:
-        shape: (H, W), px.
-        x: of the centre, to the right from the centre of the first pixel, px.
-        y: of the centre, downwards, px.
-        semi_major: of the ellipse at half of the height above the background, px.
-        semi_minor: likewise, px.
-        angle: of the major axis, from x towards y, rad.
         profile: "disc", even up to an edge, or "bell", an elliptical Gaussian.
         blur: standard deviation of a disc's edge, px; the profile along a normal of the ellipse is
             an error function, of which the middle lies on the ellipse.
         peak: above the background.
-        background: level of the image without the spot.
         noise: standard deviation, the same in all pixels.
         clip: largest value; larger ones become this.
-        rng: of the noise.
-
-    Returns:
-        (H, W), float64.
     """
     truth = Truth(x=x, y=y, semi_major=semi_major, semi_minor=semi_minor, angle=angle)
     light = bell if profile == "bell" else erf_edge(blur)

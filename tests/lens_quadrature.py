@@ -40,17 +40,8 @@ def irradiance(lens, medium, radius, distance, *, steps=500):
 
 def _cells(lens, medium, radius, distance, box, steps):
     """Light of each cell of a grid on the cap, the ray's excess, and its change over the cell."""
-    core, length, aperture, sag, index, na = (
-        float(x)
-        for x in (
-            lens.core_radius,
-            lens.glue_length,
-            lens.aperture_radius,
-            lens.sag,
-            lens.glue_index,
-            lens.numerical_aperture,
-        )
-    )
+    core, length, aperture = map(float, (lens.core_radius, lens.glue_length, lens.aperture_radius))
+    sag, index, na = map(float, (lens.sag, lens.glue_index, lens.numerical_aperture))
     curvature = 2 * sag / (aperture**2 + sag**2)
     middle = (np.arange(steps) + 0.5) / steps
     ring = (box[0] + (box[1] - box[0]) * middle)[:, None] * aperture

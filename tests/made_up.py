@@ -24,26 +24,18 @@ if TYPE_CHECKING:
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
+DOME = {"core_radius": 0.25, "glue_length": 0.12, "aperture_radius": 0.25, "sag": 0.12}
+DOME |= {"glue_index": 1.49, "numerical_aperture": 0.2}
+"""The lens of the preset dome."""
 
 
 def a_spot(*ellipse: float, covariance: np.ndarray | None = None, **changed: float) -> Spot:
     """A clean one; an ellipse without an angle has 0."""
-    x, y, semi_major, semi_minor, angle = map(float, (*ellipse, 0.0)[:5])
-    given: dict[str, Any] = {
-        "edge_width_px": 1.0,
-        "coverage": 1.0,
-        "inlier_fraction": 1.0,
-        "saturated": 0.0,
-    }
-    return Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=semi_major,
-        semi_minor_px=semi_minor,
-        angle_rad=angle,
-        covariance=np.eye(5) if covariance is None else covariance,
-        **given | changed,
-    )
+    names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    given: dict[str, Any] = dict(zip(names, map(float, (*ellipse, 0.0)), strict=False))
+    given |= {"edge_width_px": 1.0, "coverage": 1.0, "inlier_fraction": 1.0, "saturated": 0.0}
+    given |= {"covariance": np.eye(5) if covariance is None else covariance}
+    return Spot(**given | changed)
 
 
 def a_calibration(
@@ -112,11 +104,9 @@ def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> P
 
 
 def a_lens(**changed: float) -> GlueLens:
-    """That of the preset dome."""
     import optics  # late, as it loads JAX
 
-    dome = {"core_radius": 0.25, "aperture_radius": 0.25, "glue_length": 0.12, "sag": 0.12}
-    return optics.glue_lens(**dome | {"glue_index": 1.49, "numerical_aperture": 0.2} | changed)
+    return optics.glue_lens(**DOME | changed)
 
 
 def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:

@@ -45,14 +45,7 @@ def retinal_pole(path: viewing.ViewingPath) -> float:
 def conic_mesh(
     surface: viewing.Conic, *, edge: float, vertex: float, bsdf: dict[str, Any]
 ) -> mi.Mesh:
-    """A conic with its normals, which point to the microscope.
-
-    Args:
-        surface: its curvature and asphericity.
-        edge: radius, mm.
-        vertex: Z, mm.
-        bsdf: dictionary of its material.
-    """
+    """A conic up to an edge (radius, mm), its vertex at Z mm; normals point to the microscope."""
     c, stretch = float(surface.curvature), 1.0 + float(surface.asphericity)
     radius, angle = np.meshgrid(
         edge * np.linspace(0.0, 1.0, _RINGS + 1)[1:],

@@ -102,7 +102,6 @@ def traced(surfaces: list[tuple], start: np.ndarray, direction: np.ndarray) -> d
 
 
 def all_traced() -> dict[str, dict[str, list]]:
-    """Every path by Optiland."""
     found = {}
     for name, (options, surfaces) in PATHS.items():
         start, direction = rays(options["lens"])

@@ -10,20 +10,19 @@ which makes all counts independent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from calibration.pixels.data import BareFibre, Footage
 from formats.camera import CameraNoise, CameraSheet, Response
-from formats.microscope import MicroscopeFile
 from formats.stack import StackWriter
 from scenes import load_scene
 from tests.drawn_sets import labels_of
-from tests.made_up import microscope_content
+from tests.made_up import a_footage, a_microscope, microscope_content
 from tests.photon_stacks import (
     INDEX,
     TUBE,
@@ -43,31 +42,17 @@ _STILL_S = 0.045  # before and after a frame's time; frames are 0.1 s apart
 _MARGIN = 1.001  # of the largest chance over that at the pixels' centres
 
 
-@dataclass(frozen=True, eq=False)
-class Frames:
-    """Frames of a recording.
-
-    Attributes:
-        images: 8 bit, frames x height x width x channels.
-        exposure_s: of each frame.
-        principal_point: px.
-        where: the poses.
-    """
-
-    images: np.ndarray
-    exposure_s: np.ndarray
-    principal_point: np.ndarray
+class Frames(NamedTuple):
+    images: np.ndarray  # 8 bit, frames x height x width x channels
+    exposure_s: np.ndarray  # of each frame
+    principal_point: np.ndarray  # px
     where: Poses
 
 
 class View:
     """What the camera of a recording counts, frame by frame.
 
-    Args:
-        recording: its lens, wall, microscope and camera.
-        rng: for the photons.
-        beam: unit vector along the light.
-        centre: principal point, px.
+    The beam is a unit vector along the light, and the centre the principal point, px.
     """
 
     def __init__(
@@ -78,7 +63,11 @@ class View:
         v, u = np.mgrid[: recording.height, : recording.width]
         points, _ = seen_wall(recording, u, v, self.centre)
         self.largest = _MARGIN * float(self._pixels_per_area(np.moveaxis(points, -1, 0)).max())
-        self.transmitted = self._transmitted()
+        parts = [
+            photons(recording.drop, INDEX[recording.medium], rng.random((4, BATCH)))[-1]
+            for _ in range(64)
+        ]
+        self.transmitted = sum(parts) / (64 * BATCH)
 
     def counted(self, tip: np.ndarray, number: int) -> np.ndarray:
         """Photons that each pixel counts of so many in the core, height x width."""
@@ -113,13 +102,6 @@ class View:
         light = own.power * ndimage.uniform_filter(self.irradiance(tip, _METERED), 3)
         light += steady_light(own, self.transmitted, self.centre)
         return float(own.peak / (own.sensitivity * own.reflectance / np.pi * light.max()))
-
-    def _transmitted(self) -> float:
-        own = self.recording
-        parts = [
-            photons(own.drop, INDEX[own.medium], self.rng.random((4, BATCH)))[-1] for _ in range(64)
-        ]
-        return sum(parts) / (64 * BATCH)
 
     def _grain(self) -> np.ndarray:
         """Relative reflectance behind each pixel."""
@@ -219,40 +201,17 @@ def widened(recording: Recording, part: float, rng: np.random.Generator) -> Reco
     return replace(own, scale=float(np.clip(3 * wide / own.height, 0.012, 0.05)))
 
 
-def microscope_of(recording: Recording, frames: Frames) -> dict[str, Any]:
-    """Content of microscope.json."""
-    own = recording
-    return microscope_content(
-        (own.width, own.height),
-        scale_mm_px=own.scale,
-        pinhole_height_mm=own.pinhole,
-        principal_point_px=frames.principal_point.tolist(),
-        eye_radius_mm=own.radius,
-        paper_exposure_s=None,
-    )
-
-
 def footage_of(recording: Recording, frames: Frames) -> Footage:
     """What `read_footage` reads from a folder with these images."""
     own, images = recording, frames.images
-    known = microscope_of(own, frames)
-    file = MicroscopeFile(
-        **known
-        | {
-            "camera_matrix": np.array(known["camera_matrix"]),
-            "distortion": np.array(known["distortion"]),
-            "principal_point_px": tuple(known["principal_point_px"]),
-            "response": Response(),
-        }
-    )
     sheet = CameraSheet(
         full_well_e=own.full_well,
         read_noise_e=own.read_noise,
         black_level_dn=own.black,
         bit_depth=8,
     )
-    noise = CameraNoise(sheet, file.response)
-    return Footage(
+    noise = CameraNoise(sheet, Response())
+    return a_footage(
         light=np.stack([noise.light(image) for image in images]).astype(np.float32),
         clear=np.all((images > 0) & (images < 255), axis=-1),
         exposure_s=frames.exposure_s,
@@ -260,9 +219,15 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
         motion=frames.where.reported,
         axis=frames.where.reported,
         noise=noise,
-        microscope=file,
+        microscope=a_microscope(
+            width_px=own.width,
+            height_px=own.height,
+            scale_mm_px=own.scale,
+            principal_point_px=tuple(frames.principal_point.tolist()),
+            pinhole_height_mm=own.pinhole,
+            eye_radius_mm=own.radius,
+        ),
         instrument=BareFibre(TUBE, 6.0),
-        in_view=False,
         kind=own.wall,
         medium_index=INDEX[own.medium],
     )
@@ -285,7 +250,14 @@ def write_photons(folder: Path, recording: Recording, frames: Frames) -> Path:
     with StackWriter(folder) as writer:
         writer.describe(
             stack={"scene": load_scene(None, list(changes)).model_dump(mode="json")},
-            microscope=microscope_of(own, frames),
+            microscope=microscope_content(
+                (own.width, own.height),
+                scale_mm_px=own.scale,
+                pinhole_height_mm=own.pinhole,
+                principal_point_px=frames.principal_point.tolist(),
+                eye_radius_mm=own.radius,
+                paper_exposure_s=None,
+            ),
             # The photons are those of a moment: the robot stands still while a frame is exposed.
             kinematics=np.array(
                 [

@@ -7,6 +7,7 @@ is (0, 0, z_F), u = u0 + f X/(z_F - Z), v = v0 - f Y/(z_F - Z), integers are the
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -23,65 +24,36 @@ TUBE = 0.25  # radius of the fibre's face, whose rim touches the wall first, mm
 
 @dataclass(frozen=True, kw_only=True)
 class Recording:
-    """A withdrawal, its eye, microscope and camera.
-
-    Attributes:
-        drop: the lens.
-        medium: "air" or "vitreous".
-        wall: "plane", perpendicular to the microscope's axis, or "eyeball", closed and matt.
-        eccentricity, azimuth: place of the first frame's spot, mm from the axis, and rad.
-        incidence, incidence_azimuth: of the beam in the first frame, rad.
-        beam_off: direction of the beam relative to the motion, rad, along two perpendiculars.
-        lean: direction of the motion relative to what the robot reports, rad, likewise.
-        touch_off: first distance minus that at which the face's rim touches, mm.
-        first, last: readings of the first and the last frame from contact, mm.
-        frames: number of frames.
-        width, height: of the frames, px.
-        scale: mm/px at the pole.
-        pinhole: z_F, mm.
-        radius: of the eye, mm.
-        reflectance: of the wall.
-        power: in the core, mW.
-        illumination: by the microscope at the pole, mW/mm².
-        full_well, read_noise: of the camera, electrons in each of three channels.
-        black: level of a dark pixel, of 255.
-        peak: brightest mean pixel of a frame over full scale.
-        spread: sigma of light in the wall, mm.
-        texture: contrast of the wall, standard deviation over mean.
-    """
+    """A withdrawal, its eye, microscope and camera; mm, mW, rad."""
 
     drop: Drop
-    medium: str = "air"
-    wall: str = "plane"
-    eccentricity: float = 0.0
+    medium: str = "air"  # or "vitreous"
+    wall: str = "plane"  # perpendicular to the microscope's axis; or "eyeball", closed and matt
+    eccentricity: float = 0.0  # of the first frame's spot
     azimuth: float = 0.0
-    incidence: float = 0.5
+    incidence: float = 0.5  # of the beam in the first frame
     incidence_azimuth: float = 1.5
-    beam_off: tuple[float, float] = (0.0, 0.0)
-    lean: tuple[float, float] = (0.0, 0.0)
-    touch_off: float = 0.0
-    first: float = 0.8
+    beam_off: tuple[float, float] = (0.0, 0.0)  # from the motion, along two perpendiculars
+    lean: tuple[float, float] = (0.0, 0.0)  # of the motion from what the robot reports, likewise
+    touch_off: float = 0.0  # first distance minus that at which the face's rim touches
+    first: float = 0.8  # reading of the first frame from contact
     last: float = 5.0
     frames: int = 24
     width: int = 160
     height: int = 120
-    scale: float = 0.02
-    pinhole: float = 200.0
+    scale: float = 0.02  # mm/px at the pole
+    pinhole: float = 200.0  # z_F
     radius: float = 11.5
     reflectance: float = 0.5
-    power: float = 1.0
-    illumination: float = 0.02
-    full_well: float = 500.0
-    read_noise: float = 3.0
-    black: float = 4.0
-    peak: float = 0.7
-    spread: float = 0.0
-    texture: float = 0.0
-
-    @property
-    def sensitivity(self) -> float:
-        """Full wells per radiance and second; a number of the camera, the same for all stacks."""
-        return 200.0
+    power: float = 1.0  # in the core
+    illumination: float = 0.02  # by the microscope at the pole, mW/mm²
+    full_well: float = 500.0  # electrons in each of three channels
+    read_noise: float = 3.0  # likewise
+    black: float = 4.0  # level of a dark pixel, of 255
+    peak: float = 0.7  # brightest mean pixel of a frame over full scale
+    spread: float = 0.0  # sigma of light in the wall
+    texture: float = 0.0  # contrast of the wall, standard deviation over mean
+    sensitivity: ClassVar[float] = 200.0  # of the camera, full wells per radiance and second
 
     @property
     def brightness(self) -> float:
@@ -95,23 +67,14 @@ class Recording:
         return np.linspace(self.first, self.last, self.frames)
 
 
-@dataclass(frozen=True, eq=False)
-class Poses:
-    """Where the tip is and where it looks.
+class Poses(NamedTuple):
+    """Where the tip is and where it looks."""
 
-    Attributes:
-        tips: mm, frames x 3.
-        beam: unit vector along the light.
-        reported: unit vector that the robot reports for its motion.
-        touch: true first distance, tip to wall along the beam, at reading 0, mm.
-        spot: the point on the wall at reading 0.
-    """
-
-    tips: np.ndarray
-    beam: np.ndarray
-    reported: np.ndarray
-    touch: float
-    spot: np.ndarray
+    tips: np.ndarray  # mm, frames x 3
+    beam: np.ndarray  # unit vector along the light
+    reported: np.ndarray  # unit vector that the robot reports for its motion
+    touch: float  # true distance from tip to wall along the beam at reading 0, mm
+    spot: np.ndarray  # the point on the wall at reading 0
 
 
 def perpendiculars(axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -127,32 +90,24 @@ def _turned(axis: np.ndarray, by: tuple[float, float]) -> np.ndarray:
 
 
 def poses(recording: Recording) -> Poses:
-    """Poses of a recording's frames."""
     own = recording
+    spot = own.eccentricity * np.array([np.cos(own.azimuth), np.sin(own.azimuth), 0.0])
+    # Where the rim of the face touches: on a plane a tan ι; in a sphere the deepest point of the
+    # rim is on the wall.
     if own.wall == "plane":
-        outward = np.array([0.0, 0.0, -1.0])
-        spot = own.eccentricity * np.array([np.cos(own.azimuth), np.sin(own.azimuth), 0.0])
-        spot[2] = -own.radius
+        spot[2], outward = -own.radius, np.array([0.0, 0.0, -1.0])
+        contact = TUBE * np.tan(own.incidence)
     else:
-        phi = np.arcsin(own.eccentricity / own.radius)
-        outward = np.array(
-            [np.sin(phi) * np.cos(own.azimuth), np.sin(phi) * np.sin(own.azimuth), -np.cos(phi)]
-        )
-        spot = own.radius * outward
+        spot[2] = -np.sqrt(own.radius**2 - own.eccentricity**2)
+        outward = spot / own.radius
+        c, s, r = np.cos(own.incidence), np.sin(own.incidence), own.radius
+        contact = r * c - np.sqrt(r**2 - (r * s + TUBE) ** 2)
     first, second = perpendiculars(outward)
     aside = np.cos(own.incidence_azimuth) * first + np.sin(own.incidence_azimuth) * second
     beam = np.cos(own.incidence) * outward + np.sin(own.incidence) * aside
     motion = _turned(beam, own.beam_off)
-    # Where the rim of the face touches: on a plane a tan ι; in a sphere the deepest point of the
-    # rim is on the wall.
-    if own.wall == "plane":
-        contact = TUBE * np.tan(own.incidence)
-    else:
-        c, s, r = np.cos(own.incidence), np.sin(own.incidence), own.radius
-        contact = r * c - np.sqrt(r**2 - (r * s + TUBE) ** 2)
     touch = contact + own.touch_off
-    tip = spot - touch * beam
-    tips = tip - own.readings[:, None] * motion
+    tips = spot - touch * beam - own.readings[:, None] * motion
     return Poses(tips, beam, _turned(motion, own.lean), float(touch), spot)
 
 
@@ -191,13 +146,8 @@ def direct_light(
 ) -> np.ndarray:
     """Irradiance of the wall behind each pixel, 1/mm² per unit power in the core.
 
-    Args:
-        recording: for its wall and microscope.
-        light: of the lens.
-        tip: mm.
-        beam: unit vector from the tip towards the wall.
-        centre: principal point, px.
-        samples: of a pixel, each way.
+    The beam is a unit vector from the tip (mm) towards the wall, the centre the principal point
+    (px), and a pixel has so many samples each way.
     """
     own = recording
     sub = (np.arange(samples) + 0.5) / samples - 0.5

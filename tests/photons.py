@@ -26,30 +26,19 @@ BATCH = 1 << 14  # photons at once, few enough to stay in the cache
 
 @dataclass(frozen=True, kw_only=True)
 class Drop:
-    """A cap of glue on a core, and how the core is lit.
+    """A cap of glue on a core, and how the core is lit."""
 
-    Attributes:
-        core: radius of the lit core.
-        aperture: radius of the cap's rim.
-        sag: height of the cap over its rim.
-        rim: height of the rim over the core's face.
-        aperture_na: numerical aperture of the light in the core.
-        index: of the glue.
-        gaussian: whether the launch is Gaussian, with the core's radius and the aperture as 1/e²
-            radii, instead of even. Both are cut off there.
-        shift: of the cap along x, relative to the core.
-        tilt: of the light in the glue towards x, rad.
-    """
-
-    core: float
-    aperture: float
-    sag: float
-    rim: float
-    aperture_na: float
-    index: float = 1.49
+    core: float  # radius of the lit core
+    aperture: float  # radius of the cap's rim
+    sag: float  # height of the cap over its rim
+    rim: float  # height of the rim over the core's face
+    aperture_na: float  # numerical aperture of the light in the core
+    index: float = 1.49  # of the glue
     gaussian: bool = False
-    shift: float = 0.0
-    tilt: float = 0.0
+    """Whether the launch is Gaussian, with the core's radius and the aperture as 1/e² radii,
+    instead of even. Both are cut off there."""
+    shift: float = 0.0  # of the cap along x, relative to the core
+    tilt: float = 0.0  # of the light in the glue towards x, rad
 
     @classmethod
     def of(cls, lens: Any) -> Drop:
@@ -121,21 +110,14 @@ def photons(drop: Drop, medium: float, even: np.ndarray) -> tuple:
 
 @dataclass(frozen=True, eq=False)
 class PhotonLight:
-    """Vector irradiance per unit power in the core, counted by photons, of a symmetric drop.
+    """Vector irradiance per unit power in the core, counted by photons, of a symmetric drop."""
 
-    Attributes:
-        rings: V e² in mm² / mm²: components (radial, axial) x planes x rings.
-        nearest, farthest: distances of the first and the last plane.
-        contact, slope: reach of the rings, e(s) = contact + slope s.
-        transmitted: part of the power that leaves the cap.
-    """
-
-    rings: np.ndarray
-    nearest: float
+    rings: np.ndarray  # V e² in mm² / mm²: components (radial, axial) x planes x rings
+    nearest: float  # distance of the first plane
     farthest: float
-    contact: float
+    contact: float  # reach of the rings, e(s) = contact + slope s
     slope: float
-    transmitted: float
+    transmitted: float  # part of the power that leaves the cap
 
     def reach(self, s):
         """Radius of the outermost ring."""

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import tomli_w
 from scipy.spatial.transform import Rotation
 
 import eyespot
@@ -85,7 +86,6 @@ def _fitted(stack: Path, out: Path, **choices: Any) -> tuple[dict[str, Any], eye
 
 
 def _errors(fit: eyespot.Fit, truth: dict[str, float]) -> dict[str, list[float]]:
-    """Error and standard error by name."""
     found = fit.parameters
     return {
         name: [float(found.value[name]) - true, float(found.sigma[name])]
@@ -106,8 +106,7 @@ def lens(seed: int, folder: Path) -> dict[str, Any]:
         "numerical_aperture": rng.uniform(0.09, 0.22),
     }
     drop["glue_length"] = drop["sag"]
-    numbers = "\n".join(f"{name} = {value}" for name, value in drop.items())
-    (folder / "drop.toml").write_text(f"schema = 1\n[lens]\n{numbers}\n")
+    (folder / "drop.toml").write_text(tomli_w.dumps({"schema": 1, "lens": drop}))
     beam = {
         **_SMALL,
         "source.lens": str(folder / "drop.toml"),
@@ -159,8 +158,6 @@ KINDS: dict[str, Callable[[int, Path], dict[str, Any]]] = {"lenses": lens, "cone
 
 
 def results(file: Path, kind: str, seeds: range) -> pd.DataFrame:
-    """Fits by seed."""
-
     def fit(seed: int) -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             return KINDS[kind](seed, Path(folder))

@@ -91,7 +91,6 @@ class Player(Node):
 
 
 def main(bag: Path, answers: Path, speed: float) -> None:
-    """Play the bag, and write the answers."""
     rclpy.init()
     player = Player()
     executor = SingleThreadedExecutor()

@@ -25,7 +25,7 @@ from tests.drawn_sets import digests
 
 SPEC = """\
 name = "tiny"
-description = "Five stacks of ten small frames."
+description = "Five stacks of six small frames."
 seed = 9
 [splits]
 train = 2
@@ -36,7 +36,7 @@ source.kind = "cone"
 phantom.wall = "uniform"
 motion.start_mm = 2.0
 motion.travel_mm = 0.1
-motion.frames = 10
+motion.frames = 6
 microscope.width_px = 96
 microscope.height_px = 72
 microscope.scale_mm_px = 0.045
@@ -112,10 +112,10 @@ def test_a_set_holds_every_stack_of_its_spec_with_all_labels(spec, whole):
     for planned, stack in zip(plan(spec), labelled.stacks, strict=True):
         opened = stack.open()
         assert opened.description["scene"] == planned.scene.model_dump(mode="json", by_alias=True)
-        assert len(opened.labels) == 10
+        assert len(opened.labels) == 6
         opened.verify()
     # 3 files a frame would be 2 images and a label; every stack adds 5 files of its own.
-    assert verify_set(whole) >= 5 * (20 + 5)
+    assert verify_set(whole) >= 5 * (12 + 5)
 
 
 def test_a_split_has_one_line_an_image_with_its_own_scene_parameters(whole):
@@ -124,8 +124,8 @@ def test_a_split_has_one_line_an_image_with_its_own_scene_parameters(whole):
         text = (whole / split / "metadata.jsonl").read_text()
         lines = [json.loads(line) for line in text.splitlines()]
         stacks = [stack for stack in labelled.stacks if stack.split == split]
-        assert len(lines) == 10 * len(stacks)
-        for line, stack in zip(lines[::10], stacks, strict=True):
+        assert len(lines) == 6 * len(stacks)
+        for line, stack in zip(lines[::6], stacks, strict=True):
             assert (whole / split / line["file_name"]).is_file()
             assert (whole / split / line["mask_file_name"]).is_file()
             assert line["condition"] == (stack.condition or "")
@@ -135,9 +135,9 @@ def test_a_split_has_one_line_an_image_with_its_own_scene_parameters(whole):
 
 def test_the_data_card_counts_what_is_there(whole):
     card = (whole / "README.md").read_text()
-    assert "50 rendered images" in card
-    assert "| train |  | 2 | 20 |" in card
-    assert "| adverse | saturation | 1 | 10 |" in card
+    assert "30 rendered images" in card
+    assert "| train |  | 2 | 12 |" in card
+    assert "| adverse | saturation | 1 | 6 |" in card
     assert "license: cc-by-4.0" in card
     for picture in ("samples.png", "histograms.png"):
         assert picture in card
@@ -223,9 +223,9 @@ def test_scenes_that_cannot_be_are_drawn_again_before_any_is_rendered(spec_file,
 
 def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):
     found = estimate(plan(spec))
-    assert (found.stacks, found.images) == (5, 50)
+    assert (found.stacks, found.images) == (5, 30)
     images = sum(path.stat().st_size for path in whole.glob("*/*/*/*.png"))
-    # Five of ten like frames stand for the others; descriptions and labels are a few per cent.
+    # Five of six like frames stand for the others; descriptions and labels are a few per cent.
     assert found.size_bytes == pytest.approx(images, rel=0.5)
     assert found.processor_s > 0
 
@@ -343,14 +343,10 @@ def test_hugging_face_reads_every_split_with_images_masks_and_labels(whole, tmp_
     from datasets import load_dataset
 
     every = load_dataset(str(whole), cache_dir=str(tmp_path))
-    assert {split: len(rows) for split, rows in every.items()} == {
-        "train": 20,
-        "validation": 10,
-        "test": 10,
-        "adverse": 10,
-    }
+    counts = {split: len(rows) for split, rows in every.items()}
+    assert counts == {"train": 12, "validation": 6, "test": 6, "adverse": 6}
     adverse = load_dataset(str(whole), "adverse", cache_dir=str(tmp_path))["adverse"]
-    assert len(adverse) == 10
+    assert len(adverse) == 6
     row = adverse[3]
     assert row["image"].size == row["mask"].size == (96, 72)
     assert row["condition"] == "saturation"

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from distributed import Client
 
 from benchmarks.rivals import running
 from benchmarks.rivals.entries import KINDS, Entry
@@ -27,6 +26,7 @@ from formats.spots import NoSpot, Spot
 from scenes import Scene
 from scenes.drawn import Drawing, Truth, frame_of
 from scenes.world.labels import true_calibration
+from tests.benchmarks.test_dataset import here
 
 WRITTEN = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"
 TRUTH = Truth(x=301.3, y=222.8, semi_major=66.2, semi_minor=58.4, angle=0.6)
@@ -38,12 +38,7 @@ ALONE = ("opencv-relative", "skimage-ransac")
 
 @pytest.fixture
 def worker_here(monkeypatch):
-    """A Dask worker in this process, where everything is compiled already."""
-
-    def hired(count: int) -> Client:
-        return Client(processes=False, n_workers=1, threads_per_worker=1, dashboard_address=":0")
-
-    monkeypatch.setattr(running, "local_workers", hired)
+    monkeypatch.setattr(running, "local_workers", lambda count: here())
 
 
 def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None = None) -> Any:

@@ -119,18 +119,17 @@ def test_a_training_that_was_stopped_ends_with_the_same_bits(tmp_path):
 
     def weights(out: Path, show: Any = lambda epoch: None) -> list[np.ndarray]:
         out.mkdir(exist_ok=True)
-        network = trained(samples, others, out, epochs=3, seed=5, show=show)
+        network = trained(samples, others, out, epochs=2, seed=5, show=show)
         return [np.asarray(leaf) for leaf in jax.tree.leaves(network) if hasattr(leaf, "shape")]
 
     whole = weights(tmp_path / "whole")
-    for _ in range(2):
-        with pytest.raises(KeyboardInterrupt):  # between two checkpoints
-            weights(tmp_path / "parts", Mock(side_effect=KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):  # between two checkpoints
+        weights(tmp_path / "parts", Mock(side_effect=KeyboardInterrupt))
     parts = weights(tmp_path / "parts")
     assert all(np.array_equal(a, b) for a, b in zip(whole, parts, strict=True))
     curve, again = (read_curve(tmp_path / name / "curve.csv") for name in ("whole", "parts"))
     assert curve.equals(again)
-    assert curve.epoch.tolist() == [1, 2, 3]
+    assert curve.epoch.tolist() == [1, 2]
 
 
 def test_the_weights_are_small_and_those_that_their_file_describes():

@@ -24,6 +24,7 @@ from estimator import Source, track_whole_source
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.command_line import call, printed
 from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
+from tests.made_up import a_spot
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -46,12 +47,9 @@ def in_memory(count: int, stacks: int = 1, **known: Any) -> pd.DataFrame:
 
 def spot_at(labels: Any, *, sigma: float = math.nan, **error: float) -> Spot:
     """The half-maximum ellipse of the labels, off by errors in px."""
-    ellipse = {
-        name: getattr(labels, f"half_max_{name}") + error.get(name, 0.0)
-        for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
-    }
-    quality = {"edge_width_px": 2.0, "coverage": 1.0, "inlier_fraction": 1.0, "saturated": 0.0}
-    return Spot(**ellipse, **quality, covariance=np.eye(5) * sigma**2)
+    names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    ellipse = (getattr(labels, f"half_max_{name}") + error.get(name, 0.0) for name in names)
+    return a_spot(*ellipse, covariance=np.eye(5) * sigma**2)
 
 
 def records_of(
@@ -107,14 +105,8 @@ def test_perfect_spots_have_no_error_and_miss_nothing(images):
     assert (counts.found, counts.missed, counts.false_spots) == (len(visible), 0, 0)
     assert counts.hidden == len(images) - len(visible) == 1
     of_all = result.errors[result.errors.condition == "all"]
-    assert dict(zip(of_all.quantity, of_all.max_abs, strict=True)) == {
-        "x_px": 0.0,
-        "y_px": 0.0,
-        "centre_px": 0.0,
-        "semi_major_px": 0.0,
-        "semi_minor_px": 0.0,
-        "angle_rad": 0.0,
-    }
+    names = ("x_px", "y_px", "centre_px", "semi_major_px", "semi_minor_px", "angle_rad")
+    assert of_all.set_index("quantity").max_abs.to_dict() == dict.fromkeys(names, 0.0)
 
 
 def test_the_angle_is_scored_where_the_ellipse_is_not_round(images):
@@ -164,12 +156,8 @@ def test_what_was_missed_or_invented_is_counted():
 
 def test_an_image_without_a_line_is_missed_unless_its_whole_kind_is_left_out(images):
     records = records_of(images, spot_at)
-    told = {
-        name: record
-        for name, record in records.items()
-        if images.split[name] == "train" and images.exposure[name] == "metered"
-    }
-    told.pop("train/a/frames/000002.png")
+    metered = images[(images.split == "train") & (images.exposure == "metered")].index
+    told = {name: records[name] for name in metered.drop("train/a/frames/000002.png")}
     result = scored(images, told)
     counts = counts_in(result)
     assert (counts.images, counts.missed) == (8, 1)
@@ -265,7 +253,7 @@ def test_why_spots_were_missed_is_shown_and_a_table_without_rows_is_not():
 
 
 def test_images_that_are_no_sequence_are_measured_each_by_itself(drawn, tmp_path, monkeypatch):
-    folder = shutil.copytree(drawn, tmp_path / "set")
+    folder = shutil.copytree(drawn / "train" / "a", tmp_path / "a")
     followed = []
 
     def spied(source: Source, reader: object, **given: object) -> list[SpotRecord]:
@@ -282,10 +270,10 @@ def test_images_that_are_no_sequence_are_measured_each_by_itself(drawn, tmp_path
     assert follows([]) == {True}
     assert follows(["--unrelated"]) == {False}
     # 100 px from one image to the next are more than the 80 px over which a spot is followed.
-    for file in folder.rglob("metadata.jsonl"):
-        rows = [json.loads(line) for line in file.read_text().splitlines()]
-        rows = [row | {"half_max_x_px": 100.0 * row["frame"]} for row in rows]
-        file.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    file = folder / "metadata.jsonl"
+    rows = [json.loads(line) for line in file.read_text().splitlines()]
+    rows = [row | {"half_max_x_px": 100.0 * row["frame"]} for row in rows]
+    file.write_text("".join(json.dumps(row) + "\n" for row in rows))
     assert follows([]) == {False}
     assert follows(["--sequence"]) == {True}
 

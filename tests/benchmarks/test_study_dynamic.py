@@ -41,9 +41,6 @@ def row(**changes: Any) -> dict[str, Any]:
     return sizes | named | counts | {"speed_mm_s": 0.0, "exposure_s": 0.0} | changes
 
 
-# Parts.
-
-
 @pytest.mark.parametrize("speed", [0.0, 0.5, 5.0, -2.0])
 @pytest.mark.parametrize("latency", [0.05, 0.1])
 def test_a_late_pose_costs_a_withdrawing_tip_minus_speed_times_delay(speed, latency):
@@ -68,9 +65,6 @@ def test_the_robot_reads_the_distance_along_its_beam():
     assert math.isnan(dynamic.reading(PoseTrack([pose]), -1.0, SPHERE))
 
 
-# Sizes.
-
-
 def test_frames_without_an_estimate_are_counted_and_add_no_error():
     rows = [
         row(speed_mm_s=1.4, error_mm=0.3, rest_mm=0.3),
@@ -93,9 +87,6 @@ def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
     assert speed_at(spreads, 0.04) == 0.0
     assert math.isnan(speed_at(spreads, 0.6))
     assert math.isnan(speed_at(spreads[:0], 0.5))
-
-
-# Scenes.
 
 
 @pytest.mark.parametrize("way", COMPARED, ids=lambda way: way.slug)
@@ -125,9 +116,6 @@ def test_a_frozen_twin_differs_in_nothing_but_the_length_of_its_exposures():
         assert same == trial.moving
 
 
-# At rest.
-
-
 def test_the_calibration_at_rest_finds_the_papers_k_and_b():
     microscope = a_microscope(pinhole_height_mm=math.inf)
     seen, c = np.linspace(40.0, 80.0, 9), np.linspace(0.0, 3.0, 9)
@@ -138,9 +126,6 @@ def test_the_calibration_at_rest_finds_the_papers_k_and_b():
     found = dynamic.small_plane_line(spots, microscope)
     # Rounding of numbers near 5 mm, times the leverage of b.
     assert (found["k"], found["b"]) == pytest.approx((20.0, -5.117), rel=1e-10)
-
-
-# The report.
 
 
 def drawn(*, blur: float, late: float) -> pd.DataFrame:
@@ -187,9 +172,6 @@ def test_lost_frames_are_counted_by_reason():
     found = claimed(rows)["cone, requirement"]
     assert found.holds is False
     assert "9 of 9 frames gave no estimate that counts; 9 ambiguous." in found.text
-
-
-# The whole.
 
 
 @pytest.mark.slow  # renders 78 frames, and compiles

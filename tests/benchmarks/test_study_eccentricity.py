@@ -64,9 +64,6 @@ def share(worths: np.ndarray, where: int, model: str, cause: str) -> float:
     return float(shares[CAUSES.index(cause)])
 
 
-# The chain.
-
-
 def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inverse():
     rng = np.random.default_rng(3)
     n = 64
@@ -187,9 +184,6 @@ def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_
     assert error_causes.spread_length(own) == 0.05
 
 
-# Shares.
-
-
 def test_shares_are_the_mean_gain_over_all_orders_of_joining():
     worth = np.random.default_rng(0).normal(size=16)
     gains = np.zeros(4)
@@ -202,9 +196,6 @@ def test_shares_are_the_mean_gain_over_all_orders_of_joining():
             inside = joined
     assert shapley_values(worth) == pytest.approx(gains / len(orders))
     assert shapley_values(worth).sum() == pytest.approx(worth[-1] - worth[0])
-
-
-# Limits and fitted c.
 
 
 @pytest.fixture(scope="module")
@@ -245,9 +236,6 @@ def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(with
         assert 0 < far < 8
     for model in ("corrected", "exact"):
         assert math.isnan(found[200.0, model, 0.5])
-
-
-# The space.
 
 
 def test_the_space_is_filled_evenly_and_repeatably():

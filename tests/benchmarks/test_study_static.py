@@ -32,9 +32,6 @@ def best(isophotes: Isophotes) -> Any:
     return rows_of(where(choices, asked=AT_SCALE))[0]
 
 
-# Parts of the error.
-
-
 def variants(touch: np.ndarray) -> dict[str, static.Measured]:
     """Spots that only a missed touch and noise tell from an ideal cone."""
     rng = np.random.default_rng(11)
@@ -76,9 +73,6 @@ def test_the_plane_tilts_under_an_instrument_that_keeps_its_direction(tilt):
     assert axis(tilt) == pytest.approx(axis(0), abs=1e-9)
 
 
-# What the printed figures imply.
-
-
 def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     n, span = 2001, 3.3
     d = np.linspace(0.0, span, n)
@@ -86,9 +80,6 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     row = PlaneRow(*(float(value) for value in fit_lines(e, d)))
     # n readings have a variance (n + 1)/(n - 1) times that of a continuum.
     assert table_one.even_span(row) == pytest.approx(span, rel=1.1 / n)
-
-
-# A threshold on a lens.
 
 
 def test_on_the_minor_axis_a_tilted_plane_has_the_cosines_part_of_a_square_ones_light():

@@ -17,7 +17,7 @@ from optics import viewing
 from tests import eye_fits
 from tests.command_line import call, printed
 from tests.fit_files import a_recording
-from tests.made_up import a_microscope_file, a_spot
+from tests.made_up import DOME, a_microscope_file, a_spot
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -113,15 +113,7 @@ def test_what_does_not_fit_the_eye_is_refused():
     on_plane = trial._replace(trial=replace(trial.trial, kind="plane"))
     cone = eye_fits.calibration({"half_angle": 0.05, "b": -5.0}, np.zeros((2, 2)), "exact")
     given = Choices()
-    lens = {
-        "core_radius": 0.2,
-        "glue_length": 0.1,
-        "aperture_radius": 0.25,
-        "sag": 0.1,
-        "glue_index": 1.49,
-        "numerical_aperture": 0.2,
-    }
-    of_lens = eye_fits.calibration(lens, np.zeros((6, 6)), "lens")
+    of_lens = eye_fits.calibration(DOME, np.zeros((6, 6)), "lens")
     for recording, choices, known, said in (
         (trial, given, None, "needs --calibration FILE"),
         (on_plane, given, cone, "was taken on a plane"),

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import tomli_w
 from scipy import ndimage, stats
 
 import calibration
@@ -57,11 +58,8 @@ def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
     askew = Recording(drop=drop, beam_off=(math.radians(1.2), math.radians(1.6)))
     fit, _ = fitted(askew, seed=2)
     assert fit.converged
-    truth = {
-        "sag": drop.sag,
-        "numerical_aperture": drop.aperture_na,
-        "sensitivity": askew.sensitivity,
-    }
+    truth = {"sag": drop.sag, "numerical_aperture": drop.aperture_na}
+    truth |= {"sensitivity": askew.sensitivity}
     # Three parameters at 3.3 standard errors: a false alarm in 300 seeds; this one is fixed.
     assert_within(fit, truth, 3.3)
     # The misfit that finite photons cause does not make the test empty.
@@ -125,12 +123,10 @@ def test_a_lens_is_found_in_a_stack_of_files_that_photons_made(tmp_path):
     frames = photographed(recording, np.random.default_rng(5))
     stack = write_photons(tmp_path / "stack", recording, frames)
     start, out = tmp_path / "start.toml", tmp_path / "lens.json"
-    start.write_text(
-        f"schema = 1\n[lens]\ncore_radius = {drop.core}\naperture_radius = {drop.aperture}\n"
-        f"glue_index = {drop.index}\nsag = {1.26 * drop.sag}\n"
-        f"glue_length = {drop.rim + 1.26 * drop.sag}\n"
-        f"numerical_aperture = {drop.aperture_na / 1.26}\n"
-    )
+    lens = {"core_radius": drop.core, "aperture_radius": drop.aperture, "glue_index": drop.index}
+    lens |= {"sag": 1.26 * drop.sag, "glue_length": drop.rim + 1.26 * drop.sag}
+    lens |= {"numerical_aperture": drop.aperture_na / 1.26}
+    start.write_text(tomli_w.dumps({"schema": 1, "lens": lens}))
     # The first frame is not at contact, which the command is told.
     first = frames.where.touch + recording.first
     options = "--model", "lens", "--lens", start, "--prior", f"touch={first},0.02"

@@ -11,17 +11,7 @@ import pytest
 
 HOME = Path(__file__).resolve().parents[2]
 EXAMPLES = HOME / "docs" / "contributing" / "examples"
-PARTS = (
-    "formats",
-    "optics",
-    "eyespot",
-    "scenes",
-    "estimator",
-    "calibration",
-    "benchmarks",
-    "tests",
-    "docs",
-)
+PARTS = "formats optics eyespot scenes estimator calibration benchmarks tests docs".split()
 
 # What each change adds a test to, and the house's rules that it must keep.
 CHECKS = {

@@ -61,7 +61,6 @@ def test_every_reason_is_there_with_what_to_do(pages):
 
 @pytest.fixture(scope="module")
 def nodes():
-    """All nodes of all modules, each with its file."""
     paths = [path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))]
     trees = ((str(path), ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
     return [(file, node) for file, tree in trees for node in ast.walk(tree)]
@@ -184,8 +183,8 @@ def written(tmp_path_factory):
     (folder / "stated.toml").write_text("eye_radius_sigma_mm = 0.2\ntouch_sigma_mm = 0.02\n")
     printed("scene", "init", folder / "scene.toml")
     printed("render", folder / "scene.toml", "--out", folder / "stack", *changes)
-    printed("fit", folder / "stack", "--model", "cone", "--out", folder / "beam.json")
-    calibrated = ("--calibration", folder / "beam.json", "--model", "exact")
+    printed("fit", folder / "stack", "--model", "plane", "--out", folder / "beam.json")
+    calibrated = ("--calibration", folder / "beam.json")
     printed("track", folder / "stack", *calibrated, "--out", folder / "spots.csv")
     stated = ("--stated", folder / "stated.toml", "--json")
     budget = printed("budget", folder / "stack", *calibrated, *stated, "--frame", "6")

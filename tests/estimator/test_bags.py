@@ -66,9 +66,8 @@ def known(poses: PoseTrack, time_s: float) -> tuple[Pose, float]:
 
 
 def write_ros2(path: Path, storage: rosbag2.StoragePlugin) -> Path:
-    images = [
-        (IMAGE_TOPIC, f.time_s, image_message(ROS2, f.image, "rgb8", f.time_s)) for f in frames()
-    ]
+    times = {frame.time_s: frame.image for frame in frames()}
+    images = [(IMAGE_TOPIC, t, image_message(ROS2, x, "rgb8", t)) for t, x in times.items()]
     return write(path, ROS2, images, version=9, storage_plugin=storage)
 
 
@@ -170,8 +169,6 @@ def test_a_frame_of_any_depth_goes_through_a_bag(tmp_path, dtype, channels, enco
 
 
 RGB = np.random.default_rng(1).integers(0, 255, (6, 5, 3), dtype=np.uint8)
-GREY = RGB[:, :, 0]
-DEEP = RGB.astype(np.uint16) * 257
 
 
 def test_bytes_as_rospy_gives_them_are_read_too():
@@ -181,10 +178,8 @@ def test_bytes_as_rospy_gives_them_are_read_too():
 
 
 def test_compressed_images_are_read(tmp_path):
-    path = write(
-        tmp_path / "a.bag", ROS1, [("/camera/compressed", 1, compressed_message(ROS1, RGB))]
-    )
-    (frame,) = open_source(path)  # the only image topic needs no name
+    compressed = [("/camera/compressed", 1.0, compressed_message(ROS1, RGB))]
+    (frame,) = open_source(write(tmp_path / "a.bag", ROS1, compressed))  # the only image topic
     np.testing.assert_array_equal(frame.image, RGB)
     assert frame.time_s == EPOCH_S
 
@@ -271,7 +266,7 @@ def test_an_image_without_a_stamp_has_the_time_of_its_arrival(tmp_path):
 
 def test_the_topic_is_the_rigs_or_the_only_one_or_the_one_that_is_named(tmp_path):
     other = image_message(ROS1, RGB, "rgb8")
-    rig = image_message(ROS1, GREY, "mono8")
+    rig = image_message(ROS1, RGB[:, :, 0], "mono8")
     both = write(tmp_path / "both.bag", ROS1, [("/left", 1, other), (IMAGE_TOPIC, 2, rig)])
     assert [frame.image.ndim for frame in open_source(both)] == [2]
     assert [frame.image.ndim for frame in open_source(both, image_topic="/left")] == [3]

@@ -7,15 +7,7 @@ import pytest
 
 from formats.calibration import Calibration, read_calibration, write_calibration
 from formats.inputs import InputError
-
-LENS = {
-    "core_radius": 0.25,
-    "glue_length": 0.12,
-    "aperture_radius": 0.25,
-    "sag": 0.12,
-    "glue_index": 1.49,
-    "numerical_aperture": 0.2,
-}
+from tests.made_up import DOME
 
 
 def calibration(**changed):
@@ -54,8 +46,8 @@ def edited(tmp_path):
         ("small_plane", {"b": -5.0, "k": 19.0, "eccentricity": 2.5, "eye_radius": 11.5}),
         ("exact", {"half_angle": 0.05, "b": -5.0, "scale": 0.0067}),
         ("exact", {"half_angle": 0.05, "b": -5.0, "beam_x": 0.03, "beam_y": -0.02}),
-        ("lens", LENS),
-        ("lens", {**LENS, "launch_radius": 0.1, "launch_aperture": 0.1, "brightness": 3e-3}),
+        ("lens", DOME),
+        ("lens", {**DOME, "launch_radius": 0.1, "launch_aperture": 0.1, "brightness": 3e-3}),
     ],
 )
 def test_a_file_holds_every_digit(tmp_path, model, values):

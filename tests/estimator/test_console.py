@@ -13,7 +13,6 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -99,8 +98,7 @@ def test_a_recording_is_paused_stepped_and_sought():
     with session_of(recording) as session:
         assert shown(session) == (19, pytest.approx(39, abs=0.05))
         session.seek(5)
-        see(session, 5)
-        assert shown(session)[1] == pytest.approx(25, abs=0.05)
+        assert see(session, 5) == pytest.approx(25, abs=0.05)
         session.step(2)
         see(session, 7)
         session.step(-1)
@@ -256,10 +254,8 @@ def test_the_course_covers_the_last_thirty_seconds():
 
 
 def test_exposure_is_advised_where_light_is_lost_or_missing():
-    spot = a_spot(80, 60, 30, 30)
-    good = exposure_advice(spot, disc(30, 180), Response())
-    assert good == ""
-    half = replace(spot, saturated=0.5)
+    spot, half = (a_spot(80, 60, 30, 30, saturated=part) for part in (0.0, 0.5))
+    assert exposure_advice(spot, disc(30, 180), Response()) == ""
     assert exposure_advice(half, disc(30, 255), Response()).startswith("50% of the spot is sat")
     # 40 of 255 is 16 %; 5 times as long makes it 80 %.
     assert "5 times as long" in exposure_advice(spot, disc(30, 41), Response())
@@ -272,14 +268,9 @@ def test_the_tip_is_drawn_where_the_microscope_shows_it(tmp_path, pinhole_height
     microscope = read_microscope(a_microscope_file(tmp_path, (320, 240), **keys))
     tip = TipPose(tip_mm=np.array([0.4, -0.7, -8.0]), axis=np.array([0, 0, -1.0]), distance_mm=3.0)
     found = Range(distance_mm=3.0, sigma_mm=0.1, poses=(tip,))
-    view = View(
-        version=0,
-        number=0,
-        frame=Frame(index=0, image=disc(30)),
-        reading=Reading("pixels", NoSpot(Reason.NONE_FOUND), found),
-        expected_px=None,
-        arrived_s=0.0,
-    )
+    reading = Reading("pixels", NoSpot(Reason.NONE_FOUND), found)
+    frame = Frame(index=0, image=disc(30))
+    view = View(version=0, number=0, frame=frame, reading=reading, expected_px=None, arrived_s=0.0)
     cross = re.search(r'M([0-9.]+) ([0-9.]+)l14 14m0 -14l-14 14"', svg_of(view, microscope))
     assert cross is not None
     # The tip is 3.5 mm above the pole. A cross is 14 px wide, and pixels begin at their corner.
@@ -376,8 +367,7 @@ def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack
         distance = float(text(page, "distance").split()[0])
         assert distance == pytest.approx(label.d_mm, abs=0.032)
         # The interval is rounded to 0.01 mm.
-        interval = re.findall(r"\d\.\d\d", text(page, "worth"))
-        low, high = (float(end) for end in interval)
+        low, high = map(float, re.findall(r"\d\.\d\d", text(page, "worth")))
         assert low - 0.005 <= label.d_mm <= high + 0.005
         wait_until(lambda: text(other, "distance") == text(page, "distance"), "the other window")
         assert text(other, "where") == text(page, "where")

@@ -2,7 +2,6 @@
 
 import struct
 import sys
-import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,6 +22,7 @@ from formats.camera import Response
 from formats.images import decoded_image
 from formats.inputs import InputError
 from formats.spots import Spot
+from tests.bad_input import png_chunk
 from tests.drawn_recording import write_video
 from tests.drawn_spots import spot_image
 
@@ -100,8 +100,7 @@ def cfa_tags(pattern: bytes) -> list[tuple]:
 
 def sbit(shift: int) -> Write:
     """12 bits in a PNG of 16, which says so in a chunk after its header of 33 bytes."""
-    name_and_bits = b"sBIT" + bytes([12])
-    chunk = struct.pack(">I", 1) + name_and_bits + struct.pack(">I", zlib.crc32(name_and_bits))
+    chunk = png_chunk(b"sBIT", bytes([12]))
 
     def write(path: Path, light: np.ndarray) -> None:
         data = cv2.imencode(".png", samples(light, 12) << shift)[1].tobytes()

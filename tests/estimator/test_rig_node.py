@@ -27,7 +27,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from benchmarks.bench.load import memory_mb
-from estimator import LiteralSettings, SubpixelSettings
+from estimator import LiteralSettings
 from estimator.distance.ranger import Ranger
 from estimator.rig import node as rig_node
 from estimator.rig.messages import Silence
@@ -39,6 +39,8 @@ from tests import drawn_spots
 from tests.made_up import a_microscope_file
 from tests.rig_recordings import (
     HOME,
+    LITERAL,
+    SUBPIXEL,
     calibrated,
     frames_of,
     measured_offline,
@@ -50,7 +52,6 @@ from tests.ros_messages import ROS1, image_message, message
 
 
 def grey_message(image: np.ndarray) -> Any:
-    """A `sensor_msgs/Image` of a grey image."""
     return image_message(ROS1, image, "mono8", time_s=1.0)
 
 
@@ -252,8 +253,7 @@ def ros():
 class RosSession:
     """A roscore of its own on a free port; what is started in it ends with it.
 
-    Args:
-        home: empty folder for ROS's files and the processes' output.
+    `home` is an empty folder for ROS's files and the processes' output.
     """
 
     def __init__(self, home: Path) -> None:
@@ -356,11 +356,7 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("settings", "start", "model", "with_axis"),
-    [
-        (SubpixelSettings(), None, "exact", True),
-        # The grey of the spot stays below the paper's threshold; the last spots are too large.
-        (LiteralSettings(threshold=60, max_minor_axis_px=60.0), (159.0, 119.0), "corrected", False),
-    ],
+    [(*SUBPIXEL, True), (*LITERAL, False)],
     ids=["subpixel", "literal"],
 )
 def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
@@ -412,15 +408,8 @@ def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(ros
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
         program = HOME / "tests" / "topic_reader.py"
         reader = session.start(sys.executable, program, "/decklink/camera/image_raw", out)
-        session.start(
-            "rosbag",
-            "play",
-            "--wait-for-subscribers",
-            "--topics",
-            "/decklink/camera/image_raw",
-            "--bags",
-            bag,
-        )
+        only_images = "--topics", "/decklink/camera/image_raw", "--bags", bag
+        session.start("rosbag", "play", "--wait-for-subscribers", *only_images)
         session.wait_until(lambda: reader.poll() is not None, "the end of the images")
     read_as_a_source(out, frames_of(stack))
 

@@ -24,7 +24,9 @@ from formats.microscope import read_microscope
 from formats.poses import read_poses
 from tests.rig_recordings import (
     HOME,
+    LITERAL,
     RATE_HZ,
+    SUBPIXEL,
     calibrated,
     frames_of,
     measured_offline,
@@ -118,17 +120,10 @@ def given(**parameters: object) -> list[str]:
 @pytest.mark.parametrize(
     ("settings", "start", "model", "rate_hz", "reliable"),
     [
-        (SubpixelSettings(), None, "exact", 10, False),
-        (SubpixelSettings(), None, "exact", 30, False),
-        (SubpixelSettings(), None, "exact", 30, True),
-        # The grey of the spot stays below the paper's threshold; the last spots are too large.
-        (
-            LiteralSettings(threshold=60, max_minor_axis_px=60.0),
-            (159.0, 119.0),
-            "corrected",
-            30,
-            False,
-        ),
+        (*SUBPIXEL, 10, False),
+        (*SUBPIXEL, 30, False),
+        (*SUBPIXEL, 30, True),
+        (*LITERAL, 30, False),
     ],
     ids=["subpixel-10Hz", "subpixel-30Hz", "subpixel-30Hz-reliable", "literal-30Hz"],
 )
@@ -202,7 +197,6 @@ def test_under_ros_2_the_node_measures_what_is_measured_offline(
 def played(
     python: str, environment: dict[str, str], bag: Path, folder: Path, *, speed: float
 ) -> dict[str, Any]:
-    """What the node answers to a bag."""
     answers = folder / "answers.json"
     player = [python, f"{HOME}/tests/ros2_player.py", str(bag), str(answers), f"{speed}"]
     done = subprocess.run(player, env=environment, capture_output=True, text=True)

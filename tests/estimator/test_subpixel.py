@@ -160,17 +160,11 @@ def test_the_response_curve_is_taken_into_account(curve):
 
 def test_integer_and_float_frames_agree():
     image = light_of(Drawing(truth=_TRUTH, noise=0.0))
-    spots = [
-        _measured(np.rint(image).astype(np.uint8)),
-        _measured(np.rint(image * 257).astype(np.uint16)),
-        _measured((image / 255).astype(np.float32)),
-        _measured(image / 255),
-        _measured(np.rint(image * 257).astype(np.uint16).astype(">u2")),
-        _measured(np.rint(image[..., 0]).astype(np.uint8)),
-    ]
-    for spot in spots:
+    deep = np.rint(image * 257).astype(np.uint16)
+    integers = np.rint(image).astype(np.uint8), deep, deep.astype(">u2")
+    for frame in (*integers, integers[0][..., 0], (image / 255).astype(np.float32), image / 255):
         # Rounding to 8 bits and the fixed-point grey mean move the contour by 0.01 px.
-        np.testing.assert_allclose(_TRUTH.errors(spot), 0, atol=0.03)
+        np.testing.assert_allclose(_TRUTH.errors(_measured(frame)), 0, atol=0.03)
 
 
 def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged():
@@ -199,10 +193,9 @@ def test_a_spot_saturated_beyond_half_of_its_peak_is_refused():
     ("reach", "width"), [(0.6, 75), (-0.3, 75), (-3.0, 75), (-0.3, 6), (-3.0, 15), (-3.0, 40)]
 )
 def test_a_shaft_hides_contour_without_bending_it(reach, width):
-    def scene(rng: np.random.Generator) -> Drawing:
-        return with_shaft(Drawing(truth=any_truth(rng, 70)), rng, reach, width)
-
-    errors = _errors(scene, 8)
+    errors = _errors(
+        lambda rng: with_shaft(Drawing(truth=any_truth(rng, 70)), rng, reach, width), 8
+    )
     assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 
@@ -219,14 +212,9 @@ def test_coverage_is_the_visible_part_of_the_contour():
 
 
 def test_a_quarter_in_shadow_and_glints_are_left_out():
-    def shadowed(rng: np.random.Generator) -> Drawing:
-        return with_quarter_in_shadow(Drawing(truth=any_truth(rng, 60)), rng)
-
-    def glaring(rng: np.random.Generator) -> Drawing:
-        return with_glints(Drawing(truth=any_truth(rng, 60)), rng, on_edge=True)
-
-    for make in (shadowed, glaring):
-        errors = _errors(make, 8)
+    on_edge: Callable[..., Drawing] = partial(with_glints, on_edge=True)
+    for spoilt in (with_quarter_in_shadow, on_edge):
+        errors = _errors(lambda rng: spoilt(Drawing(truth=any_truth(rng, 60)), rng), 8)  # noqa: B023
         assert math.sqrt((errors[:, 3] ** 2).mean()) < 0.15
 
 

@@ -4,7 +4,6 @@ import functools
 import json
 import math
 from contextlib import suppress
-from dataclasses import replace
 from unittest import mock
 
 import cv2
@@ -125,11 +124,8 @@ def test_literal_mode_starts_at_the_point_that_is_given(tmp_path, frames, images
 
 def test_json_is_one_object_and_counts_every_frame(tmp_path, frames):
     outcome = run(frames, "--out", tmp_path / "spots.csv", "--json", "--start", "auto")
-    summary = json.loads(outcome.stdout)
-    assert summary["frames"] == 8
-    assert summary["spots"] == 7
-    assert summary["no_spot"] == {"none_found": 1}
-    assert summary["ended"] == "complete"
+    expected = {"frames": 8, "spots": 7, "no_spot": {"none_found": 1}, "ended": "complete"}
+    assert expected.items() <= json.loads(outcome.stdout).items()
     assert outcome.stderr == ""
 
 
@@ -149,18 +145,17 @@ def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
     assert summary["distances"] == 7
     records = read_spots(out)
     assert_same(records, list(track(images, SubpixelSettings(response=Response(curve="srgb")))))
+    slope = SCALE_MM_PX * 20
     for record in records:
         spot = record.result
-        if isinstance(spot, Spot):
-            # The paper's planar model: d = delta k e1' + b; k and b are exact here.
-            slope = SCALE_MM_PX * 20
-            assert record.distance_mm == pytest.approx(slope * spot.semi_minor_px - 4.5, abs=1e-12)
-            # By differences of 1e-6 relative, of a linear function.
-            assert record.sigma_distance_mm == pytest.approx(
-                slope * spot.sigma_semi_minor_px, rel=1e-6
-            )
-        else:
+        if not isinstance(spot, Spot):
             assert math.isnan(record.distance_mm)
+            continue
+        # The paper's planar model: d = delta k e1' + b; k and b are exact here.
+        assert record.distance_mm == pytest.approx(slope * spot.semi_minor_px - 4.5, abs=1e-12)
+        # By differences of 1e-6 relative, of a linear function.
+        sigma = slope * spot.sigma_semi_minor_px
+        assert record.sigma_distance_mm == pytest.approx(sigma, rel=1e-6)
     # Spots of less than 4.5 / 0.134 = 33.6 px would have the tip behind the wall: 30 to 33 px.
     assert summary["doubtful_distances"] == {"out_of_range": 4}
 
@@ -200,23 +195,17 @@ def test_poses_leave_their_age_beside_the_frames(tmp_path, images):
 
 
 @pytest.mark.slow
-def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(
-    tmp_path, frames, images, microscope, calibration
-):
+def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(tmp_path, images, microscope):
     bag, out = tmp_path / "rig.bag", tmp_path / "spots.csv"
     turn = Rotation.from_euler("xyz", [0.4, -0.2, 0.3])  # from the robot to the eye
     axis = Rotation.from_euler("x", 0.3).apply([0.0, 0.0, -1.0])  # in the eye
     # The fibre is not parallel to its tool, and the calibration contains the angles.
     off = np.array([0.03, -0.02, 1.0]) / math.hypot(0.03, 0.02, 1.0)
     tool, _ = Rotation.align_vectors(turn.inv().apply(axis)[None], off[None])
-    old, askew = read_calibration(calibration), tmp_path / "askew.json"
-    beam = {"beam_x": 0.03, "beam_y": -0.02}
-    write_calibration(
-        askew, replace(old, values={**old.values, **beam}, covariance=np.zeros((4, 4)))
-    )
-    stamped = [
-        Frame(index=k, time_s=1.0 + k / 10, image=image) for k, image in enumerate(images[:2])
-    ]
+    askew = tmp_path / "askew.json"
+    beam = {"k": 20.0, "b": -4.5, "beam_x": 0.03, "beam_y": -0.02}
+    write_calibration(askew, a_calibration(beam))
+    stamped = [Frame(index=k, time_s=1.0 + k / 10, image=images[k]) for k in range(2)]
     rotation = tuple(tool.as_quat().tolist())
     pose = Pose(rotation=rotation, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
     write_bag(bag, frames=stamped, poses=[pose])
@@ -296,8 +285,8 @@ def test_the_overlay_video_has_every_frame(tmp_path, frames, name):
     video = tmp_path / name
     assert run(frames, "--out", tmp_path / "spots.csv", "--overlay", video).exit_code == 0
     capture = cv2.VideoCapture(str(video))
-    pictures = [picture for seen, picture in (capture.read() for _ in range(9)) if seen]
-    assert [picture.shape[:2] for picture in pictures] == 8 * [SHAPE]
+    shapes = [picture.shape[:2] for seen, picture in (capture.read() for _ in range(9)) if seen]
+    assert shapes == 8 * [SHAPE]
 
 
 @pytest.mark.parametrize(

@@ -31,7 +31,6 @@ def path_camera():
 
 
 def file_of(camera, **changed):
-    """The microscope file of a path."""
     given = {
         "scale_mm_px": float(camera.scale),
         "principal_point_px": (0.0, 0.0),
@@ -66,7 +65,6 @@ def _seen(camera, c, azimuth, incidence, towards, d):
 
 
 def seen(camera, c, d, *, incidence_deg=0.0, towards_deg=0.0):
-    """A spot and its axis."""
     ellipse, axis = _seen(
         camera, c, 0.7, math.radians(incidence_deg), math.radians(towards_deg), float(d)
     )
@@ -138,13 +136,8 @@ def test_without_an_axis_the_area_gives_no_distance(path_camera):
 
 def test_the_areas_sigma_is_the_spread_of_noisy_repeats(path_camera):
     noise = np.random.default_rng(3)
-    values = {
-        "k": K,
-        "b": B,
-        "scale": 0.0067,
-        "inverse_working_distance": KAPPA,
-        "eye_radius": 12.0,
-    }
+    values = {"k": K, "b": B, "scale": 0.0067, "inverse_working_distance": KAPPA}
+    values |= {"eye_radius": 12.0}
     sigmas = np.array([0.05, 0.02, 1e-5, 0.002, 0.5])
     correlation = 0.6 ** np.abs(np.subtract.outer(range(5), range(5)))
     covariance = correlation * np.outer(sigmas, sigmas)

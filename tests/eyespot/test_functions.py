@@ -11,7 +11,6 @@ from formats.inputs import InputError
 from formats.spots import read_spots
 from tests.command_line import printed, run_python
 
-HOME = Path(__file__).resolve().parents[2]
 TABLE = {
     "source.kind": "cone",
     "phantom.kind": "plane",
@@ -32,7 +31,7 @@ def made(tmp_path_factory):
     code = (
         "import eyespot\n"
         f"eyespot.render(eyespot.Scene(), 'stack', {TABLE})\n"
-        "eyespot.fit('stack', model='cone').save('beam.json')\n"
+        "eyespot.fit('stack', model='plane').save('beam.json')\n"
         "eyespot.track('stack', calibration='beam.json')\n"
         "eyespot.score('stack', mode='subpixel')\n"
     )
@@ -46,8 +45,12 @@ def test_nothing_is_printed(made):
     assert (made / "printed.txt").read_text() == ""
 
 
-def test_track_returns_what_the_command_writes(made):
-    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+@pytest.fixture(scope="module")
+def spots(made):
+    return eyespot.track(made / "stack", calibration=made / "beam.json")
+
+
+def test_track_returns_what_the_command_writes(made, spots):
     out = made / "spots.csv"
     words = ("track", made / "stack", "--calibration", made / "beam.json", "-o", out)
     printed(*words)
@@ -60,19 +63,18 @@ def test_track_returns_what_the_command_writes(made):
     assert read_spots(made / "own.csv")[1].result
 
 
-def test_a_table_of_spots_begins_with_what_one_looks_at(made):
-    spots = eyespot.track(made / "stack", calibration=made / "beam.json")
+def test_a_table_of_spots_begins_with_what_one_looks_at(spots):
     assert [*spots.columns[:9]] == [
         *("frame", "file_name", "time_s", "distance_mm", "distance_low_mm", "distance_high_mm"),
         *("x_px", "y_px", "semi_major_px"),
     ]
     assert spots.attrs["microscope"]["scale_mm_px"] == 0.0134
-    assert spots.attrs["calibration"]["half_angle"] == pytest.approx(0.05, rel=0.01)
+    assert spots.attrs["calibration"]["k"] == pytest.approx(20.0, rel=0.01)
     assert spots.attrs["ended"] == "complete"
 
 
 def test_a_fit_has_its_parameters_with_standard_deviations(made):
-    fit = eyespot.fit(made / "stack", model="cone")
+    fit = eyespot.fit(made / "stack", model="plane")
     calibration = read_calibration(made / "beam.json")
     for name, value in calibration.values.items():
         assert fit.parameters.value[name] == pytest.approx(value, rel=1e-9)

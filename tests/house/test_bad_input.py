@@ -35,7 +35,7 @@ from scenes.world.world import World
 from tests.bad_input import OLD, odd, spoilt
 from tests.command_line import run_process
 from tests.drawn_recording import write_video
-from tests.made_up import an_opencv_file
+from tests.made_up import DOME, an_opencv_file
 
 STACK = "small-v1/train/0000"
 SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}
@@ -48,10 +48,7 @@ def folder(tmp_path_factory):
     shutil.copytree(OLD, folder)
     shutil.copyfile(folder / STACK / "microscope.json", folder / "microscope.json")
     shutil.copyfile(folder / STACK / "kinematics.csv", folder / "poses.csv")
-    (folder / "lens.toml").write_text(
-        "schema = 1\n[lens]\ncore_radius = 0.25\nglue_length = 0.12\naperture_radius = 0.25\n"
-        "sag = 0.12\nglue_index = 1.49\nnumerical_aperture = 0.2\n"
-    )
+    (folder / "lens.toml").write_text(tomli_w.dumps({"schema": 1, "lens": DOME}))
     claim_run(folder)
     for suffix in ("yml", "xml", "json"):
         an_opencv_file(

@@ -17,7 +17,7 @@ from formats.stack import read_stack
 from scenes.description.scene_file import load_scene
 from scenes.world.motion import frame_count
 from scenes.world.world import World
-from tests.bad_input import OLD
+from tests.bad_input import OLD, png_chunk
 
 
 @pytest.mark.parametrize(
@@ -67,16 +67,9 @@ def test_a_key_with_line_breaks_is_shown_in_one_line(tmp_path):
 
 def huge_png(width: int, height: int) -> bytes:
     """A whole PNG of some hundred bytes that announces a size."""
-
-    def chunk(name: bytes, content: bytes) -> bytes:
-        checked = name + content
-        return struct.pack(">I", len(content)) + checked + struct.pack(">I", zlib.crc32(checked))
-
     header = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
-    data = zlib.compress(bytes(1000))
-    return (
-        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", data) + chunk(b"IEND", b"")
-    )
+    content = {b"IHDR": header, b"IDAT": zlib.compress(bytes(1000)), b"IEND": b""}
+    return b"\x89PNG\r\n\x1a\n" + b"".join(map(png_chunk, content, content.values()))
 
 
 @pytest.mark.parametrize("size", [(30_000, 30_000), (2**16, 2**15), (2**31 - 1, 2**31 - 1)])

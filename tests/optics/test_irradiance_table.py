@@ -1,5 +1,7 @@
 """The table of a lens's light: as good as it promises, and the radii from it."""
 
+import functools
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -16,26 +18,27 @@ AIR, VITREOUS = 1.0, 1.336
 CONTACT, SLOPE = 0.25, 0.1
 
 
-@pytest.fixture(scope="module")
-def flat():
-    """The table of the flat end in air; from the cache, where other tests' scenes leave it."""
-    return lens_light("paper-candidate", AIR).table
+@functools.cache
+def table_of(lens, medium):
+    """The table from the cache on disk, where other tests' scenes leave it."""
+    return lens_light(lens, medium).table
 
 
-@pytest.fixture(scope="module")
-def air():
-    """The dome in air, likewise."""
-    return lens_light("dome", AIR).table
+FLAT, DOME = "paper-candidate", "dome"
 
 
-@pytest.fixture(scope="module")
-def vitreous():
-    """The dome in vitreous, likewise."""
-    return lens_light("dome", VITREOUS).table
-
-
-def assert_counted_by_photons(lens, table):
+@pytest.mark.parametrize(
+    ("lens", "medium"),
+    [
+        (FLAT, AIR),
+        (DOME, AIR),
+        pytest.param(FLAT, VITREOUS, marks=pytest.mark.slow),
+        pytest.param(DOME, VITREOUS, marks=pytest.mark.slow),
+    ],
+)
+def test_a_table_is_that_of_photons(lens, medium):
     """Both components and the flux through planes, against a tracer that shares no code."""
+    table = table_of(lens, medium)
     rings, planes, nearest, farthest = 40, 5, 0.3, 6.0
     light = counted_light(
         Drop.of(optics.load_lens(lens)),
@@ -66,21 +69,8 @@ def assert_counted_by_photons(lens, table):
         assert abs(np.sum((found[1] - counted[1]) * area)) < 1e-4 * np.sum(counted[1] * area)
 
 
-def test_table_of_the_flat_end_is_that_of_photons(flat):
-    assert_counted_by_photons("paper-candidate", flat)
-
-
-def test_table_of_the_dome_is_that_of_photons(air):
-    assert_counted_by_photons("dome", air)
-
-
-@pytest.mark.slow
-def test_further_tables_are_those_of_photons(vitreous):
-    assert_counted_by_photons("dome", vitreous)
-    assert_counted_by_photons("paper-candidate", lens_light("paper-candidate", VITREOUS).table)
-
-
-def test_no_light_behind_the_tip_and_inverse_square_beyond_the_last_row(flat):
+def test_no_light_behind_the_tip_and_inverse_square_beyond_the_last_row():
+    flat = table_of(FLAT, AIR)
     assert float(flat(radius=0.0, distance=-0.1)[1]) == 0.0
     far = np.array([24.0, 48.0, 96.0])
     e = np.asarray(flat.envelope(far))
@@ -141,7 +131,7 @@ def test_the_effective_cone_of_a_tent_is_its_own(tent):
     assert optics.ambiguous_distances(tent, from_distance=0.3, to_distance=5.0) == []
 
 
-def test_the_flat_ends_half_maximum_is_that_of_two_overlapping_discs(flat):
+def test_the_flat_ends_half_maximum_is_that_of_two_overlapping_discs():
     # Far enough to be paraxial, E is the overlap of the core's disc and the cone's: circles of
     # radius a and d tan θ about the axis and the wall point.
     def overlap(rho, a, c):
@@ -158,7 +148,7 @@ def test_the_flat_ends_half_maximum_is_that_of_two_overlapping_discs(flat):
         reach = d * 0.10 / np.sqrt(1 - 0.10**2)
         half = 0.5 * overlap(0.0, 0.25, reach)
         expected = brentq(lambda rho: overlap(rho, 0.25, reach) - half, 1e-6, 2.0)  # noqa: B023
-        found = float(optics.half_maximum_radius(flat, distance=d))
+        found = float(optics.half_maximum_radius(table_of(FLAT, AIR), distance=d))
         # cos⁴ of 5.7° is 2 % less than 1 across the cone; half of that on the radius's slope.
         assert found == pytest.approx(expected, rel=5e-3)
 
@@ -166,21 +156,21 @@ def test_the_flat_ends_half_maximum_is_that_of_two_overlapping_discs(flat):
 @pytest.mark.parametrize(
     ("medium", "k", "b", "r_squared"),
     [
-        ("air", (4.1, 4.3), (0.2, 0.32), 0.9965),
-        pytest.param("vitreous", (7.2, 7.7), (-0.45, -0.25), 0.9945, marks=pytest.mark.slow),
+        (AIR, (4.1, 4.3), (0.2, 0.32), 0.9965),
+        pytest.param(VITREOUS, (7.2, 7.7), (-0.45, -0.25), 0.9945, marks=pytest.mark.slow),
     ],
 )
-def test_the_domes_effective_cones_are_those_traced_elsewhere(request, medium, k, b, r_squared):
+def test_the_domes_effective_cones_are_those_traced_elsewhere(medium, k, b, r_squared):
     # k 4.1-4.3, b 0.2...0.3, R² 0.997 in air and k 7.4-7.7, b about -0.4 in vitreous, from a dozen
     # distances between 0.5 and 6 mm; more distances near the vitreous's waist lower k to 7.3.
-    table = request.getfixturevalue(medium)
-    cone = optics.effective_cone(table, from_distance=0.5, to_distance=6.0)
+    cone = optics.effective_cone(table_of(DOME, medium), from_distance=0.5, to_distance=6.0)
     assert k[0] < float(cone.k) < k[1]
     assert b[0] < float(cone.b) < b[1]
     assert float(cone.r_squared) > r_squared
 
 
-def test_one_radius_at_two_distances_is_called_ambiguous(flat):
+def test_one_radius_at_two_distances_is_called_ambiguous():
+    flat = table_of(FLAT, AIR)
     intervals = optics.ambiguous_distances(flat, from_distance=0.1, to_distance=6.0)
     # The radius shrinks from contact to 2.5 mm and passes its contact value again near 2.9 mm.
     assert len(intervals) == 1
@@ -193,9 +183,9 @@ def test_one_radius_at_two_distances_is_called_ambiguous(flat):
 
 
 @pytest.mark.slow
-def test_the_dome_has_a_waist_in_vitreous_near_0_7_mm(vitreous):
+def test_the_dome_has_a_waist_in_vitreous_near_0_7_mm():
     d = np.linspace(0.2, 2.0, 181)
-    radius = np.asarray(optics.half_maximum_radius(vitreous, distance=d))
+    radius = np.asarray(optics.half_maximum_radius(table_of(DOME, VITREOUS), distance=d))
     assert 0.6 < d[radius.argmin()] < 0.8
 
 

@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+import tomli_w
 from scipy.integrate import quad
 
 import optics
@@ -17,7 +18,7 @@ from optics.lens_table import (
 )
 from optics.refraction import fresnel_transmittance, refracted_cosine
 from tests.lens_quadrature import transmittance
-from tests.made_up import a_lens
+from tests.made_up import DOME, a_lens
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -46,10 +47,7 @@ def test_presets_are_found_by_name_and_by_path(tmp_path):
     assert set(optics.lens_names()) >= {"dome", "paper-candidate"}
     assert float(optics.load_lens("paper-candidate").sag) == 0.0
     path = tmp_path / "mine.toml"
-    path.write_text(
-        "schema = 1\n[lens]\ncore_radius = 0.1\nglue_length = 0.5\naperture_radius = 0.2\n"
-        "sag = 0.1\nglue_index = 1.5\nnumerical_aperture = 0.3\nlaunch_radius = 0.05\n"
-    )
+    path.write_text(tomli_w.dumps({"schema": 1, "lens": DOME | {"launch_radius": 0.05}}))
     assert optics.load_lens(path).launch_radius == 0.05
 
 

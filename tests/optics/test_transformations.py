@@ -17,15 +17,9 @@ pytestmark = pytest.mark.usefixtures("fast_compilation")
 R_EYE, SCALE = 11.5, 0.0067
 WALL = optics.Sphere(R_EYE)
 PLANE = optics.pole_plane(eye_radius=R_EYE, tilt=0.2)
-BEAM = {
-    "eccentricity": 3.0,
-    "distance": 4.0,
-    "incidence": 0.4,
-    "azimuth": 0.7,
-    "incidence_azimuth": 1.1,
-    "half_angle": 0.05,
-    "apex_offset": -5.0,
-}
+POSE_CONE: dict[str, Any] = {"half_angle": 0.05, "apex_offset": -5.0}
+BEAM = {"eccentricity": 3.0, "distance": 4.0, "incidence": 0.4, "azimuth": 0.7}
+BEAM |= {"incidence_azimuth": 1.1, **POSE_CONE}
 USUAL = {
     **{"semi_minor_px": 60.0, "scale": SCALE, "k": 20.0, "b": -5.0, "half_angle": 0.05},
     **{"eccentricity": 3.0, "eye_radius": R_EYE, "inverse_working_distance": 0.01},
@@ -34,15 +28,8 @@ USUAL = {
 }
 """Arguments of closed forms by name."""
 # The core is narrower than the cap: where they are equal the power has a kink.
-LENS = {
-    "core_radius": 0.2,
-    "glue_length": 0.3,
-    "sag": 0.05,
-    "aperture_radius": 0.25,
-    "numerical_aperture": 0.12,
-    "glue_index": 1.49,
-}
-POSE_CONE: dict[str, Any] = {"half_angle": 0.05, "apex_offset": -5.0}
+LENS = {"core_radius": 0.2, "glue_length": 0.3, "sag": 0.05, "aperture_radius": 0.25}
+LENS |= {"numerical_aperture": 0.12, "glue_index": 1.49}
 TENT = optics.IrradianceTable(
     values=jnp.stack([jnp.zeros((33, 65)), jnp.tile(jnp.linspace(1.0, 0.0, 65), (33, 1))], axis=-1),
     medium_index=jnp.asarray(1.0),

@@ -13,17 +13,12 @@ from tests.scene_tables import BARE, scene_of
 
 def scene(coat: str, **parts: Any) -> Scene:
     """An even plane under a telecentric microscope, with a beam of no power."""
+    window = {"scale_mm_px": 0.1, "width_px": 32, "height_px": 32}
     plain = {
         "phantom": {"kind": "plane", "coat": coat, "indirect": "closed form"},
         "source": {"power_mw": 1e-9},
         "motion": {"start_mm": 3.0, "travel_mm": 1.0, "frames": 1},
-        "microscope": {
-            "pinhole_height_mm": math.inf,
-            "illumination_mw_mm2": 1.0,
-            "scale_mm_px": 0.1,
-            "width_px": 32,
-            "height_px": 32,
-        },
+        "microscope": {"pinhole_height_mm": math.inf, "illumination_mw_mm2": 1.0} | window,
     }
     return scene_of(BARE, plain, parts)
 

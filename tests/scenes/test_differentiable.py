@@ -13,14 +13,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.interpolate
 import scipy.stats
+import tomli_w
 
 import optics
 from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
 from calibration.solvers import least_squares
 from scenes import Scene, World, load_mitsuba
 from scenes.world.world import LensLight
+from tests.made_up import DOME
 from tests.scene_tables import BARE, scene_of
 
 ALPHA = 1e-3
@@ -41,21 +42,13 @@ STEP = {
 }
 
 # The core's face lies so deep that both the core and the rim cut the light.
-DEEP_DOME = dict(
-    core_radius=0.25,
-    glue_length=0.2,
-    aperture_radius=0.25,
-    sag=0.12,
-    glue_index=1.49,
-    numerical_aperture=0.2,
-)
+DEEP_DOME = {**DOME, "glue_length": 0.2}
 LAUNCHED = {**DEEP_DOME, "glue_length": 0.5, "launch_radius": 0.15, "launch_aperture": 0.12}
 
 
 def scene(lens: dict[str, float], folder: Path, **parts: Any) -> Scene:
     path = folder / "lens.toml"
-    keys = "\n".join(f"{key} = {value}" for key, value in lens.items())
-    path.write_text(f"schema = 1\n[lens]\n{keys}\n", encoding="utf-8")
+    path.write_text(tomli_w.dumps({"schema": 1, "lens": lens}))
     window = {"width_px": 64, "height_px": 48, "scale_mm_px": 0.04}
     source = {"kind": "photons", "lens": str(path), "medium": "vitreous"}
     motion = {"start_mm": 3.0, "travel_mm": 0.001, "frames": 1}

@@ -63,13 +63,12 @@ def test_a_run_that_was_stopped_goes_on_and_ends_byte_for_byte_the_same(whole, t
     assert [path.name for path in tmp_path.iterdir()] == ["stack"]
 
 
-@pytest.mark.parametrize("cut", [1, 40])
-def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path, cut):
+def test_a_label_line_that_was_being_written_counts_as_missing(whole, tmp_path):
     out = tmp_path / "stack"
     with pytest.raises(KeyboardInterrupt):
         render_stack(scene(), out, progress=stop(6))
     lines = tmp_path / ".stack.partial" / "metadata.jsonl"
-    lines.write_bytes(lines.read_bytes()[:-cut])
+    lines.write_bytes(lines.read_bytes()[:-40])
     left = tmp_path / ".stack.partial" / "frames" / ".000003.png.unfinished"
     left.mkdir()
     (left / "000003.png").write_bytes(b"half")

@@ -18,13 +18,8 @@ _STILL = {
     "source": {"kind": "cone"},
     "spot": {"eccentricity_mm": 0.0, "incidence_deg": 0.0},
     # At constant distance for two seconds, a frame each: the light is the same in all frames.
-    "motion": {
-        "kind": "scan",
-        "distance_mm": 2.0,
-        "length_mm": 2e-5,
-        "speed_mm_s": 1e-5,
-        "trocar_mm": np.inf,
-    },
+    "motion": {"kind": "scan", "distance_mm": 2.0, "trocar_mm": np.inf}
+    | {"length_mm": 2e-5, "speed_mm_s": 1e-5},
     "clocks": {"camera_hz": 1.0},
     "instrument": {"visible": False},
     "microscope": _MICROSCOPE,
