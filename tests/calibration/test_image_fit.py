@@ -33,7 +33,6 @@ from optics.wall_light.lens import (
     lens_of,
     lens_parameters,
     lens_samples,
-    lens_table,
 )
 from scenes import Renderer, Scene, render_stack
 from scenes.camera import expose
@@ -144,7 +143,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
     wall = Seen(settings)
     values = lens_parameters(optics.load_lens("dome"))
     index = optics.MEDIA[medium]
-    tabulated = lens_table(
+    tabulated = lens_samples(
         values,
         ("sag",),
         medium_index=index,
@@ -153,7 +152,7 @@ def test_model_image_of_a_lens_is_the_renderers(medium, scale):
         reach=1.05,
         halvings=5,
         finest=0.0,
-    )
+    ).table()
     recording = Recording(
         drop=Drop.of(optics.load_lens("dome")),
         medium=medium,
