@@ -403,9 +403,8 @@ class LensSamples(NamedTuple):
         parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
         within = np.cumsum(parts, axis=-1) / x[1:] ** 2
         means = np.concatenate([self.values[..., :1], within], axis=-1)
-        return jax.tree.map(
-            jnp.asarray, LensTable(means, self.power, np.zeros(len(self.at)), self.grid)
-        )
+        power, grid = jnp.asarray(self.power), jax.tree.map(jnp.asarray, self.grid)
+        return LensTable(jnp.asarray(means), power, jnp.zeros(len(self.at)), grid)
 
 
 _USUAL = ("sag", "numerical_aperture", "core_radius", "aperture_radius")

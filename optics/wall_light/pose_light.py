@@ -113,8 +113,9 @@ def irradiance_and_slopes(
 
     def light(z: Array) -> Array:
         change, own = z[:POSE], z[POSE:]
-        parts = {"own": own, "spread": spread, "steps": steps, "pose": change}
-        return irradiance_alone(lattice, source, beam, **parts)
+        return irradiance_alone(
+            lattice, source, beam, own=own, spread=spread, steps=steps, pose=change
+        )
 
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
