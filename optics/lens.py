@@ -149,6 +149,8 @@ def glue_lens(
     lens = GlueLens(*(jnp.asarray(x, float) for x in drop), *launch)
     if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
         return lens
+    known = map(float, jax.tree.leaves(lens)[: len(drop)])
+    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = known
     rules = (
         (
             0.0 < core_radius <= _LARGEST_MM,
