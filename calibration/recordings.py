@@ -246,45 +246,6 @@ def read_recording(
             "is unknown. Give the first frame's distance in mm, --prior touch=MEAN,SIGMA, "
             "or start at contact."
         )
-    return _joined(source, records, log_book, touch, _sha256(prints))
-
-
-def _of_stack(folder: Path) -> LogBook:
-    stack = read_stack(folder)
-
-    def number(key: str) -> float:
-        return stack.described(f"scene.{key}", float)
-
-    tilt, towards = (math.radians(number(f"phantom.tilt_{part}deg")) for part in ("", "azimuth_"))
-    motion: dict[str, object] = stack.described("scene.motion", dict)
-    return LogBook(
-        kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
-        tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
-        medium=_one_of(stack, "scene.source.medium", tuple(optics.MEDIA)),
-        fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
-        microscope=folder / "microscope.json",
-        poses=folder / "kinematics.csv",
-        begins_at_touch=(motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact"),
-    )
-
-
-def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:
-    found = stack.described(key, str)
-    if found not in known:
-        raise InputError(
-            f"{stack.folder / 'stack.toml'}: {key} must be one of {', '.join(known)}; got "
-            f"{shortened(found)}. Render the stack again."
-        )
-    return found
-
-
-def _joined(
-    source: Path,
-    records: Sequence[SpotRecord],
-    log_book: LogBook,
-    touch: Prior | None,
-    sha256: str,
-) -> Recording:
     times = np.array([record.time_s for record in records])
     readings, *directions = withdrawal(times, log_book.poses, source=source)
     motion, axis, *across = (
@@ -330,9 +291,38 @@ def _joined(
         microscope=microscope,
         medium=log_book.medium,
         fibre_radius_mm=rim,
-        sha256=sha256,
+        sha256=_sha256(prints),
         records=[record for record, _, _ in usable],
     )
+
+
+def _of_stack(folder: Path) -> LogBook:
+    stack = read_stack(folder)
+
+    def number(key: str) -> float:
+        return stack.described(f"scene.{key}", float)
+
+    tilt, towards = (math.radians(number(f"phantom.tilt_{part}deg")) for part in ("", "azimuth_"))
+    motion: dict[str, object] = stack.described("scene.motion", dict)
+    return LogBook(
+        kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
+        tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
+        medium=_one_of(stack, "scene.source.medium", tuple(optics.MEDIA)),
+        fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
+        microscope=folder / "microscope.json",
+        poses=folder / "kinematics.csv",
+        begins_at_touch=(motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact"),
+    )
+
+
+def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:
+    found = stack.described(key, str)
+    if found not in known:
+        raise InputError(
+            f"{stack.folder / 'stack.toml'}: {key} must be one of {', '.join(known)}; got "
+            f"{shortened(found)}. Render the stack again."
+        )
+    return found
 
 
 def _sha256(paths: Iterable[Path]) -> str:

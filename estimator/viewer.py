@@ -27,6 +27,8 @@ from formats.whole_files import written_whole
 
 if TYPE_CHECKING:
     from estimator.distance.range import Range
+    from estimator.run.reader import Reading
+    from estimator.sources.source import Frame
 
 
 _GREY, _RING = (128, 128, 128), (190, 120, 90)
@@ -171,6 +173,11 @@ class ViewerRecording:
             return
         picture = rerun.Image(rgb_8bit(image, self._response)).compress(jpeg_quality=_JPEG_QUALITY)
         self._stream.log("microscope", picture)
+
+    def add_reading(self, frame: "Frame", reading: "Reading") -> None:
+        """Add a frame and what was measured in it."""
+        self.add_frame(frame.index, frame.time_s, frame.image)
+        self.add_measured(reading.result, reading.range, reading.doubt)
 
     def add_measured(self, result: Spot | NoSpot, distance: "Range | None", doubt: str) -> None:
         """Add what was measured in the frame: contour, distance with its σ, and pose of the tip.

@@ -213,6 +213,18 @@ class Calibration:
         size = math.hypot(x, y, 1.0)
         return x / size, y / size, 1.0 / size
 
+    @property
+    def cone(self) -> tuple[float, float, np.ndarray]:
+        """half_angle, rad, and b, mm, of a cone, and the covariance of both."""
+        name = "half_angle" if "half_angle" in self.values else "k"
+        angle, b = self.values[name], self.values["b"]
+        rows = [list(self.values).index(row) for row in (name, "b")]
+        covariance = self.covariance[np.ix_(rows, rows)]
+        if name == "k":  # half_angle = atan(1/k)
+            slopes = np.diag([-1.0 / (1.0 + angle**2), 1.0])
+            covariance, angle = slopes @ covariance @ slopes, math.atan(1.0 / angle)
+        return angle, b, covariance
+
     def sigma(self, name: str) -> float:
         """Standard error of a parameter, in its own unit."""
         index = list(self.values).index(name)

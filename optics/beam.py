@@ -45,16 +45,8 @@ class Beam(eqx.Module):
 
     def generators(self, angles: Float[Array, "n"]) -> Float[Array, "n 3"]:
         """Unit directions of the cone's generators at angles (rad) around the axis."""
-        across = [components(side) for side in perpendicular_frame(self.axis)]
-        cos_t, sin_t = jnp.cos(angles), jnp.sin(angles)
-        cos_a, sin_a = jnp.cos(self.half_angle), jnp.sin(self.half_angle)
-        return jnp.stack(
-            [
-                cos_a * along + sin_a * (cos_t * first + sin_t * second)
-                for along, first, second in zip(components(self.axis), *across, strict=True)
-            ],
-            axis=-1,
-        )
+        across = directions_across(self.axis, angles)
+        return jnp.cos(self.half_angle) * self.axis + jnp.sin(self.half_angle) * across
 
     def spot(self, surface: Surface) -> Intersection:
         """O, where the axis meets the wall; `distance` is d = |SO|, mm."""

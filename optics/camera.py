@@ -168,10 +168,10 @@ def microscope(
     """
     delta = jnp.asarray(scale, float)
     # Traced values have no known size; check the others.
-    if _known(delta) and not delta > 0:
+    if not isinstance(delta, jax.core.Tracer) and not delta > 0:
         raise InputError(f"microscope(scale=...) must be positive; got {scale} mm/px.")
     reach = jnp.asarray(pinhole_height, float) + eye_radius
-    if _known(reach) and not (reach > 0 or -jnp.inf < reach < 0):
+    if not isinstance(reach, jax.core.Tracer) and not (reach > 0 or -jnp.inf < reach < 0):
         raise InputError(
             "microscope(pinhole_height=...) must lie above the retinal pole at -eye_radius, or "
             f"below it, or be inf; got {pinhole_height} mm with eye_radius={eye_radius} mm. Move "
@@ -184,10 +184,6 @@ def microscope(
         principal_point=jnp.asarray(principal_point, float),
         distortion=jnp.asarray(distortion, float),
     )
-
-
-def _known(value: Array) -> bool:
-    return not isinstance(value, jax.core.Tracer)
 
 
 def _distort(

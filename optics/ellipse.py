@@ -112,20 +112,6 @@ def _fit(contour: Float[Array, "*batch n 2"], weights: Float[Array, "*batch n"])
         for row, (i, j) in enumerate(_CONIC_POWERS)
     ]
     a, b, c, d, e = _solved(normal, [moments[powers] for powers in _CONIC_POWERS])
-    return _from_conic(a, b, c, d, e, centroid=jnp.stack([u0, v0], axis=-1), size=size)
-
-
-def _from_conic(
-    a: Float[Array, "*batch"],
-    b: Float[Array, "*batch"],
-    c: Float[Array, "*batch"],
-    d: Float[Array, "*batch"],
-    e: Float[Array, "*batch"],
-    *,
-    centroid: Float[Array, "*batch 2"],
-    size: Float[Array, "*batch"],
-) -> Ellipse:
-    """Ellipse of a x^2 + b xy + c y^2 + d x + e y = 1 in coordinates about `centroid`."""
     determinant = 4.0 * a * c - b * b
     x0 = (b * e - 2.0 * c * d) / determinant
     y0 = (b * d - 2.0 * a * e) / determinant
@@ -139,7 +125,7 @@ def _from_conic(
     # (-pi/2, pi/2]: the major axis along v is +pi/2, whatever the sign of a zero.
     angle = jnp.where(angle <= -0.5 * jnp.pi, 0.5 * jnp.pi, angle)
     return Ellipse(
-        centre=centroid + size[..., None] * jnp.stack([x0, y0], axis=-1),
+        centre=jnp.stack([u0 + size * x0, v0 + size * y0], axis=-1),
         semi_major=size * jnp.sqrt(level / (mean - spread)),
         semi_minor=size * jnp.sqrt(level / (mean + spread)),
         angle=jnp.where(circular, 0.0, angle),

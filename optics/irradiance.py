@@ -216,7 +216,9 @@ def vector_irradiance(
     wall = jnp.stack([radius.ravel(), distance.ravel()])
     leaves = jax.tree.leaves((lens, medium_index, wall))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        batches = _batches(wall, min(size, _BATCH))
+        width = min(size, _BATCH)
+        filled = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
+        batches = filled.reshape(2, -1, width).transpose(1, 0, 2)
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
         field = field.transpose(1, 0, 2).reshape(2, -1)[:, :size]
     else:
@@ -252,18 +254,10 @@ def values_at(
     return in_batches(lambda batch: evaluate(*batch.T).T, points.T, size=_BATCH).T
 
 
-def _batches(points: Float[ArrayLike, "2 n"], width: int) -> Float[Array, "batches 2 width"]:
-    filled = jnp.pad(points, ((0, 0), (0, -np.shape(points)[1] % width)), mode="edge")
-    return filled.reshape(2, -1, width).transpose(1, 0, 2)
-
-
 @jax.jit
-def _batch_field(lens, medium_index, radius, distance) -> Float[Array, "2 batch"]:
-    return jax.vmap(partial(_field, lens, medium_index), out_axes=1)(radius, distance)
-
-
-def _field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
-    """V at one wall point."""
+@partial(jax.vmap, in_axes=(None, None, 0, 0), out_axes=1)
+def _batch_field(lens: GlueLens, medium_index, radius, distance) -> Float[Array, "2"]:
+    """V at wall points, each on its own."""
     rays = RingRays(lens, medium_index, radius, distance)
     breaks = ring_breaks(rays)
     node, weight = np.polynomial.legendre.leggauss(_RINGS)

@@ -108,7 +108,7 @@ def _extremum(excess: Excess, low: Array, high: Array, sign: Array) -> tuple[Arr
         # Where the tangents meet is exact if two limits meet, the zero of the slope for a parabola.
         meeting = high_slope * high - low_slope * low + low_value - high_value
         level = high_slope * low - low_slope * high
-        x = jnp.where(number % 2 == 0, meeting, level) / jnp.where(steeper == 0.0, 1.0, steeper)
+        x = jnp.where(number % 2 == 0, meeting, level) / _nonzero(steeper)
         x = jnp.where((x > low) & (x < high), x, 0.5 * (low + high))
         # The first two steps measure the ends: a second place in the program for the evaluation
         # would take as long to compile as the first.
@@ -139,17 +139,14 @@ def settle(excess: Excess, lit: Array, dark: Array) -> Array:
         Positions from which one more Newton step leads to the boundary, without derivatives.
     """
 
-    def measure(x):
-        return jax.jvp(excess, (x,), (jnp.ones_like(x),))
-
     def newton(x, value, slope):
-        return jnp.where(slope == 0.0, jnp.inf, x - value / jnp.where(slope == 0.0, 1.0, slope))
+        return jnp.where(slope == 0.0, jnp.inf, x - value / _nonzero(slope))
 
     def step(_, state):
         lit, dark, x, value, slope = state
         x_next = newton(x, value, slope)
         x = jnp.where((x_next - lit) * (x_next - dark) <= 0.0, x_next, 0.5 * (lit + dark))
-        value, slope = measure(x)
+        value, slope = jax.jvp(excess, (x,), (jnp.ones_like(x),))
         is_lit = value < 0.0
         return jnp.where(is_lit, x, lit), jnp.where(is_lit, dark, x), x, value, slope
 
@@ -167,7 +164,7 @@ def implicit_root(excess: Excess, root: Array) -> Array:
     """Take one more Newton step, which gives roots the implicit function's derivative."""
     value, slope = jax.jvp(excess, (root,), (jnp.ones_like(root),))
     slope = lax.stop_gradient(slope)
-    return root - jnp.where(slope == 0.0, 0.0, value / jnp.where(slope == 0.0, 1.0, slope))
+    return root - jnp.where(slope == 0.0, 0.0, value / _nonzero(slope))
 
 
 class BackwardRays(NamedTuple):

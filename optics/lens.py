@@ -5,6 +5,7 @@ fibre. The cap is s = -sagitta(rho), the core's face is the disc s = -glue_lengt
 """
 
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -146,16 +147,10 @@ def glue_lens(
         None if x is None else jnp.asarray(x, float) for x in (launch_radius, launch_aperture)
     )
     lens = GlueLens(*(jnp.asarray(x, float) for x in drop), *launch)
-    if not any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
-        _check(lens)
-    return lens
-
-
-def _check(lens: GlueLens) -> None:
-    known = {name: float(x) for name, x in vars(lens).items() if x is not None}
-    core_radius, glue_length = known["core_radius"], known["glue_length"]
-    aperture_radius, sag = known["aperture_radius"], known["sag"]
-    glue_index, numerical_aperture = known["glue_index"], known["numerical_aperture"]
+    if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(lens)):
+        return lens
+    known = map(float, jax.tree.leaves(lens)[: len(drop)])
+    core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = known
     rules = (
         (
             0.0 < core_radius <= _LARGEST_MM,
@@ -209,11 +204,31 @@ def _check(lens: GlueLens) -> None:
     for holds, name, rule in rules:
         if not holds:
             raise InputError(f"GlueLens({name}=...) {rule}.")
+    return lens
+
+
+def names_in(folder: Path) -> tuple[str, ...]:
+    """Names of the TOML files in a folder."""
+    return tuple(sorted(path.stem for path in folder.glob("*.toml")))
+
+
+def read_named(folder: Path, name_or_path: str | Path, *, missing: str) -> dict[str, Any]:
+    """Content of a TOML file by its name in a folder, or by its path, which ends in `.toml`.
+
+    Raises:
+        InputError: no such file; the message begins with `missing`.
+    """
+    path = Path(name_or_path)
+    try:
+        return read_toml(path if path.suffix == ".toml" else folder / f"{name_or_path}.toml")
+    except FileNotFoundError as error:
+        names = ", ".join(names_in(folder))
+        raise InputError(f"{missing}: {names}; or give the path of a .toml file.") from error
 
 
 def lens_names() -> tuple[str, ...]:
     """Names of the lenses that come with the package."""
-    return tuple(sorted(path.stem for path in _PRESETS.glob("*.toml")))
+    return names_in(_PRESETS)
 
 
 def load_lens(name_or_path: str | Path) -> GlueLens:
@@ -230,17 +245,8 @@ def load_lens(name_or_path: str | Path) -> GlueLens:
         >>> round(float(dome.focal_length(medium_index=1.336)), 2)  # mm, in vitreous
         2.78
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = _PRESETS / f"{name_or_path}.toml"
     with in_file(f"lens {shortened(str(name_or_path))}"):
-        try:
-            content = read_toml(path)
-        except FileNotFoundError as error:
-            raise InputError(
-                f"no such lens. Presets: {', '.join(lens_names())}; or give the path of a .toml "
-                "file."
-            ) from error
+        content = read_named(_PRESETS, name_or_path, missing="no such lens. Presets")
         again = "Compare the file with the presets in optics/lenses."
         check_schema(content.get("schema"), _HISTORY, remedy=again)
         values = content.get("lens", {})

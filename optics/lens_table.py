@@ -59,7 +59,7 @@ def emitted_rays(
             length is the sine of the angle to the axis, at most NA/n_g for light of the core.
     """
     point, normal, direction, meets = _meet_cap(lens, points, directions)
-    hits = meets & (_squared_radius(point) <= jnp.square(lens.aperture_radius))
+    hits = meets & (jnp.sum(point[..., :2] ** 2, axis=-1) <= jnp.square(lens.aperture_radius))
     direction, transmittance, passes = refract(
         direction=direction,
         normal=jnp.where(hits[..., None], normal, jnp.array([0.0, 0.0, 1.0])),
@@ -94,7 +94,7 @@ def transmitted_power(lens: GlueLens, *, medium_index: ArrayLike) -> Float[Array
         point, normal, ray, meets = _meet_cap(lens, place(height), direction)
         sine_in = 1.0 - jnp.square(jnp.sum(ray * normal, axis=-1))
         sine_out = jnp.square(lens.glue_index / jnp.asarray(medium_index)) * sine_in
-        rim = _squared_radius(point) / lens.aperture_radius**2
+        rim = jnp.sum(point[..., :2] ** 2, axis=-1) / lens.aperture_radius**2
         return jnp.where(meets, jnp.maximum(sine_out, rim), 2.0) - 1.0
 
     # For each direction, find the heights on the face between which no light is lost.
@@ -145,10 +145,6 @@ def _meet_cap(
     return point, normal, direction, meets & (normal[..., 2] > 0.0)
 
 
-def _squared_radius(point: Float[Array, "*batch 3"]) -> Float[Array, "*batch"]:
-    return jnp.sum(jnp.square(point[..., :2]), axis=-1)
-
-
 _NEAREST, _FARTHEST = 0.01, 24.0
 _ROWS, _COLUMNS = 96, 96
 """Cells of the first grid, for which all points are computed. A sharp image's edge crosses columns
@@ -179,12 +175,7 @@ class LensField(eqx.Module):
     def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """V_rho and V_s, 1/mm² per unit power in the core (see `vector_irradiance`).
-
-        Args:
-            radius: distance from the axis, mm.
-            distance: s, distance from the tip along the axis, mm.
-        """
+        """V_rho and V_s, with arguments and results as those of `vector_irradiance`."""
         return vector_irradiance(
             self.lens, medium_index=self.medium_index, radius=radius, distance=distance
         )
@@ -229,7 +220,7 @@ class IrradianceTable(eqx.Module):
     def __call__(
         self, *, radius: ArrayLike, distance: ArrayLike
     ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
-        """Look up V_rho and V_s, with arguments and results as those of `LensField`."""
+        """Look up V_rho and V_s, with arguments and results as those of `vector_irradiance`."""
         radius, distance = jnp.broadcast_arrays(radius, distance)
         rows, columns, _ = self.values.shape
         envelope = self.envelope(distance)

@@ -174,7 +174,11 @@ def _refined(
     unknown = (jnp.asarray(jnp.inf), jnp.eye(5), zero)
     start = (0, tip, axis, jnp.asarray(10 * _DAMPING), unknown, jnp.asarray(0.0))
     _, tip, axis, _, (cost, normal, _), _ = jax.lax.while_loop(going_on, iterate, start)
-    covariance = _covariance(normal)
+    # The normal matrix's inverse; unobserved directions get a very large variance.
+    scale = jnp.sqrt(jnp.diag(normal))
+    values, vectors = jnp.linalg.eigh(normal / (scale * scale[:, None]))
+    inverse = (vectors / jnp.maximum(values, _UNOBSERVED)) @ vectors.T
+    covariance = inverse / (scale * scale[:, None])
 
     def distance(step):
         return surface.intersect(*_moved(step, tip, axis)).distance
@@ -195,14 +199,6 @@ def _moved(step, tip, axis):
     first, second = perpendicular_frame(axis)
     turned = axis + step[3] * first + step[4] * second
     return tip + step[:3], turned / jnp.linalg.norm(turned)
-
-
-def _covariance(normal: Float[Array, "5 5"]) -> Float[Array, "5 5"]:
-    """Inverse of the normal matrix; unobserved directions get a very large variance."""
-    scale = jnp.sqrt(jnp.diag(normal))
-    values, vectors = jnp.linalg.eigh(normal / (scale * scale[:, None]))
-    inverse = (vectors / jnp.maximum(values, _UNOBSERVED)) @ vectors.T
-    return inverse / (scale * scale[:, None])
 
 
 @eqx.filter_jit

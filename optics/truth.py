@@ -17,6 +17,7 @@ exponential stays because one Laguerre rule is exact enough for it, and because 
 measured with it.
 """
 
+from functools import partial
 from operator import itemgetter
 from typing import NamedTuple
 
@@ -31,6 +32,7 @@ from optics.beam import Beam, directions_across, generator_angles, perpendicular
 from optics.camera import Camera
 from optics.contour import CONTOUR_POINTS, cone_contour
 from optics.ellipse import Ellipse, ellipse_of_contour
+from optics.irradiance import in_batches
 from optics.irradiance_edges import implicit_root
 from optics.lens_table import IrradianceTable
 from optics.surface import HIT, Intersection, Surface, bisected, dot
@@ -219,11 +221,26 @@ def spread_contours(
         wall = _ahead(beam, surface, radius, around)
         return lit_share(beam, wall.point, -wall.normal, length)
 
+    moves = jnp.asarray(np.column_stack(spread_nodes()))
+
     def light(radius: Array, around: Array) -> Array:
+        """Irradiance averaged over the tangent plane's nodes, 1/mm^2 per unit power."""
         if table is None:  # uniform up to its edge, as for `spot_truth`
             return share(radius, around)
         wall = _ahead(beam, surface, radius, around)
-        return _spread_irradiance(table, beam, wall.point, wall.normal, length)
+        first, second = perpendicular_frame(wall.normal)
+
+        def added(total: Array, move: Array) -> tuple[Array, None]:
+            place = wall.point + length * (move[0] * first + move[1] * second) - beam.tip
+            distance = dot(place, jnp.broadcast_to(beam.axis, place.shape))
+            across = place - distance[..., None] * beam.axis
+            radius = jnp.sqrt(dot(across, across))
+            lateral, axial = table(radius=radius, distance=distance)
+            vector = (lateral / jnp.maximum(radius, 1e-12))[..., None] * across
+            vector = vector + axial[..., None] * beam.axis
+            return total + move[2] * jnp.maximum(-dot(vector, wall.normal), 0.0), None
+
+        return jax.lax.scan(added, jnp.zeros(wall.point.shape[:-1]), moves)[0]
 
     edge = cone_contour(beam, surface).point
     unspread = edge if table is None else half_maximum_contour(table, beam, surface)
@@ -244,32 +261,6 @@ def spread_contours(
         return _ahead(beam, surface, edge, around).point
 
     return contour(share, 0.5, radius_of(edge)), contour(light, level, radius_of(unspread))
-
-
-def _spread_irradiance(
-    table: IrradianceTable,
-    beam: Beam,
-    points: Float[Array, "*batch 3"],
-    inward: Float[Array, "*batch 3"],
-    length: ScalarLike,
-) -> Float[Array, "*batch"]:
-    """Irradiance averaged over the tangent plane's nodes, 1/mm^2 per unit power."""
-    offsets, weights = spread_nodes()
-    first, second = perpendicular_frame(inward)
-    total = jnp.zeros(points.shape[:-1])
-    moves = jnp.asarray(np.column_stack([offsets, weights]))
-
-    def added(total: Array, move: Array) -> tuple[Array, None]:
-        place = points + length * (move[0] * first + move[1] * second) - beam.tip
-        distance = dot(place, jnp.broadcast_to(beam.axis, place.shape))
-        across = place - distance[..., None] * beam.axis
-        radius = jnp.sqrt(dot(across, across))
-        lateral, axial = table(radius=radius, distance=distance)
-        vector = (lateral / jnp.maximum(radius, 1e-12))[..., None] * across
-        vector = vector + axial[..., None] * beam.axis
-        return total + move[2] * jnp.maximum(-dot(vector, inward), 0.0), None
-
-    return jax.lax.scan(added, total, moves)[0]
 
 
 def indirect_irradiance(
@@ -368,14 +359,10 @@ def spot_truth(
         apex_offset: b, mm.
     """
     poses = np.concatenate([np.asarray(tip, float), np.asarray(axis, float)], axis=1)
-    # As arrays, and in parts of one size, so that one compilation is valid for every trial.
+    # As arrays, so that one compilation is valid for every trial.
     cone = jnp.asarray(half_angle, float), jnp.asarray(apex_offset, float)
-    filled = np.pad(poses, ((0, -len(poses) % _BATCH), (0, 0)), mode="edge")
-    parts = [
-        _truth(surface, microscope, table, jnp.asarray(part), cone)
-        for part in filled.reshape(-1, _BATCH, 6)
-    ]
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves)[: len(poses)], *parts)
+    truth = partial(_truth, surface, microscope, table, *cone)
+    return jax.tree.map(jnp.asarray, in_batches(truth, poses, size=_BATCH))
 
 
 @eqx.filter_jit
@@ -383,11 +370,10 @@ def _truth(
     surface: Surface,
     microscope: Camera,
     table: IrradianceTable | None,
-    poses: Float[Array, "n 6"],
-    cone: tuple[Float[Array, ""], Float[Array, ""]],
+    half_angle: Float[Array, ""],
+    apex_offset: Float[Array, ""],
+    poses: Float[ArrayLike, "n 6"],
 ) -> SpotTruth:
-    half_angle, apex_offset = cone
-
     def of(pose: Float[Array, "6"]) -> SpotTruth:
         beam = Beam(tip=pose[:3], axis=pose[3:], half_angle=half_angle, apex_offset=apex_offset)
         edge = cone_contour(beam, surface).point
@@ -416,7 +402,7 @@ def _truth(
             contour_px=images[1],
         )
 
-    return jax.vmap(of)(poses)
+    return jax.vmap(of)(jnp.asarray(poses))
 
 
 def _polar(x: Float[Array, ""], y: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:

@@ -115,16 +115,7 @@ def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:
 
     from optics.wall_light.lens import LensTable
 
-    none = jnp.zeros(0)
-    return LensTable(
-        values=jnp.asarray(values),
-        slopes=jnp.zeros((0, *np.shape(values))),
-        transmitted_value=jnp.ones(()),
-        transmitted_slopes=none,
-        at=none,
-        moved=none,
-        grid=grid,
-    )
+    return LensTable(jnp.asarray(values)[None], jnp.ones(1), jnp.zeros(0), grid)
 
 
 def an_opencv_file(path: Path, **content: Any) -> Path:

@@ -8,7 +8,7 @@ import importlib.metadata
 import json
 import math
 import operator
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -283,9 +283,17 @@ def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
             )
     fitted = MODELS[model].fit(recordings, choices)
     if choices.known and model != "eye":
-        for change in _learned(fitted, choices.known):
-            fitted.notes.append(change)
-            say(change)
+        for name, value, sigma, unit in fitted.rows:
+            # The beam's angles from the tool are new after each mounting, so they are no prior.
+            known = name in choices.known.values and name not in BEAM
+            if known and (before := choices.known.sigma(name)) > 0:
+                was = choices.known.values[name]
+                change = (
+                    f"{name} moved by {(value - was) / before:+.1f} σ, from {was:.6g} ± "
+                    f"{before:.2g} to {value:.6g} ± {sigma:.2g} {unit}."
+                )
+                fitted.notes.append(change)
+                say(change)
     return Fit(
         model=model,
         fitted=fitted,
@@ -293,18 +301,6 @@ def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
         doubts=doubts(fitted),
         exposure=choices.exposure,
     )
-
-
-def _learned(fitted: Fitted, known: Calibration) -> Iterator[str]:
-    """What the recording changed of a calibration that was known before."""
-    for name, value, sigma, unit in fitted.rows:
-        # The beam's angles from the tool are new after each mounting, so they are no prior.
-        if name in known.values and name not in BEAM and (before := known.sigma(name)) > 0:
-            moved = (value - known.values[name]) / before
-            yield (
-                f"{name} moved by {moved:+.1f} σ, from {known.values[name]:.6g} ± {before:.2g} to "
-                f"{value:.6g} ± {sigma:.2g} {unit}."
-            )
 
 
 def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:

@@ -336,12 +336,5 @@ def known_cone(calibration: Calibration, recordings: Sequence[Recording]) -> Joi
             f"{recordings[0].name} was taken in {medium}, but --calibration is valid in "
             f"{calibration.medium}. Calibrate the cone in {medium}."
         )
-    name = "half_angle" if "half_angle" in values else "k"
-    rows = [list(values).index(row) for row in (name, "b")]
-    covariance = calibration.covariance[np.ix_(rows, rows)]
-    angle = values[name]
-    if name == "k":
-        # half_angle = atan(1/k)
-        slopes = np.diag([-1.0 / (1.0 + angle**2), 1.0])
-        covariance, angle = slopes @ covariance @ slopes, math.atan(1.0 / angle)
-    return JointPrior({"half_angle": angle, "b": values["b"]}, covariance)
+    angle, b, covariance = calibration.cone
+    return JointPrior({"half_angle": angle, "b": b}, covariance)

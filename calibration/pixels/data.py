@@ -87,7 +87,9 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         raise InputError(f"{stack.folder}: unknown medium {shortened(medium)}. Render it again.")
     return Footage(
         light=np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32),
-        clear=np.stack([_clear(frame.image, noise.full_scale) for frame in frames]),
+        clear=np.stack(
+            [((f.image > 0) & (f.image < noise.full_scale)).all(axis=-1) for f in frames]
+        ),
         exposure_s=exposure_s,
         readings=readings,
         motion=motion,
@@ -122,10 +124,6 @@ def noise_of(camera: dict[str, Any], response: Response) -> CameraNoise:
     own = CameraSheet.model_fields.keys() & camera.keys() - {"bayer"}
     sheet = {name: camera[name] for name in own}
     return CameraNoise(validated(CameraSheet, sheet, remedy="Render the stack again."), response)
-
-
-def _clear(image: np.ndarray, full_scale: int) -> Bool[np.ndarray, "h w"]:
-    return np.asarray(((image > 0) & (image < full_scale)).all(axis=-1))
 
 
 UNITS = {
@@ -183,11 +181,6 @@ DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale":
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
 _HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
 _CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
-
-
-def beam_names(lens: bool) -> tuple[str, ...]:
-    """Names of a beam's own parameters, which its light takes."""
-    return LENS if lens else CONE
 
 
 def known_names(source: str) -> tuple[str, ...]:

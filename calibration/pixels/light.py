@@ -19,24 +19,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 import optics
-from calibration.pixels.data import CONE, LENS, POSE, Footage, beam_names
+from calibration.pixels.data import CONE, LENS, POSE, Footage
 from calibration.spots.cone_trials import beam_directions, phantom_wall
 from estimator.pixels.beam import blurred, blurred_with_growth
-from optics.wall_light.cells import CellBeam, square_lattice
+from optics.wall_light.cells import CellBeam, pixels_see, square_lattice
 from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import (
-    FLATTEST,
-    LensSamples,
-    LensTable,
-    halvings_for,
-    lens_samples,
-)
+from optics.wall_light.lens import FLATTEST, LensSamples, LensTable, halvings_for, lens_samples
 from optics.wall_light.pose_light import (
     BeamFrame,
     beam_at_wall,
     irradiance_alone,
     irradiance_and_slopes,
-    pixels_see,
 )
 
 NEAREST_MM = 0.3
@@ -128,8 +121,7 @@ class LinearLensLight:
     def reach_mm(self, distance: float) -> float:
         """Radius within which all light is, at a distance from the tip."""
         assert self._table is not None
-        grid = self._table.grid
-        return float(np.asarray(grid.contact_radius) + np.asarray(grid.slope) * distance)
+        return float(np.asarray(self._table.grid.envelope(distance)))
 
     def follow(self, values: Mapping[str, float], *, learning: bool = False) -> None:
         """Compute the table anew if a free parameter of the lens has changed by much."""
@@ -307,7 +299,8 @@ class Light:
         self, footage: Footage, cells: Cells, names: tuple[str, ...], lens: LinearLensLight | None
     ) -> None:
         self.footage, self.cells, self.names, self.lens = footage, cells, names, lens
-        self.own = tuple(name for name in names if name in beam_names(lens is not None))
+        # The beam's own parameters, which its light takes.
+        self.own = tuple(name for name in names if name in (CONE if lens is None else LENS))
         of_cone = np.array([[name == free for free in self.own] for name in CONE], float)
         self._of_cone = of_cone.reshape(len(CONE), len(self.own))
         self.differences = [name for name in ("scale", "eye_radius") if name in names]
@@ -424,7 +417,10 @@ class Light:
         if not slopes:
             none = np.zeros((0, cells.size))
             return FrameLight(cells, light, direct, along, tip, axis, none, none)
-        by_pose, by_tip = _through(beam, turn, power * shine[1:6])
+        # By the parameters of a pose and by the tip, from those by its five changes.
+        change, by_change = np.linalg.inv(beam.slopes), power * shine[1:6]
+        of_turn = np.concatenate([turn[:3], np.stack([beam.first, beam.second]) @ turn[3:]])
+        by_pose, by_tip = (change @ of_turn).T @ by_change, change[:, :3].T @ by_change
         own = power * shine[6:]
         by_name = dict(zip(POSE, by_pose, strict=True)) | {
             "sensitivity": light / values["sensitivity"],
@@ -448,8 +444,12 @@ class Light:
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
         at_px = np.asarray(view.camera.project(beam.spot))
-        reach = self._reach_mm(values, float(beam.distance) + _AHEAD_MM) / values["scale"]
-        near = self.cells.tiles_near(at_px, reach + 2 * self.cells.side)
+        distance = float(beam.distance) + _AHEAD_MM
+        if self.lens is None:
+            reach = math.tan(values["half_angle"]) * (distance - values["b"])
+        else:
+            reach = self.lens.reach_mm(distance)
+        near = self.cells.tiles_near(at_px, reach / values["scale"] + 2 * self.cells.side)
         if not near:
             near = self.cells.tiles_near(at_px, math.inf)[:1]
         own: dict[str, Any] = {
@@ -471,11 +471,6 @@ class Light:
         if spreads:
             shine = self._spread(values, spreads, numbers, shine)
         return numbers, shine
-
-    def _reach_mm(self, values: Mapping[str, float], distance: float) -> float:
-        if self.lens is not None:
-            return self.lens.reach_mm(distance)
-        return math.tan(values["half_angle"]) * (distance - values["b"])
 
     @staticmethod
     def _spreads(values: Mapping[str, float]) -> list[str]:
@@ -501,7 +496,7 @@ class Light:
             wide /= self.cells.side
             variance = (wide * values[name]) ** 2
             growths = [blurred(growth, variance, kurtosis) for growth in growths]
-            grown = blurred_with_growth(whole[0], variance, kurtosis).by_variance
+            _, grown, _ = blurred_with_growth(whole[0], variance, kurtosis)
             growths.append(2.0 * wide**2 * values[name] * grown)
             whole = blurred(whole, variance, kurtosis)
         if len(shine) > 1:
@@ -562,12 +557,3 @@ def _poses(
         return jnp.concatenate([spot - touch * beam - scale * reading * way, beam])
 
     return jax.vmap(lambda reading: (pose(at, reading), jax.jacfwd(pose)(at, reading)))(readings)
-
-
-def _through(
-    beam: BeamFrame, turn: Float[np.ndarray, "6 8"], slopes: Float[np.ndarray, "5 n"]
-) -> tuple[Float[np.ndarray, "8 n"], Float[np.ndarray, "3 n"]]:
-    """Derivatives by the parameters of a pose and by the tip, of those by its five changes."""
-    change = np.linalg.inv(beam.slopes)
-    of_turn = np.concatenate([turn[:3], np.stack([beam.first, beam.second]) @ turn[3:]])
-    return (change @ of_turn).T @ slopes, change[:, :3].T @ slopes

@@ -20,7 +20,7 @@ covariance $A_g = \sum_{i \in g} J_i J_i^T$. Hence two uses:
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -114,9 +114,9 @@ def found_misfit(
     structured = chance < CHANCE
     if structured:
         excess = _scatter(zones[0].sum(axis=0)) + _scatter(sides[0]) + _scatter(blocks) - 3 * total
-        root = _root(own)
+        root = _of_positive(own, np.sqrt)
         extra = root @ excess[inside] @ root
-        own = own + _HIDDEN * root @ _positive(extra) @ root
+        own = own + _HIDDEN * root @ _of_positive(extra, np.asarray) @ root
     enlarged[inside] = own
     errors, first = np.diag(enlarged)[known], np.diag(covariance)[known]
     inflation = math.sqrt(float(np.max(errors / first, initial=1.0)))
@@ -195,16 +195,12 @@ def _scatter(scores: Float[np.ndarray, "*groups p"]) -> Float[np.ndarray, "p p"]
     return np.asarray(rows.T @ rows)
 
 
-def _root(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """Symmetric square root."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
-
-
-def _positive(matrix: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """The part of a symmetric matrix with positive eigenvalues."""
+def _of_positive(
+    matrix: Float[np.ndarray, "p p"], function: Callable[[np.ndarray], np.ndarray]
+) -> Float[np.ndarray, "p p"]:
+    """A function of the part of a symmetric matrix with positive eigenvalues."""
     values, vectors = np.linalg.eigh(matrix)
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)
+    return np.asarray((vectors * function(np.maximum(values, 0.0))) @ vectors.T)
 
 
 def _sentence(tone: Float[np.ndarray, "2 4 4 2"]) -> str:

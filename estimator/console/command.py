@@ -14,7 +14,6 @@ from formats.inputs import InputError
 from formats.poses import POSE_TOPIC
 
 if TYPE_CHECKING:
-    from estimator.sources.source import Source
     from formats.poses import PoseTrack
 
 _TOPIC = "topic:"
@@ -53,7 +52,16 @@ def console(
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
     track: "Callable[[], PoseTrack] | None"
     if source.startswith(_TOPIC):
-        opened, track = _topic(source.removeprefix(_TOPIC), recorded)
+        from estimator.rig.rig import RecentPoses
+        from estimator.rig.topic import open_topic
+
+        if recorded.poses is not None:
+            raise InputError(
+                "poses are of a recording. Those of a running ROS have a --pose-topic."
+            )
+        recent, pose_topic = RecentPoses(), recorded.pose_topic or POSE_TOPIC
+        live = open_topic(source.removeprefix(_TOPIC), poses=recent, pose_topic=pose_topic)
+        opened, track = (lambda: live), recent.track
     else:
         opened, known = partial(recorded.source, source), recorded.pose_track(options)
         first = opened()
@@ -66,17 +74,3 @@ def console(
     if token is not None:
         print(f"Other machines need this token: {token}", flush=True)
     serve(opened, options, folder=folder, host=host, port=port, token=token, poses=track)
-
-
-def _topic(
-    topic: str, recorded: RecordingOptions
-) -> tuple[Callable[[], "Source"], Callable[[], "PoseTrack"]]:
-    """The source of a topic, and the poses that arrive."""
-    from estimator.rig.rig import RecentPoses
-    from estimator.rig.topic import open_topic
-
-    if recorded.poses is not None:
-        raise InputError("poses are of a recording. Those of a running ROS have a --pose-topic.")
-    recent = RecentPoses()
-    live = open_topic(topic, poses=recent, pose_topic=recorded.pose_topic or POSE_TOPIC)
-    return lambda: live, recent.track

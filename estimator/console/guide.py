@@ -111,7 +111,15 @@ class Guide:
     def look(self) -> None:
         """Count what the session has measured since the last call, or see how the fit goes on."""
         if self.stage is Stage.WITHDRAWING:
-            self._count()
+            course = self._session.course
+            # A recording that is set back to its begin has a new course.
+            known = next((n for n, moment in enumerate(course) if moment is self._last), -1)
+            for moment in course[known + 1 :]:
+                self._last = moment
+                if not math.isnan(moment.radius_px + moment.robot_mm):
+                    self.spots += 1
+                    self._low_mm = min(self._low_mm, moment.robot_mm)
+                    self._high_mm = max(self._high_mm, moment.robot_mm)
         elif self.stage is Stage.FITTING and self._fit and self._log:
             code = self._fit.poll()
             if code is not None:
@@ -157,14 +165,3 @@ class Guide:
         if self._fit is not None and self._fit.poll() is None:
             self._fit.terminate()
             self._fit.wait()
-
-    def _count(self) -> None:
-        course = self._session.course
-        # A recording that is set back to its begin has a new course.
-        known = next((n for n, moment in enumerate(course) if moment is self._last), -1)
-        for moment in course[known + 1 :]:
-            self._last = moment
-            if not math.isnan(moment.radius_px + moment.robot_mm):
-                self.spots += 1
-                self._low_mm = min(self._low_mm, moment.robot_mm)
-                self._high_mm = max(self._high_mm, moment.robot_mm)

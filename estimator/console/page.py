@@ -309,7 +309,16 @@ class CalibrationPanel:
         self._fit.set_enabled(guide.stage is Stage.WITHDRAWING and guide.enough)
         self._start.set_enabled(guide.stage is not Stage.FITTING)
         self._covered.set_value(min(guide.covered_mm / LEAST_MM, guide.spots / FEWEST_SPOTS, 1.0))
-        self._state.set_text(_state(guide))
+        withdrawn = f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
+        saved = f"Saved {guide.file.name}. Start the console with it to read distances."
+        states = {
+            Stage.IDLE: "",
+            Stage.WITHDRAWING: withdrawn,
+            Stage.FITTING: "fitting, half a minute",
+            Stage.SAVED: saved,
+            Stage.REFUSED: "No good calibration.",
+        }
+        self._state.set_text(states[guide.stage])
         self._said.set_text(guide.said)
         self._report.set_visibility(guide.stage in (Stage.SAVED, Stage.REFUSED))
         self._report.props(f'href="/report/{guide.file.stem}"')
@@ -322,15 +331,3 @@ class CalibrationPanel:
             action()
         except (InputError, OSError) as error:
             self._guide.said = f"{error}"
-
-
-def _state(guide: Guide) -> str:
-    return {
-        Stage.IDLE: "",
-        Stage.WITHDRAWING: (
-            f"{guide.covered_mm:.1f} of {LEAST_MM:g} mm or more, {guide.spots} spots"
-        ),
-        Stage.FITTING: "fitting, half a minute",
-        Stage.SAVED: f"Saved {guide.file.name}. Start the console with it to read distances.",
-        Stage.REFUSED: "No good calibration.",
-    }[guide.stage]

@@ -329,7 +329,20 @@ class Session:
         arrived_s, expected, poses = time.time(), self._reader.expected_px, self._poses()
         name = f"{self.source.name}, frame {frame.index}"
         reading = self._reader.read(frame, poses=poses, name=name)
-        self._remember(frame, reading, arrived_s, poses)
+        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
+        spot, robot_mm = reading.result, math.nan
+        radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
+        if self._course and time_s < self._course[-1].time_s:
+            self._course.clear()  # the clock was set back
+        if known := poses.at(frame.time_s):
+            self._home = home = self._home or known[0]
+            moved = np.subtract(known[0].position_mm, home.position_mm)
+            robot_mm = -float(moved @ np.array(home.axis))
+        self._course.append(
+            CoursePoint(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot_mm)
+        )
+        while self._course[0].time_s < time_s - COURSE_S:
+            self._course.popleft()
         with self._record:
             if self._write is not None:
                 try:
@@ -348,22 +361,6 @@ class Session:
             arrived_s=arrived_s,
             response=self._response,
         )
-
-    def _remember(self, frame: Frame, reading: Reading, arrived_s: float, poses: PoseTrack) -> None:
-        time_s = arrived_s if math.isnan(frame.time_s) else frame.time_s
-        spot, robot_mm = reading.result, math.nan
-        radius = spot.semi_minor_px if isinstance(spot, Spot) else math.nan
-        if self._course and time_s < self._course[-1].time_s:
-            self._course.clear()  # the clock was set back
-        if known := poses.at(frame.time_s):
-            self._home = home = self._home or known[0]
-            moved = np.subtract(known[0].position_mm, home.position_mm)
-            robot_mm = -float(moved @ np.array(home.axis))
-        self._course.append(
-            CoursePoint(time_s, reading.distance_mm, reading.sigma_distance_mm, radius, robot_mm)
-        )
-        while self._course[0].time_s < time_s - COURSE_S:
-            self._course.popleft()
 
 
 _EXPECTED_PX = 14  # radius of the circle where the spot was expected

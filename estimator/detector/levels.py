@@ -123,14 +123,18 @@ def levels_of(
     peak, dome, variance = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
-    half = (peak + background) / 2
-    above = np.flatnonzero(mean >= half)
-    last, share = int(above[-1]) if above.size else 0, 0.0
-    if above.size and last + 1 < len(RADII):
-        share = (mean[last] - half) / (mean[last] - mean[last + 1])
-    half_radius = float(RADII[last] + RADIUS_STEP * share)
+    half_radius = outermost_radius(mean, (peak + background) / 2, RADII)
     found = Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
     return found.before(background, radius, scatter)
+
+
+def outermost_radius(profile: np.ndarray, level: float, radii: np.ndarray) -> float:
+    """Where a profile at even radii falls to a level for the last time, or the nearest end."""
+    above = np.flatnonzero(profile >= level)
+    last, share = int(above[-1]) if above.size else 0, 0.0
+    if above.size and last + 1 < len(radii):
+        share = (profile[last] - level) / (profile[last] - profile[last + 1])
+    return float(radii[last] + share * (radii[1] - radii[0]))
 
 
 def background_of(

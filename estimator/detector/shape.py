@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.detector.ellipse import AffineEllipse, Patch
+from estimator.detector.levels import outermost_radius
 from estimator.detector.tuning import RAYS, SpotProfile
 from estimator.image import clip_level
 from formats.camera import GREY, LensDistortion, Response, Window, checked_frame
@@ -78,14 +79,7 @@ def spot_shape(
     peak = float(profile[_PROFILE_RADII < 1].max())
     if not peak > 0:
         return None
-    quarter, half, three_quarters = (_outermost(profile, level * peak) for level in LEVELS)
+    quarter, half, three_quarters = (
+        outermost_radius(profile, level * peak, _PROFILE_RADII) for level in LEVELS
+    )
     return Shape((quarter / half, three_quarters / half), peak / full_scale)
-
-
-def _outermost(profile: np.ndarray, level: float) -> float:
-    """Radius at which the profile falls to a level for the last time."""
-    last = int(np.flatnonzero(profile >= level)[-1])
-    if last + 1 == profile.size:
-        return float(_PROFILE_RADII[-1])
-    share = (profile[last] - level) / (profile[last] - profile[last + 1])
-    return float(_PROFILE_RADII[last] + share * (_PROFILE_RADII[1] - _PROFILE_RADII[0]))

@@ -246,10 +246,9 @@ class Budgets:
         size = spot.semi_minor_px
         if self._by_area:
             size = math.sqrt(spot.semi_major_px * size)
-        at = np.array([spot.x_px, spot.y_px]) - self._ranger.microscope.principal_point_px
         distances, points = distance_of(
             self._eye,
-            at_px=np.tile(at, (len(axes), 1)),
+            at_px=np.tile(self._at_px(spot), (len(axes), 1)),
             size_px=np.full(len(axes), size),
             axis=axes,
             by_area=self._by_area,
@@ -284,14 +283,16 @@ class Budgets:
             left_out=("the model's error through this viewing path",) if unknown else (),
         )
 
+    def _at_px(self, spot: Spot) -> np.ndarray:
+        return np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
+
     def _directions(
         self, spot: Spot, axis: np.ndarray | None
     ) -> tuple[np.ndarray | None, np.ndarray]:
         """The beam's axis, or several that stand for all that it may be, and their weights."""
         if axis is not None:
             return np.asarray(axis)[None], np.ones(1)
-        at = np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
-        normal = self._eye.outward(self._eye.wall_point(at))[0]
+        normal = self._eye.outward(self._eye.wall_point(self._at_px(spot)))[0]
         if np.isnan(normal).any():
             return None, np.ones(0)
         low, high = np.radians(self._stated.incidence_deg)
@@ -366,8 +367,7 @@ class Budgets:
         if "inverse_working_distance" in self._ranger.calibration.values:
             sigma = 0.0
         of_pinhole = slopes["inverse_working_distance"] * sigma
-        at = np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
-        c = float(np.hypot(*self._eye.wall_point(at)[0, :2]))
+        c = float(np.hypot(*self._eye.wall_point(self._at_px(spot))[0, :2]))
         apart = found.distance_mm - float(self._eye.b[0])
         of_size = stated.size_per_mm * c * apart
         source = "1/(z_F + r)", sigma, "1/mm"

@@ -114,10 +114,7 @@ def distance_from_lens(
         value, relative = peak_irradiance
         cost = cost + np.log(over_grid(peak) / value) ** 2 / (relative**2 + _BRIGHTNESS_ERROR**2)
     # A profile that fits no distance (a shaft in front, too dark a wall) is ignored.
-    return _likeliest(grid, cost if cost.min() < _STRANGE else by_size)
-
-
-def _likeliest(grid: np.ndarray, cost: np.ndarray) -> Range:
+    cost = cost if cost.min() < _STRANGE else by_size
     best = int(np.argmin(cost))
     excess = cost - cost[best]
     # Each interval of distances that cannot be excluded counts as one answer.

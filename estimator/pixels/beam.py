@@ -18,14 +18,13 @@ from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from formats.camera import USUAL_CUT
 from formats.microscope import MicroscopeFile
 from optics.instrument import BareFibre
-from optics.wall_light.cells import Lattice, square_lattice
+from optics.wall_light.cells import Lattice, pixels_see, square_lattice
 from optics.wall_light.pose_light import (
     BeamFrame,
     Steps,
     beam_at_wall,
     irradiance_alone,
     irradiance_and_slopes,
-    pixels_see,
 )
 
 LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0
@@ -33,18 +32,6 @@ LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0
 
 _TINY = 1e-9
 _STEP = 1e-4  # of the numerical derivative by the variance
-
-
-class Blurred(NamedTuple):
-    """Cells after a blur.
-
-    Attributes:
-        by_variance: their growth with the variance, in squares of a cell's side.
-    """
-
-    value: Float[np.ndarray, "n"]
-    by_variance: Float[np.ndarray, "n"]
-    by_kurtosis: Float[np.ndarray, "n"]
 
 
 def blurred(
@@ -63,13 +50,13 @@ def blurred(
 
 def blurred_with_growth(
     values: Float[np.ndarray, "n"], variance: float, kurtosis: float
-) -> Blurred:
-    """As `blurred`, with the growth by the blur's two numbers."""
+) -> Float[np.ndarray, "3 n"]:
+    """As `blurred`, followed by the growth with the variance and with the kurtosis."""
     waves, squares = _waves(math.isqrt(values.shape[-1]))
     transfer, by_kurtosis = _transfer(squares, variance, kurtosis)
     more, _ = _transfer(squares, variance + _STEP, kurtosis)
     parts = transfer, (more - transfer) / _STEP, by_kurtosis
-    return Blurred(*(_filtered(values, waves, part) for part in parts))
+    return np.stack([_filtered(values, waves, part) for part in parts])
 
 
 @functools.cache
@@ -234,10 +221,8 @@ class BeamLight:
 
         Each side of a cell may be divided into some parts.
         """
-        corner, right = (
-            motion.image_px(window.corner_px),
-            window.side / parts * motion.rotation[:, 0],
-        )
+        corner = motion.image_px(window.corner_px)
+        right = window.side / parts * motion.rotation[:, 0]
         count = parts * COUNT
         return square_lattice(self.camera, self.wall, corner=corner, right=right, count=count)
 
@@ -297,15 +282,12 @@ class BeamLight:
         else:
             fine, parts = value, 1
             if self.sharp:
-                fine, parts = (
-                    self.irradiance_alone(self.lattice(window, motion, _PARTS), pose, own, moved),
-                    _PARTS,
-                )
+                parts, finer = _PARTS, self.lattice(window, motion, _PARTS)
+                fine = self.irradiance_alone(finer, pose, own, moved)
             part2 = cells2 / parts**2
             wide = blurred_with_growth(fine, blur_px2 / part2, kurtosis)
-            seen, bend, tails = (
-                part.reshape(COUNT, parts, COUNT, parts).mean(axis=(1, 3)).ravel() for part in wide
-            )
+            whole_cells = wide.reshape(3, COUNT, parts, COUNT, parts).mean(axis=(2, 4))
+            seen, bend, tails = whole_cells.reshape(3, -1)
             bend = bend / part2
         slopes = blurred(slopes, blur_px2 / cells2, kurtosis)
         return SeenLight(seen, slopes, bend, tails, value - at_rest, seen - value)

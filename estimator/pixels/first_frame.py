@@ -223,16 +223,6 @@ def scanned_starts(
     return [state for _, state in found[:_MOST]]
 
 
-def blurred_starts(frame: FrameState, spot: Outline) -> list[FrameState]:
-    """A frame with the blurs that a sharp edge may have, which looks as wide as the spot's."""
-    if spot.edge_width_px < _BLURRED_PX:
-        return [frame]
-    return [
-        replace(frame, blur_px2=share * spot.edge_width_px**2, kurtosis=kurtosis)
-        for kurtosis, share in _SHAPES
-    ]
-
-
 def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> FrameState | None:
     """A frame with the beam leaning to the other side of the wall's normal, as alike in the image.
 
@@ -307,8 +297,10 @@ def explained_alone(
         own,
         likely_axes(beam, spot) if direction is None else [direction.axis],
     )
-    if beam.sharp:
-        starts = [blurred for start in starts for blurred in blurred_starts(start, spot)]
+    if beam.sharp and spot.edge_width_px >= _BLURRED_PX:
+        # With the blurs that a sharp edge may have which looks as wide as the spot's.
+        blurs = [(share * spot.edge_width_px**2, kurtosis) for kurtosis, share in _SHAPES]
+        starts = [replace(s, blur_px2=b, kurtosis=k) for s in starts for b, k in blurs]
     found = [robust_fit(solver, [], start, own, steps=_STEPS_FIRST)[0] for start in starts]
     if not found:
         return [], mix

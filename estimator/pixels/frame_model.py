@@ -36,6 +36,7 @@ from scipy.special import logsumexp
 from estimator.pixels.beam import BeamLight, Sweep, blurred
 from estimator.pixels.cells import COUNT, SHADES, CellLight, CellWindow, rolled
 from optics.wall_light.pose_light import POSE, BeamFrame
+from optics.wall_light.unknown_wall import CONTRASTS, LENGTHS_MM, WITHIN
 
 _TURNED = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
@@ -128,29 +129,15 @@ _WHOLE = 0.98  # of a cell, above which it is covered
 _LEAST = 1e-9  # 1/mm²
 
 
-class Covered(NamedTuple):
-    """What a saturated spot makes of the cells.
-
-    Attributes:
-        light: of the beam, per unit power, 1/mm², as far as the camera shows it.
-        over: whether a cell or one beside it is at full scale.
-        cover: share of such a cell that the spot covers; 0 for others.
-        slopes: derivatives of `light`.
-    """
-
-    light: Float[np.ndarray, "n"]
-    over: Bool[np.ndarray, "n"]
-    cover: Float[np.ndarray, "n"]
-    slopes: Float[np.ndarray, "k n"]
-
-
 def covered(
     light: Float[np.ndarray, "n"],
     room: Float[np.ndarray, "n"],
     slopes: Float[np.ndarray, "k n"] | None = None,
     *,
     pixel_mm: float = 0.0,
-) -> Covered:
+) -> tuple[
+    Float[np.ndarray, "n"], Bool[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "k n"]
+]:
     """The light of a beam as far as a camera shows it.
 
     Args:
@@ -159,27 +146,26 @@ def covered(
         slopes: derivatives of the light, the first two by shifts of the spot along the wall, mm.
             Without them, the edge is where the spot's is.
         pixel_mm: side of a pixel on the wall.
+
+    Returns:
+        This light; whether a cell or one beside it is at full scale; the share of such a cell that
+        the spot covers, 0 for others; and the derivatives of this light.
     """
-    brightest = _brightest_near(light)
+    # For each cell the number of the brightest of it and those around it.
+    numbers = np.pad(np.arange(light.size).reshape(COUNT, COUNT), 1, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(numbers, (3, 3))
+    near = windows.reshape(light.size, 9)
+    brightest = near[np.arange(light.size), np.argmax(light[near], axis=1)]
     full = np.maximum(light[brightest], _LEAST)
     over = (full > room) & (room > 0)
     cover = np.where(over, light / full, 0.0)
     if slopes is None:
-        return Covered(np.where(over, room * cover, light), over, cover, np.zeros((0, light.size)))
+        return np.where(over, room * cover, light), over, cover, np.zeros((0, light.size))
     by_state = (slopes - cover * slopes[:, brightest]) / full
     bloom = _BLOOM_PX * pixel_mm * np.hypot(*by_state[:2])
     cover = np.where(over, np.minimum(cover + bloom, 1.0), 0.0)
-    return Covered(
-        np.where(over, room * cover, light), over, cover, np.where(over, room * by_state, slopes)
-    )
-
-
-def _brightest_near(light: Float[np.ndarray, "n"]) -> np.ndarray:
-    """For each cell the number of the brightest of it and those around it."""
-    numbers = np.arange(light.size).reshape(COUNT, COUNT)
-    windows = np.lib.stride_tricks.sliding_window_view(np.pad(numbers, 1, mode="edge"), (3, 3))
-    near = windows.reshape(light.size, 9)
-    return near[np.arange(light.size), np.argmax(light[near], axis=1)]
+    slopes = np.where(over, room * by_state, slopes)
+    return np.where(over, room * cover, light), over, cover, slopes
 
 
 def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
@@ -194,10 +180,6 @@ def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
     )
 
 
-LENGTHS_MM = (0.08, 0.25, 1.0)
-"""Correlation lengths of grain, vessels and shading: from a few pixels to the size of a spot."""
-_USUAL = (0.02, 0.05, 0.07)
-"""Standard deviations of the parts before a frame was seen, relative: the order of a retina's."""
 _ANY, _ALIKE = 2.0 * math.log(30.0), 2.0 * math.log(10.0)
 """Standard deviations of a variance's logarithm before a frame was seen, of all parts together and
 of each part by itself. Two thirds of all walls have a contrast within a factor of 30 of what is
@@ -207,9 +189,7 @@ _ENOUGH = 400
 """Cells that show a texture: each part's variance to a tenth, where they see enough of it. The time
 grows with the cube of their number."""
 _RANK = 1e-9  # of the largest derivative
-_WITHIN = 0.52
-"""Mean distance of two points of a square, over its side."""
-_CONTRASTS = np.log(10.0) * np.arange(-5.0, 2.0)
+_STARTS = np.log(10.0) * np.arange(-5.0, 2.0)
 """Logarithms of all variances over the usual ones, from which the estimate starts."""
 _NEAR = 0.1  # of the likeliest logarithms, or -2 log likelihoods: what the search stops at
 _STEP = 0.5  # of a logarithm, for second differences
@@ -229,7 +209,7 @@ class TextureVariances:
     @classmethod
     def usual(cls) -> "TextureVariances":
         """Before a frame was seen."""
-        return cls(np.square(_USUAL))
+        return cls(np.square(CONTRASTS))
 
     def covariance(self, count: int, side_mm: float) -> Float[np.ndarray, "n n"]:
         """Of the cells' means, for count x count cells of a side on the wall."""
@@ -271,16 +251,16 @@ def texture_of(
 
     def deviance(off: Float[np.ndarray, "parts"]) -> float:
         """-2 log of the probability of variances, by their logarithms over the usual ones."""
-        covariance = np.tensordot(np.square(_USUAL) * np.exp(off), kernels, axes=1) + noise
+        covariance = np.tensordot(np.square(CONTRASTS) * np.exp(off), kernels, axes=1) + noise
         factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
         white = solve_triangular(factor, data, lower=True, check_finite=False)
         return float(2.0 * np.sum(np.log(np.diag(factor))) + white @ white + off @ precision @ off)
 
     parts = np.eye(len(kernels))
-    start = min((contrast * parts.sum(axis=0) for contrast in _CONTRASTS), key=deviance)
+    start = min((contrast * parts.sum(axis=0) for contrast in _STARTS), key=deviance)
     near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
     off = minimize(deviance, start, method="Nelder-Mead", options=near).x
-    return TextureVariances(np.square(_USUAL) * _mean_exponential(deviance, off))
+    return TextureVariances(np.square(CONTRASTS) * _mean_exponential(deviance, off))
 
 
 def _mean_exponential(
@@ -315,7 +295,7 @@ def _kernels(count: int, side_mm: float) -> Float[np.ndarray, "parts n n"]:
     square = (place[:, None] - place) ** 2
     apart = np.add.outer(square, square).transpose(0, 2, 1, 3).reshape(count**2, count**2)
     # Means over cells vary less than points do: even those of one cell are some way apart.
-    return _alike(side_mm * np.sqrt(apart + _WITHIN**2))
+    return _alike(side_mm * np.sqrt(apart + WITHIN**2))
 
 
 def _alike(apart_mm: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "parts *n"]:
@@ -513,13 +493,12 @@ class FrameModel:
         of_beam = np.concatenate([seen.slopes, seen.bend[None], seen.tails[None]])
         by_gain, uncovered = np.ones(value.size), np.ones(value.size)
         if frame.saturated:
-            spot = covered(
-                value, self._room(frame, ambient), of_beam, pixel_mm=self.beam.scale_mm_px
-            )
-            value, of_beam, uncovered = spot.light, spot.slopes, 1.0 - spot.cover
+            room, pixel_mm = self._room(frame, ambient), self.beam.scale_mm_px
+            value, over, cover, of_beam = covered(value, room, of_beam, pixel_mm=pixel_mm)
+            uncovered = 1.0 - cover
             # A cell that is covered says no more than that.
-            usable = usable & ~(spot.over & (spot.cover > _WHOLE))
-            by_gain = np.where(spot.over, ambient * uncovered / (value + ambient), 1.0)
+            usable = usable & ~(over & (cover > _WHOLE))
+            by_gain = np.where(over, ambient * uncovered / (value + ambient), 1.0)
         total = value + ambient
         model = np.exp(frame.log_gain) * total
         shaped = frame.blur_px2 / (frame.blur_px2 + _SHAPED_PX2)
@@ -550,7 +529,7 @@ class FrameModel:
         light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
         light, ambient = np.maximum(light, 0.0), math.exp(frame.log_ambient)
         if frame.saturated:
-            light = covered(light, self._room(frame, ambient)).light
+            light, *_ = covered(light, self._room(frame, ambient))
         return np.log(light + ambient)
 
     def _room(
@@ -587,7 +566,7 @@ class FrameModel:
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
         model = np.maximum(irradiance, 0.0)
         if frame.saturated:
-            model = covered(model, self._room(suited, ambient)).light
+            model, *_ = covered(model, self._room(suited, ambient))
         model = gain * (model + ambient)
         weight = self._weight(suited, light, usable, model)
         # Here the texture counts as noise without correlation: this finds starts, not poses.

@@ -42,7 +42,7 @@ from optics.wall_light.lens import (
     LensTable,
     halvings_for,
     lens_parameters,
-    lens_table,
+    lens_samples,
 )
 from optics.wall_light.pose_light import POSE
 
@@ -98,7 +98,11 @@ class PixelRanger:
         self.calibration = calibration
         self.microscope = view = calibrated_view(microscope, calibration.values)
         lens = calibration.model == "lens"
-        source, spread = _lens(calibration, view) if lens else _cone(calibration)
+        if lens:
+            source, spread = _lens(calibration, view)
+        else:
+            angle, b, covariance = calibration.cone
+            source, spread = UniformCone.of(angle, b), _root(covariance)
         self._libraries = ThreadpoolController()
         self._beam = BeamLight(
             source,
@@ -263,17 +267,6 @@ def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
     return min(filter(alike, outlines), key=apart, default=otherwise)
 
 
-def _cone(calibration: Calibration) -> tuple[Any, np.ndarray]:
-    """The cone's light, and how its own parameters scatter."""
-    values, names = calibration.values, list(calibration.values)
-    first = "k" if "k" in values else "half_angle"
-    angle = math.atan(1.0 / values["k"]) if first == "k" else values["half_angle"]
-    per = -1.0 / (1.0 + values["k"] ** 2) if first == "k" else 1.0
-    at = [names.index(first), names.index("b")]
-    covariance = calibration.covariance[np.ix_(at, at)] * np.outer([per, 1.0], [per, 1.0])
-    return UniformCone.of(angle, values["b"]), _root(covariance)
-
-
 def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarray]:
     """The table of a lens's light, and how its own parameters scatter."""
     values, names = calibration.values, list(calibration.values)
@@ -295,7 +288,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     }
 
     def compute() -> dict[str, Any]:
-        return lens_table(parameters, free, **light).arrays()
+        return lens_samples(parameters, free, **light).table().arrays()
 
     key = hashlib.sha256(repr((sorted(parameters.items()), free, sorted(light.items()))).encode())
     for source in (Path(__file__), *sorted(Path(optics.__file__).parent.rglob("*.py"))):

@@ -118,7 +118,28 @@ def drift_covariance(
     Args:
         drifts_px: shift of the image in each frame since the microscope file was right.
     """
-    pull = _pulled(solution, drifts_px)
+    # How far the newest pose would be off.
+    model, own = solution.solver.model, solution.own
+    beam, middle_px = model.beam, model.window.middle_px
+    changes, aside = [], np.zeros(3)
+    for frame, drift in zip(solution.frames, drifts_px, strict=True):
+        length, motion = float(np.linalg.norm(drift)), frame.cells.motion
+        part = _STEP_PX / max(length, _STEP_PX)
+        middle = motion.image_px(middle_px)
+        (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
+        aside = (there - here) / part
+        other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
+        if other is None:
+            return np.zeros((POSE, POSE))
+        right, down = (-part * drift).tolist()
+        drifted = WallMotion(right, down).after(motion)
+        seen, fitted = (
+            model.log_light(frame, beam.irradiance_alone(model.lattice(where), at, own))
+            for where, at in ((drifted, other), (motion, frame.pose))
+        )
+        changes.append((seen - fitted) / part)
+    pull, newest = solution.answer(changes), solution.newest.pose
+    pull[:2] -= aside @ np.stack([newest.right, newest.down], axis=-1)
     shift = float(np.linalg.norm(pull[:2]))
     # Where the light hardly says anything, a linear forecast has no bound of its own.
     pull[2] = np.clip(pull[2], -shift, shift)
@@ -138,35 +159,6 @@ def shake_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """
     shaken = [drift_covariance(solution, [shift]) for shift in np.eye(2)]
     return np.sum(shaken, axis=0)
-
-
-def _pulled(
-    solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
-) -> Float[np.ndarray, "5"]:
-    """How far the newest pose would be off."""
-    model, own = solution.solver.model, solution.own
-    beam, middle_px = model.beam, model.window.middle_px
-    changes, shift = [], np.zeros(3)
-    for frame, drift in zip(solution.frames, drifts_px, strict=True):
-        length, motion = float(np.linalg.norm(drift)), frame.cells.motion
-        part = _STEP_PX / max(length, _STEP_PX)
-        middle = motion.image_px(middle_px)
-        (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
-        shift = (there - here) / part
-        other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
-        if other is None:
-            return np.zeros(POSE)
-        right, down = (-part * drift).tolist()
-        drifted = WallMotion(right, down).after(motion)
-        seen, fitted = (
-            model.log_light(frame, beam.irradiance_alone(model.lattice(where), at, own))
-            for where, at in ((drifted, other), (motion, frame.pose))
-        )
-        changes.append((seen - fitted) / part)
-    pull = solution.answer(changes)
-    newest = solution.newest.pose
-    pull[:2] -= shift @ np.stack([newest.right, newest.down], axis=-1)
-    return pull
 
 
 _WIDE_PX2 = 0.5  # variance of a blur, below which its errors do not matter

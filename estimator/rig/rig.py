@@ -164,12 +164,7 @@ def opened_rig(parameters: Parameters) -> Iterator[Rig]:
         return
     microscope = parameters.microscope_file()
     with recording_of(parameters.rerun, name="rig", microscope=microscope) as recording:
-
-        def show(frame: Frame, reading: Reading) -> None:
-            recording.add_frame(frame.index, frame.time_s, frame.image)
-            recording.add_measured(reading.result, reading.range, reading.doubt)
-
-        yield Rig(parameters, show)
+        yield Rig(parameters, recording.add_reading)
 
 
 def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:

@@ -183,8 +183,7 @@ def _shown(
     with recording_of(target, name=frames.name, microscope=microscope) as recording:
 
         def show(frame: Frame, reading: Reading) -> None:
-            recording.add_frame(frame.index, frame.time_s, frame.image)
-            recording.add_measured(reading.result, reading.range, reading.doubt)
+            recording.add_reading(frame, reading)
             if frame.file_name in truth:
                 recording.add_truth(truth[frame.file_name])
 

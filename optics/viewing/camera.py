@@ -177,26 +177,6 @@ def path_camera(path: ViewingPath, *, scale: ScalarLike, upright: bool = False) 
 
 @eqx.filter_jit
 def _camera(path: ViewingPath, scale: Float[Array, ""], upright: bool) -> PathCamera:
-    widest, pupil = jax.lax.stop_gradient(_limits(path))
-    t, to_series = radial_nodes(widest)
-    seen = lines_of_sight(path, t)
-    a, b = to_series @ (seen.height / t), to_series @ (seen.slope / t)
-    return PathCamera(
-        scale=scale,
-        principal_point=jnp.zeros(2),
-        pole_height=-path.retina_semi_axes[2],
-        crossing=a,
-        steepness=b,
-        passing=to_series @ seen.transmittance,
-        widest=widest,
-        pupil=pupil,
-        orientation=jnp.sign(series(a, -1.0)) if upright else jnp.ones(()),
-    )
-
-
-def _limits(path: ViewingPath) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Largest t of the series, and largest t that passes the iris, mm."""
-
     def passes(aim: Float[Array, "*batch"]) -> Bool[Array, "2 *batch"]:
         """Whether lines reach the retina, and whether the iris lets them pass, too."""
         seen = lines_of_sight(path, aim)
@@ -211,9 +191,24 @@ def _limits(path: ViewingPath) -> tuple[Float[Array, ""], Float[Array, ""]]:
     step = SCANNED_MM[0]
     last = step * jnp.where(everywhere, SCANNED_MM.size, jnp.argmin(fine, axis=1))
     low, _ = bisected(lambda aim: jnp.diagonal(passes(aim)), last, last + step, steps=_BISECTIONS)
-    field = jnp.where(everywhere[0], SCANNED_MM[-1], low[0])
-    pupil = jnp.where(everywhere[1], jnp.inf, low[1])
-    return jnp.minimum(_SAFE * field, _BEYOND_THE_IRIS * pupil), pupil
+    field, pupil = jax.lax.stop_gradient(
+        jnp.where(everywhere, jnp.array([SCANNED_MM[-1], jnp.inf]), low)
+    )
+    widest = jnp.minimum(_SAFE * field, _BEYOND_THE_IRIS * pupil)
+    t, to_series = radial_nodes(widest)
+    seen = lines_of_sight(path, t)
+    a, b = to_series @ (seen.height / t), to_series @ (seen.slope / t)
+    return PathCamera(
+        scale=scale,
+        principal_point=jnp.zeros(2),
+        pole_height=-path.retina_semi_axes[2],
+        crossing=a,
+        steepness=b,
+        passing=to_series @ seen.transmittance,
+        widest=widest,
+        pupil=pupil,
+        orientation=jnp.sign(series(a, -1.0)) if upright else jnp.ones(()),
+    )
 
 
 _SIDE_NEWTON_STEPS = 6
@@ -315,11 +310,7 @@ def side_camera(
         InputError: the path's pinhole is at infinity, so it cannot be beside the axis.
     """
     check_finite(path, "side_camera")
-
-    def at_pole(aim: Float[Array, ""]) -> Float[Array, ""]:
-        return lines_of_sight(path, aim).height
-
-    magnification = jax.jvp(at_pole, (jnp.zeros(()),), (jnp.ones(()),))[1]
+    magnification = jax.jacfwd(lambda aim: lines_of_sight(path, aim).height)(jnp.zeros(()))
     orientation = jnp.sign(magnification) if upright else 1.0
     return SideCamera(
         path=path,

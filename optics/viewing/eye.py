@@ -13,15 +13,8 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from formats.inputs import (
-    InputError,
-    Strict,
-    check_schema,
-    in_file,
-    read_toml,
-    shortened,
-    validated,
-)
+from formats.inputs import InputError, Strict, check_schema, in_file, shortened, validated
+from optics.lens import names_in, read_named
 from optics.viewing.trace import Conic, Element, Medium, Refracting, ThinLens
 
 _HISTORY = {1: "the first format"}
@@ -30,33 +23,19 @@ _HERE = Path(__file__).parent
 _Format = TypeVar("_Format", bound=Strict)
 
 
-def names_in(folder: str) -> tuple[str, ...]:
-    """Names of the files that come with the package."""
-    return tuple(sorted(path.stem for path in (_HERE / folder).glob("*.toml")))
-
-
 def read_data_file(format_: type[_Format], folder: str, name_or_path: str | Path) -> _Format:
     """Read a TOML file by the name that it has in the package, or by its path.
 
     Args:
         format_: of the content; `schema` and `provenance` are checked here.
         folder: of the package's own files, "eyes" or "lenses".
-        name_or_path: a name of `names_in(folder)`, or the path of a `.toml` file.
+        name_or_path: a name in this folder, or the path of a `.toml` file.
 
     Raises:
         InputError: no such file, an unknown, missing or wrong key.
     """
-    path = Path(name_or_path)
-    if path.suffix != ".toml":
-        path = _HERE / folder / f"{name_or_path}.toml"
     with in_file(f"{folder[:-1]} {shortened(str(name_or_path))}"):
-        try:
-            content = read_toml(path)
-        except FileNotFoundError as error:
-            raise InputError(
-                f"no such file. Known names: {', '.join(names_in(folder))}; or give the path of a "
-                ".toml file."
-            ) from error
+        content = read_named(_HERE / folder, name_or_path, missing="no such file. Known names")
         remedy = f"Compare the file with those in optics/viewing/{folder}."
         check_schema(content.pop("schema", None), _HISTORY, remedy=remedy)
         if not isinstance(content.pop("provenance", None), str):
@@ -211,7 +190,7 @@ class Eye(eqx.Module):
 
 def eye_names() -> tuple[str, ...]:
     """Names of the eyes that come with the package."""
-    return names_in("eyes")
+    return names_in(_HERE / "eyes")
 
 
 def load_eye(

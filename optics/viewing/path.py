@@ -122,18 +122,29 @@ def viewing_path(
     Raises:
         InputError: an unknown form, an index below 1, a pupil or pinhole that cannot be.
     """
-    _check(form=form, fill_index=fill_index, radius=pupil_radius, distance=pinhole_distance)
+    if form not in FORMS:
+        raise InputError(f"viewing_path(form=...) must be one of {', '.join(FORMS)}; got {form!r}.")
+    rules = (
+        (fill_index, lambda value: 1.0 <= value <= 4.0, "fill_index", "lie in [1, 4]", ""),
+        (pupil_radius, lambda value: value > 0.0, "pupil_radius", "be positive", " mm"),
+        (pinhole_distance, lambda x: x > 0.0, "pinhole_distance", "be positive, or inf", " mm"),
+    )
+    for value, holds, name, rule, unit in rules:
+        # Traced values have no known size.
+        if value is not None and not isinstance(value, jax.core.Tracer) and not holds(value):
+            raise InputError(f"viewing_path({name}=...) must {rule}; got {value}{unit}.")
     fill = eye.vitreous_index if fill_index is None else jnp.asarray(fill_index, float)
     iris = Iris(depth=eye.iris_depth, radius=jnp.asarray(pupil_radius, float))
     front, back = eye.cornea
     inside: tuple[Element, ...]
     match form:
         case "aphakic":
-            inside = (_before(back, fill), iris)
+            inside = (Refracting(back.surface, Medium(fill)), iris)
         case "pseudophakic":
             inside = (back, iris, *_implant(eye, fill))
         case _:
-            inside = (back, iris, *eye.lens[:-1], _before(eye.lens[-1], fill))
+            behind = Refracting(eye.lens[-1].surface, Medium(fill))
+            inside = (back, iris, *eye.lens[:-1], behind)
     return ViewingPath(
         elements=(*(() if viewing_lens is None else (viewing_lens,)), front, *inside),
         pinhole_closeness=1.0 / jnp.asarray(pinhole_distance, float),
@@ -221,11 +232,6 @@ def check_finite(path: ViewingPath, needs: str) -> None:
         )
 
 
-def _before(boundary: Refracting, index: ScalarLike) -> Refracting:
-    """The same surface in front of another medium."""
-    return Refracting(boundary.surface, Medium(index))
-
-
 def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
     """An artificial lens that makes the eye, filled with its vitreous, emmetropic."""
     middle = (eye.lens[0].depth + eye.lens[-1].depth) / 2
@@ -244,19 +250,3 @@ def _implant(eye: Eye, fill: ScalarLike) -> tuple[Refracting, Refracting]:
     newton: optx.AbstractRootFinder = optx.Newton(rtol=1e-12, atol=1e-12)
     curvature = optx.root_find(defocus, newton, jnp.asarray(0.05), throw=False).value
     return lens(curvature, fill)
-
-
-def _check(
-    *, form: str, fill_index: ScalarLike | None, radius: ScalarLike, distance: ScalarLike
-) -> None:
-    if form not in FORMS:
-        raise InputError(f"viewing_path(form=...) must be one of {', '.join(FORMS)}; got {form!r}.")
-    rules = (
-        (fill_index, lambda value: 1.0 <= value <= 4.0, "fill_index", "lie in [1, 4]", ""),
-        (radius, lambda value: value > 0.0, "pupil_radius", "be positive", " mm"),
-        (distance, lambda value: value > 0.0, "pinhole_distance", "be positive, or inf", " mm"),
-    )
-    for value, holds, name, rule, unit in rules:
-        # Traced values have no known size.
-        if value is not None and not isinstance(value, jax.core.Tracer) and not holds(value):
-            raise InputError(f"viewing_path({name}=...) must {rule}; got {value}{unit}.")

@@ -1,5 +1,7 @@
 """Reflexes of a lamp at the surfaces of a viewing path, Purkinje's images."""
 
+from dataclasses import replace
+
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
@@ -15,7 +17,7 @@ from optics.viewing.path import (
     radial_place,
     series,
 )
-from optics.viewing.trace import SEEN, Element, Iris, Refracting, ThinLens, trace
+from optics.viewing.trace import SEEN, Element, Refracting, trace
 
 _STEEPEST = 1.0
 """Largest slope of returning light: steeper lines go far past every lamp."""
@@ -122,8 +124,6 @@ def _reversed(elements: tuple[Element, ...]) -> tuple[Element, ...]:
             medium, front = last_medium(elements[:number])
             behind = medium.reversed(element.depth - front)
             found.append(Refracting(element.surface.reversed(), behind))
-        elif isinstance(element, ThinLens):
-            found.append(ThinLens(depth=-element.depth, power=element.power))
         else:
-            found.append(Iris(depth=-element.depth, radius=element.radius))
+            found.append(replace(element, depth=-element.depth))
     return tuple(found)

@@ -5,6 +5,7 @@ The light through a patch of the wall is an integral around its border (see `Len
 its cells. The light that leaves one cell enters the other: no light is lost or counted twice.
 """
 
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import equinox as eqx
@@ -68,6 +69,15 @@ class Lattice(NamedTuple):
 
 
 @eqx.filter_jit
+def pixels_see(
+    camera: optics.Camera, wall: optics.Surface, pixels: Float[ArrayLike, "n 2"]
+) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
+    """Wall points that pixels see, mm, and the inward normals there."""
+    meeting = wall.intersect(*camera.ray(pixels))
+    return meeting.point, meeting.normal
+
+
+@eqx.filter_jit
 def square_lattice(
     camera: optics.Camera,
     surface: optics.Surface,
@@ -89,17 +99,16 @@ def square_lattice(
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     place, share = 0.5 * (nodes + 1.0), 0.5 * weights
 
-    def hit(at: Array) -> Array:
-        return surface.intersect(*camera.ray(at)).point
+    meet = partial(pixels_see, camera, surface)
 
     def line(first: Array, last: Array) -> Sides:
         way = last[0, 0] - first[0, 0]
         at = first[..., None, :] + place[:, None] * way
         flat = at.reshape(-1, 2)
-        point, step = jax.jvp(hit, (flat,), (jnp.broadcast_to(way, flat.shape),))
+        (point, _), (step, _) = jax.jvp(meet, (flat,), (jnp.broadcast_to(way, flat.shape),))
         point, step = (part.reshape(*at.shape[:-1], 3) for part in (point, step))
         begin, end = (
-            hit(part.reshape(-1, 2)).reshape(*part.shape[:-1], 3) for part in (first, last)
+            meet(part.reshape(-1, 2))[0].reshape(*part.shape[:-1], 3) for part in (first, last)
         )
         return Sides(begin, end, point, share[:, None] * step)
 
@@ -108,15 +117,8 @@ def square_lattice(
     corners = corner + u[..., None] * right + v[..., None] * down
     centres = (corners[:-1, :-1] + 0.5 * (right + down)).reshape(-1, 2)
 
-    def centre(at: Array) -> tuple[Array, Array]:
-        meeting = surface.intersect(*camera.ray(at))
-        return meeting.point, meeting.normal
-
-    def moved(way: Array) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-        return jax.jvp(centre, (centres,), (jnp.broadcast_to(way, centres.shape),))
-
-    (_, normal), (to_right, _) = moved(right)
-    _, (downwards, _) = moved(down)
+    (_, normal), moved = jax.linearize(meet, centres)
+    to_right, downwards = (moved(jnp.broadcast_to(way, centres.shape))[0] for way in (right, down))
     area = -optics.dot(normal, jnp.cross(to_right, downwards))
     return Lattice(
         across=line(corners[:, :-1], corners[:, 1:]),

@@ -17,7 +17,6 @@ sharp image of its core.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -109,19 +108,14 @@ class LensTable(eqx.Module):
     Rows are uniform in ln s, columns in rho / e(s), with the envelope e(s); samples are M e(s)².
 
     Attributes:
-        values: samples at the parameters `at`.
-        slopes: derivatives of the samples with respect to each parameter.
-        transmitted_value: fraction of the power that leaves the cap.
-        at: parameters for which the table was computed.
-        moved: difference of the current parameters from `at`.
+        values: the samples, followed by their derivatives with respect to each parameter.
+        power: fraction of the power that leaves the cap, and its derivatives.
+        moved: difference of the current parameters from those of the samples.
         grid: positions of the samples.
     """
 
-    values: Float[Array, "rows columns"]
-    slopes: Float[Array, "p rows columns"]
-    transmitted_value: Float[Array, ""]
-    transmitted_slopes: Float[Array, "p"]
-    at: Float[Array, "p"]
+    values: Float[Array, "p+1 rows columns"]
+    power: Float[Array, "p+1"]
     moved: Float[Array, "p"]
     grid: Grid
 
@@ -129,13 +123,13 @@ class LensTable(eqx.Module):
         self, *, radius: Float[Array, "*n"], distance: Float[Array, "*n"]
     ) -> Float[Array, "*n"]:
         """M, 1/mm² per unit power; 0 behind the tip."""
-        rows, columns = self.values.shape
+        _, rows, columns = self.values.shape
         envelope = jnp.asarray(self.grid.envelope(distance))
         x = radius / envelope
         reached = jnp.clip(distance, self.grid.nearest, self.grid.farthest)
         y = jnp.log(reached / self.grid.nearest) / jnp.log(self.grid.farthest / self.grid.nearest)
         column = jnp.clip(x, 0.0, 1.0) * (columns - 1)
-        mean = _interpolated(self.values, self.slopes, self.moved, y * (rows - 1), column)
+        mean = _interpolated(self.values, self.moved, y * (rows - 1), column)
         # A disc that is larger than the envelope has all the light too.
         scale = jnp.square(envelope * jnp.maximum(x, 1.0))
         return jnp.where(distance > 0.0, mean / scale, 0.0)
@@ -157,21 +151,13 @@ class LensTable(eqx.Module):
 
     def parts(self) -> list["LensTable"]:
         """The table without its derivatives, and its derivatives, as tables of their own."""
-        shares = [self.transmitted_value, *self.transmitted_slopes]
-        of_none = ("slopes", "transmitted_slopes", "at", "moved")
-        alone = replace(self, **{name: getattr(self, name)[:0] for name in of_none})
-        return [
-            replace(alone, values=values, transmitted_value=share)
-            for values, share in zip([self.values, *self.slopes], shares, strict=True)
-        ]
+        each = zip(self.values[:, None], self.power[:, None], strict=True)
+        return [LensTable(values, power, self.moved[:0], self.grid) for values, power in each]
 
     def half_maximum_radius(self, distance: float) -> float:
-        """Outermost radius with half of the peak irradiance on a plane square to the beam, mm.
+        """Outermost radius with half of the peak irradiance on a plane at a distance, both in mm.
 
         To a four-hundredth of the light's reach; `optics.half_maximum_radius` is exact.
-
-        Args:
-            distance: of the plane from the tip, mm.
         """
         radius = np.linspace(0.0, float(np.asarray(self.grid.envelope(distance))), 400)
         mean = np.asarray(self(radius=jnp.asarray(radius), distance=jnp.full(400, distance)))
@@ -180,8 +166,8 @@ class LensTable(eqx.Module):
 
     def arrays(self) -> dict[str, Any]:
         """All that `of_arrays` needs, by name."""
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "grid"}
-        return {name: np.asarray(part) for name, part in (own | self.grid._asdict()).items()}
+        parts = vars(self) | self.grid._asdict()
+        return {name: np.asarray(part) for name, part in parts.items() if name != "grid"}
 
     @classmethod
     def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> "LensTable":
@@ -192,19 +178,18 @@ class LensTable(eqx.Module):
 
     def transmitted(self) -> Float[Array, ""]:
         """Fraction of the power that leaves the cap."""
-        return self.transmitted_value + jnp.dot(self.moved, self.transmitted_slopes)
+        return self.power[0] + jnp.dot(self.moved, self.power[1:])
 
 
 @jax.custom_jvp
 def _interpolated(
-    values: Float[Array, "rows columns"],
-    slopes: Float[Array, "p rows columns"],
+    values: Float[Array, "p+1 rows columns"],
     moved: Float[Array, "p"],
     row: Float[Array, "*n"],
     column: Float[Array, "*n"],
 ) -> Float[Array, "*n"]:
     """The mean light at positions between samples."""
-    return _at(values, slopes, moved, row, column)[0]
+    return _at(values, moved, row, column)[0]
 
 
 @_interpolated.defjvp
@@ -214,16 +199,14 @@ def _interpolated_slope(primals, tangents):
     By JAX's own rules each direction would interpolate again, which is four times as slow.
     """
     value, by_row, by_column, *by_moved = _at(*primals)
-    _, _, moved, row, column = tangents
+    _, moved, row, column = tangents
     slope = by_row * row + by_column * column
     return value, slope + sum(moved[k] * field for k, field in enumerate(by_moved))
 
 
-def _at(
-    values: Array, slopes: Array, moved: Array, row: Array, column: Array
-) -> list[Float[Array, "*n"]]:
+def _at(values: Array, moved: Array, row: Array, column: Array) -> list[Float[Array, "*n"]]:
     """The mean light, and its derivatives by row, column and `moved`."""
-    rows, columns = values.shape
+    _, rows, columns = values.shape
     i, down, steps_down = _taps(row, rows)
     j, across, steps_across = _taps(column, columns)
     # All samples at once: gathered one by one they take six times as long to compile.
@@ -236,9 +219,9 @@ def _at(
     def weighted(down: Array, across: Array, field: Array) -> Array:
         return jnp.sum(down[:, None] * across * field, axis=(0, 1))
 
-    changes = [samples(field) for field in slopes]
+    still, *changes = (samples(field) for field in values)
     # Of the whole table this sum would take as long as all else.
-    light = samples(values) + sum(moved[k] * change for k, change in enumerate(changes))
+    light = still + sum(moved[k] * change for k, change in enumerate(changes))
     at_place = [(down, across), (steps_down, across), (down, steps_across)]
     parts = [weighted(*weights, light) for weights in at_place]
     return parts + [weighted(down, across, change) for change in changes]
@@ -367,12 +350,7 @@ def lens_samples(
         missed = error > tolerance * samples[0].max(axis=1, keepdims=True)
         missed &= field.widths(samples.shape[1:])[:, None] > finest
         missed |= near is None and level + 1 < _WHOLE[coarse]
-    return LensSamples(values=samples, transmitted=field.transmitted(), at=at, grid=grid)
-
-
-def lens_table(values: Mapping[str, float], free: Sequence[str], **settings: Any) -> LensTable:
-    """The table of `lens_samples` with the same arguments."""
-    return lens_samples(values, free, **settings).table()
+    return LensSamples(samples, field.transmitted(), at, grid)
 
 
 def _first_order(
@@ -401,27 +379,32 @@ class LensSamples(NamedTuple):
 
     Attributes:
         values: the samples, followed by their derivatives with respect to each free parameter.
-        transmitted: fraction of the power that leaves the cap, and its derivatives.
+        power: fraction of the power that leaves the cap, and its derivatives.
         at: values of the free parameters.
     """
 
     values: Float[np.ndarray, "p+1 rows columns"]
-    transmitted: Float[np.ndarray, "p+1"]
+    power: Float[np.ndarray, "p+1"]
     at: Float[np.ndarray, "p"]
     grid: Grid
 
     def table(self) -> LensTable:
-        """The table of these samples."""
-        means = _means_within(self.values, self.transmitted)
-        return LensTable(
-            values=jnp.asarray(means[0]),
-            slopes=jnp.asarray(means[1:]),
-            transmitted_value=jnp.asarray(self.transmitted[0]),
-            transmitted_slopes=jnp.asarray(self.transmitted[1:]),
-            at=jnp.asarray(self.at),
-            moved=jnp.zeros(len(self.at)),
-            grid=jax.tree.map(jnp.asarray, self.grid),
-        )
+        """The table of these samples: means of V_s e² over the discs within each column's radius.
+
+        The integral over all columns is known: it is the transmitted power. What a row lacks of it
+        is given to the cells in which the spline and the trapezoidal rule disagree. These are cells
+        with a step, and the samples show its place only to a part of the cell.
+        """
+        x = np.linspace(0.0, 1.0, self.values.shape[-1])
+        rings = 2.0 * x * self.values
+        parts = np.diff(make_interp_spline(x, rings, axis=-1).antiderivative()(x), axis=-1)
+        doubt = np.abs(parts - 0.5 * (rings[..., 1:] + rings[..., :-1]) * x[1]) + 1e-300
+        rest = self.power[:, None, None] / np.pi - parts.sum(axis=-1, keepdims=True)
+        parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
+        within = np.cumsum(parts, axis=-1) / x[1:] ** 2
+        means = np.concatenate([self.values[..., :1], within], axis=-1)
+        power, grid = jnp.asarray(self.power), jax.tree.map(jnp.asarray, self.grid)
+        return LensTable(jnp.asarray(means), power, jnp.zeros(len(self.at)), grid)
 
 
 _USUAL = ("sag", "numerical_aperture", "core_radius", "aperture_radius")
@@ -477,24 +460,6 @@ class _Field:
     def _with_slopes(self, light: Callable[..., Array], *where: np.ndarray) -> np.ndarray:
         given = self.names, self.around, self.fixed, self.medium_index
         return np.asarray(_with_slopes(light, *given, *where))[self.asked]
-
-
-def _means_within(
-    samples: Float[np.ndarray, "p+1 rows columns"], transmitted: Float[np.ndarray, "p+1"]
-) -> Float[np.ndarray, "p+1 rows columns"]:
-    """Means of V_s e² over the discs within each column's radius.
-
-    The integral over all columns is known: it is the transmitted power. What a row lacks of it is
-    given to the cells in which the spline and the trapezoidal rule disagree. These are cells with a
-    step, and the samples show its place only to a part of the cell.
-    """
-    x = np.linspace(0.0, 1.0, samples.shape[-1])
-    rings = 2.0 * x * samples
-    parts = np.diff(make_interp_spline(x, rings, axis=-1).antiderivative()(x), axis=-1)
-    doubt = np.abs(parts - 0.5 * (rings[..., 1:] + rings[..., :-1]) * x[1]) + 1e-300
-    rest = transmitted[:, None, None] / np.pi - parts.sum(axis=-1, keepdims=True)
-    parts += rest * doubt / doubt.sum(axis=-1, keepdims=True)
-    return np.concatenate([samples[..., :1], np.cumsum(parts, axis=-1) / x[1:] ** 2], axis=-1)
 
 
 def _halved(samples: Float[np.ndarray, "p n m"]) -> Float[np.ndarray, "p 2n-1 2m-1"]:

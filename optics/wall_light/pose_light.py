@@ -90,15 +90,6 @@ def _beam(wall: optics.Surface, tip: Float[Array, "3"], axis: Float[Array, "3"])
 
 
 @eqx.filter_jit
-def pixels_see(
-    camera: optics.Camera, wall: optics.Surface, pixels: Float[ArrayLike, "n 2"]
-) -> tuple[Float[Array, "n 3"], Float[Array, "n 3"]]:
-    """Wall points that pixels see, mm, and the inward normals there."""
-    meeting = wall.intersect(*camera.ray(pixels))
-    return meeting.point, meeting.normal
-
-
-@eqx.filter_jit
 def irradiance_and_slopes(
     lattice: Lattice,
     source: Any,
@@ -122,14 +113,17 @@ def irradiance_and_slopes(
 
     def light(z: Array) -> Array:
         change, own = z[:POSE], z[POSE:]
-        return _irradiance(lattice, source, beam, own=own, spread=spread, steps=steps, pose=change)
+        return irradiance_alone(
+            lattice, source, beam, own=own, spread=spread, steps=steps, pose=change
+        )
 
     z = jnp.concatenate([jnp.zeros(POSE), jnp.asarray(own)])
     # One evaluation serves all derivatives.
     return jax.vmap(lambda way: jax.jvp(light, (z,), (way,)), out_axes=(None, 0))(jnp.eye(z.size))
 
 
-def _irradiance(
+@eqx.filter_jit
+def irradiance_alone(
     lattice: Lattice,
     source: Any,
     beam: BeamFrame,
@@ -139,6 +133,7 @@ def _irradiance(
     steps: Steps | None = None,
     pose: Any = (0.0,) * POSE,
 ) -> Float[Array, "n"]:
+    """The irradiance of `irradiance_and_slopes`, in a third of the time."""
     moved, turned = beam.moved(pose)
     changed = source.changed(jnp.asarray(spread) @ own)
     if steps is None:
@@ -151,7 +146,3 @@ def _irradiance(
 
     # All at once, which two cores do in less time than one after the other.
     return jnp.asarray(steps.shares) @ jax.vmap(at)(*map(jnp.asarray, steps[:2]))
-
-
-irradiance_alone = eqx.filter_jit(_irradiance)
-"""The irradiance of `irradiance_and_slopes`, in a third of the time."""

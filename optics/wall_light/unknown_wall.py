@@ -37,13 +37,14 @@ LATTICES = (
 cell's corner to the right and downwards, over a cell's side. An edge that is sharper than a cell
 says more or less of the distance as cells cut it: variances are means over these lattices."""
 LENGTHS_MM, CONTRASTS = (0.08, 0.25, 1.0), (0.02, 0.05, 0.07)
-"""Grain, vessels and shading of a wall: correlation lengths, and relative standard deviations."""
+"""Grain, vessels and shading of a wall: correlation lengths, from a few pixels to the size of a
+spot, and relative standard deviations, of the order of a retina's."""
 MODEL_ERROR = 0.003
 """Relative error of a cell's light by the image model."""
 BLUR_PX2 = 2.0
 """Standard deviation of the blur's variance: most images are nearly in focus."""
 _EDGE = 0.05  # width of the step by which cells count as lit, over the peak
-_WITHIN = 0.52  # mean distance of two points of a square, over its side
+WITHIN = 0.52  # mean distance of two points of a square, over its side
 _UNSEEN = 1e6  # variance of a cell that says nothing
 
 
@@ -109,7 +110,7 @@ def spot_cells(
         for part in parts:
             own = jnp.zeros((2 if isinstance(part, UniformCone) else 0, 0))
             both = irradiance_and_slopes(lattice, part, beam, own=jnp.zeros(0), spread=own)
-            light.append(np.vstack([both[0], both[1]]))
+            light.append(np.vstack(both))
         first = corner + side * np.arange(COUNT)[:, None]
         inside = np.all([first > -0.5, first + side < np.array(size_px) - 0.5], axis=0)
         seen.append(np.logical_and.outer(inside[:, 1], inside[:, 0]).ravel())
@@ -146,7 +147,7 @@ def distance_sigmas(
     everywhere = by_change @ jnp.asarray(ambient)
     squares = jnp.square(jnp.arange(COUNT))
     # Means over cells vary less than points do: even those of one cell are some way apart.
-    apart = jnp.sqrt(jnp.add.outer(squares, squares) + _WITHIN**2)
+    apart = jnp.sqrt(jnp.add.outer(squares, squares) + WITHIN**2)
     steps = jnp.abs(jnp.arange(COUNT)[:, None] - jnp.arange(COUNT))
 
     def sigma(spot: SpotCells) -> Float[Array, ""]:

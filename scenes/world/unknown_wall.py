@@ -12,7 +12,7 @@ import numpy as np
 import optics
 from optics.wall_light.cells import CellBeam
 from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import lens_table
+from optics.wall_light.lens import lens_samples
 from optics.wall_light.unknown_wall import SpotCells, distance_sigmas, spot_cells
 from scenes.description.scene import Scene
 from scenes.world.world import World
@@ -79,7 +79,7 @@ class UnknownWallScene:
             radii: of another light, to look at its cells; None for the lens's own.
         """
         halvings, finest = _FINENESS[coarse]
-        table = lens_table(
+        table = lens_samples(
             values,
             free,
             medium_index=self._world.medium_index,
@@ -89,11 +89,10 @@ class UnknownWallScene:
             halvings=halvings,
             finest=finest,
             coarse=coarse,
-        )
+        ).table()
         if radii is None:
             radii = np.array([table.half_maximum_radius(d) for d in distances])
-        transmitted = np.append(table.transmitted_value, table.transmitted_slopes)
-        return self._light(table.parts(), distances, radii, transmitted)
+        return self._light(table.parts(), distances, radii, np.asarray(table.power))
 
     def of_cone(self, distances: Sequence[float]) -> SpotLight:
         """Light of the ideal cone of [source]."""
