@@ -80,7 +80,8 @@ def track(
 
     Returns:
         A row a frame, units in the columns' names; the first twelve are what one looks at. `reason`
-        says why there is no spot. `attrs` has microscope, calibration, and how the run ended.
+        says why there is no spot. `attrs` has microscope, calibration, how the run ended, and how
+        far the tip withdrew by the robot and by the distances if these contradict.
 
     Raises:
         InputError: wrong options or files.
@@ -99,6 +100,7 @@ def track(
         tracking, _ = tracked(frames, asked.reader(), track_of_poses)
     table = spots_table(tracking.records)
     table.attrs = {"source": str(source), "ended": tracking.ended.value, "fault": tracking.fault}
+    table.attrs["contradiction_mm"] = tracking.contradiction_mm
     if (file := asked.microscope_file()) is not None:
         names = ("width_px", "height_px", "scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
         table.attrs["microscope"] = {name: getattr(file, name) for name in names}

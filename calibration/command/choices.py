@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
+from pydantic import Field
 
 from estimator.run.options import Exposure, Given, Options
 from formats.inputs import InputError, shortened
@@ -38,10 +39,11 @@ class Choices(Given):
     eyeball, beside planes. Fitted to all pixels of one stack: image, a cone; lens, a glue lens."""
     exposure: Exposure = None
     free: Annotated[str | None, Parameter(metavar="NAME,…")] = None
-    """Parameters to fit (default: half_angle,b; of a lens sag,numerical_aperture). A cone has
-    half_angle, b, scale, eye_radius, inverse_working_distance, tilt_x, tilt_y; a lens has sag,
-    numerical_aperture, glue_index and others. In the fits to pixels, spread is the length over
-    which the wall spreads light. robot_scale, true distances over the robot's, needs a prior."""
+    """Parameters to fit (default: half_angle,b; of a lens sag,numerical_aperture, without --lens
+    core_radius,aperture_radius, too). A cone has half_angle, b, scale, eye_radius,
+    inverse_working_distance, tilt_x, tilt_y; a lens has sag, numerical_aperture, glue_index and
+    others. In the fits to pixels, spread is the length over which the wall spreads light.
+    robot_scale, true distances over the robot's, needs a prior."""
     prior: Annotated[tuple[str, ...], Parameter(metavar="NAME=MEAN,SIGMA", show_default=False)] = ()
     """Prior knowledge of a fitted parameter (mm, rad), or of touch, the distance in the first
     frame. Repeatable."""
@@ -64,7 +66,7 @@ class Choices(Given):
     """Shape of the wall, given once or once per source; a stack contains it."""
     medium: Annotated[str | None, _ELSEWHERE] = None
     """Medium between tip and wall: air, water, …; a stack contains it."""
-    fibre_diameter_mm: Annotated[float, _ELSEWHERE] = 0.5
+    fibre_diameter_mm: Annotated[float, Field(gt=0), _ELSEWHERE] = 0.5
     """Diameter of the tip's face, whose rim touches the wall first; a stack contains it."""
     eye_from_robot: Annotated[
         str | None, _ELSEWHERE, Parameter(metavar="QX,QY,QZ,QW", allow_leading_hyphen=True)
@@ -128,10 +130,11 @@ class Choices(Given):
         from calibration.recordings import LogBook
 
         if not sources:
-            for name in ("microscope", "poses", "phantom", "medium"):
+            for name in ("microscope", "poses", "phantom", "medium", "eye_from_robot"):
                 if getattr(self, name):
                     raise InputError(
-                        f"--{name} does nothing: a stack contains its own. Leave it out."
+                        f"--{name.replace('_', '-')} does nothing: a stack contains its own. Leave "
+                        "it out."
                     )
             return {}
         if self.microscope is None or self.medium is None or not self.phantom:

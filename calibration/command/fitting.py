@@ -23,7 +23,7 @@ import optics
 from calibration.command import report as fit_report
 from calibration.command.choices import Choices
 from calibration.command.models import EYE, fit_cone_to_spots, fit_eye, fit_planes, fit_sphere
-from calibration.command.pixel_models import fit_image_of_cone, fit_image_of_lens
+from calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
 from calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
 from calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from calibration.recordings import SPOTS_FILES, Recording, is_stack, read_recording
@@ -318,8 +318,9 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
                 "spot position and axis direction are always free."
             )
     always = NUISANCES if chosen.of_pixels else ("touch",)
+    of_drop = DROP if model == "lens" and not (choices.lens or choices.known) else ()
     for name in choices.priors:
-        if name not in (*always, *(choices.names or chosen.free)):
+        if name not in (*always, *(choices.names or (*chosen.free, *of_drop))):
             raise InputError(f"--prior {name} does nothing while {name} is not in --free. Add it.")
     for name in {"half_angle", "b"} & {*chosen.free} - {*(choices.names or chosen.free)}:
         raise InputError(f"--free must contain half_angle and b; {name} is missing. Add it.")

@@ -39,13 +39,14 @@ _STATED = 1.05
 """Factor above which the report says that numerical errors enlarge the standard errors."""
 _MAPS, _SMOOTHING = 6, 0.03
 """Number of the maps of residuals, and the sigma of their smoothing over the lit part's size."""
-_DROP = {
+DROP = {
     "core_radius": Prior(0.9, 0.15),
     "aperture_radius": Prior(1.06, 0.12),
     "sag": Prior(0.0, 0.5),
 }
 """A fibre's core and a drop's rim and height over the fibre's radius: cladding and jacket take up
-to a quarter of it, glue may run over the edge, and glue that wets the face makes no half ball."""
+to a quarter of it, glue may run over the edge, and glue that wets the face makes no half ball. All
+three are free where neither the lens nor the free parameters are chosen."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
@@ -81,7 +82,8 @@ def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitt
     if choices.lens:
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
-        drop = {name: Prior(*(radius * x for x in prior)) for name, prior in _DROP.items()}
+        drop = {name: Prior(*(radius * x for x in prior)) for name, prior in DROP.items()}
+        drop |= {name: prior for name, prior in choices.priors.items() if name in drop}
         kind = {name: prior.mean for name, prior in drop.items()}
         kind |= {"rim_height": 0.0, "glue_index": _GLUE_INDEX}
         kind["numerical_aperture"] = _APERTURE

@@ -212,6 +212,12 @@ class Options(Given):
             from estimator.pixels.tracker import PixelRanger
 
             stated = self._stated(None)
+            unused = stated.model_fields_set - {"axis_sigma_deg", "clock_sigma_s", "shake_px"}
+            if unused:
+                say(
+                    f"{', '.join(sorted(unused))} of {self.stated} have no effect in the mode "
+                    "pixels. The sub-pixel mode uses them."
+                )
             if beam is None or microscope is None:
                 raise InputError("the mode pixels needs a calibration. Give --calibration.")
             if asked:
@@ -341,6 +347,7 @@ class RecordingOptions:
         Args:
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
+        from formats.calibration import read_calibration
         from formats.microscope import read_microscope
         from formats.stated import read_stated
 
@@ -349,6 +356,13 @@ class RecordingOptions:
             say(f"clock_sigma_s of {options.stated} has no effect without --poses.")
         if unrelated is not None:
             frames = replace(frames, unrelated=unrelated)
+        if options.calibration is not None and frames.medium:
+            known = read_calibration(options.calibration).medium
+            if known != frames.medium:
+                raise InputError(
+                    f"{frames.name} was taken in {frames.medium}, but {options.calibration} is "
+                    f"valid in {known}. Calibrate the beam in {frames.medium}."
+                )
         if frames.microscope_file is not None and (given := options.microscope_file()) is not None:
             own, other = (
                 m.principal_point_px for m in (read_microscope(frames.microscope_file), given)

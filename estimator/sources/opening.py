@@ -97,6 +97,7 @@ def _stack(folder: Path, exposure: str | None) -> Source:
         length=len(chosen),
         rate_hz=1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None,
         microscope_file=microscope if microscope.is_file() else None,
+        medium=chosen[0].medium,
         notes=()
         if exposure or not others
         else (f"Reading the exposure {kind} (the stack also has {others}); --exposure chooses.",),

@@ -56,6 +56,7 @@ class Source:
     Attributes:
         length: number of frames; None for a camera. Of a video it is what its container says.
         live: whether it is a camera, which ends only when it is stopped.
+        medium: between tip and wall, a name in `optics.MEDIA`; empty where nobody says.
         unrelated: frames that are measured one by one, because a spot cannot be followed from one
             to the next.
         notes: what a user should know of the file, though it is no error.
@@ -67,6 +68,7 @@ class Source:
     rate_hz: float | None = None
     live: bool = False
     microscope_file: Path | None = None
+    medium: str = ""
     unrelated: bool = False
     notes: tuple[str, ...] = ()
 

@@ -336,6 +336,17 @@ def test_a_cone_is_not_fitted_through_a_viewing_lens_as_if_there_were_none(rig, 
     assert "through a viewing lens" in str(result.exception), result.output
 
 
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [((), "fits the pixels of one stack"), (("--lens", "dome"), "core_radius is not in --free")],
+)
+def test_a_core_that_is_free_without_a_lens_may_have_a_prior(rig, tmp_path, given, told):
+    source, poses = rig()
+    of_core = "--model", "lens", "--prior", "core_radius=0.2,0.01"
+    result = fit(tmp_path, source, "--poses", poses, *of_core, *given)
+    assert told in str(result.exception), result.output
+
+
 @pytest.mark.slow
 def test_a_bag_of_a_stack_is_fitted_as_the_stack(stack, tmp_path):
     folder = Path(stack("plane", kind="plane", c=1.5))

@@ -13,13 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from estimator import LiteralSettings, SubpixelSettings, track
 from estimator.distance.ranger import Ranger
+from estimator.run.offline import summary_of, table_of, track_source
+from estimator.run.options import Options
 from estimator.run.overlay import annotated, overlay_writer
 from estimator.sources.ros import write_bag
-from estimator.sources.source import Frame
+from estimator.sources.source import Frame, Source
 from formats.calibration import read_calibration, write_calibration
 from formats.camera import LensDistortion, Response
 from formats.microscope import read_microscope
-from formats.poses import Pose
+from formats.poses import Pose, PoseTrack
 from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
 from scenes.drawn import Drawing, Truth, frame_of
 from tests import command_line
@@ -34,6 +36,7 @@ from tests.drawn_recording import (
     write_stack,
     write_video,
 )
+from tests.drawn_spots import disc
 from tests.made_up import a_calibration, a_microscope_file, an_opencv_file
 
 run = functools.partial(command_line.run, "track")
@@ -175,6 +178,41 @@ def test_a_stack_brings_its_microscope_and_its_exposures(tmp_path, images, micro
     records = read_spots(out)
     assert_same(records, list(track([image // 2 for image in images], settings)))
     assert [record.time_s for record in records] == [k / 25 for k in range(8)]
+
+
+def test_a_beam_that_was_calibrated_in_another_medium_is_refused(tmp_path, images, microscope):
+    content, beam = json.loads(microscope.read_text()), tmp_path / "water.json"
+    folder = write_stack(tmp_path / "stack", images, ("metered",), **content)
+    line = {"k": 20.0, "b": -4.5}
+    write_calibration(beam, a_calibration(line, medium="water", medium_index=1.333))
+    outcome = run(folder, "--out", tmp_path / "spots.csv", "--calibration", beam)
+    outcome.assert_bad_input("taken in air", "valid in water")
+
+
+# k 20 % too large makes 3.6 mm of 3 mm; along the wall the robot says nothing of the distance.
+@pytest.mark.parametrize(
+    ("k", "towards", "told"),
+    [(20.0, (0, 0, 1), None), (24.0, (0, 0, 1), (3.0, 3.6)), (24.0, (1, 0, 0), None)],
+)
+def test_a_robot_that_contradicts_the_distances_is_told(tmp_path, k, towards, told):
+    microscope = a_microscope_file(tmp_path, (320, 240), scale_mm_px=0.0134)
+    write_calibration(tmp_path / "beam.json", a_calibration({"k": k, "b": -5.117}))
+    distances = np.linspace(1.0, 4.0, 10)
+    frames = [
+        Frame(index=n, time_s=n / 10, image=disc((240, 320), 160, 120, (d + 5.117) / 0.268))
+        for n, d in enumerate(distances)
+    ]
+    poses = PoseTrack(
+        Pose.along((0.0, 0.0, -1.0), time_s=n / 10, position_mm=tuple(d * np.array(towards)))
+        for n, d in enumerate(distances)
+    )
+    reader = Options(microscope=microscope, calibration=tmp_path / "beam.json").reader()
+    source = Source(name="withdrawal", read=lambda: iter(frames))
+    tracking = track_source(source, reader, poses=poses)
+    # The disc is drawn to 0.02 px, which are 5 um in the distance.
+    assert tracking.contradiction_mm == (told and pytest.approx(told, abs=0.02))
+    said = map(str, table_of(summary_of(tracking, source, "", 0.0)).renderables)
+    assert any("by 3.00 mm by the robot" in line for line in said) == bool(told)
 
 
 def test_a_distorted_lens_is_taken_out_of_the_spots(tmp_path, frames, images, distorted):
