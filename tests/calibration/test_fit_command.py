@@ -329,8 +329,8 @@ def test_the_planar_fit_knows_of_the_rim(stacks, tmp_path):
 
 def test_a_cone_is_not_fitted_through_a_viewing_lens_as_if_there_were_none(rig, tmp_path):
     source, poses = rig()
-    path = {"crossing": [1.0], "steepness_per_mm": [0.0], "transmittance": [1.0]}
-    path |= {"widest_mm": 5.0, "orientation": 1.0}
+    series = {"crossing": [1.0], "steepness_per_mm": [0.0], "transmittance": [1.0]}
+    path = {**series, "widest_mm": 5.0, "orientation": 1.0}
     a_microscope_file(tmp_path, scale_mm_px=SCALE, viewing_path=path)
     result = fit(tmp_path, source, "--poses", poses, "--model", "cone")
     assert "through a viewing lens" in str(result.exception), result.output
