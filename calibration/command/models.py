@@ -282,6 +282,12 @@ def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model:
             f"{name}: the beam points {math.degrees(np.hypot(*boresight)):.2f}° off the tool's "
             f"axis. The robot is rotated by {math.degrees(np.hypot(*lean)):.2f}° against the eye."
             for name, boresight, lean in zip(names, fit.boresight, fit.lean, strict=True)
+        ]
+        + [
+            f"{recording.name}: b rests on the distance of the first frame, taken as "
+            f"{recording.trial.touch.mean:.3f} ± {recording.trial.touch.sigma:.3f} mm."
+            for recording in recordings
+            if calibration_model == "exact"
         ],
     )
 
