@@ -16,17 +16,19 @@ Two kinds of spots are fitted again:
 import math
 from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from estimator.detector.coarse import Coarse, bright_regions
-from estimator.detector.contour import Region, patch_round
+from estimator.detector.contour import Region, contour_of, patch_round
 from estimator.detector.edges import EdgeFit, fit_edge
 from estimator.detector.ellipse import AffineEllipse, Patch, contour_points, normals_of, refitted
 from estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
 from formats.camera import LensDistortion
+from formats.spots import NoSpot
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)
@@ -293,6 +295,34 @@ def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
     return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
 
 
+class MeasuredRegion(NamedTuple):
+    """What was measured of a bright region with a contour.
+
+    Attributes:
+        contour: half-maximum contour in the frame as it is.
+        fit: the same, in the middle of the exposure if the spot moved.
+        rim: of a spot on the region's light, where that is a wet wall's reflection of a lamp.
+        ellipse: of the fit, without the lens's distortion; None if the lens cannot have made it.
+    """
+
+    contour: EdgeFit
+    fit: EdgeFit
+    rim: EdgeFit | None
+    ellipse: AffineEllipse | None
+
+
+def measured_in(region: Region) -> MeasuredRegion | NoSpot:
+    """Contour, motion, reflection and distortion; or why the region has no contour."""
+    contour = contour_of(region)
+    if isinstance(contour, NoSpot):
+        return contour
+    fit = contour
+    if fit.levels.width > Motion.SMEARED and not is_coarse(fit):
+        fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
+    rim = rim_on(region, fit)
+    return MeasuredRegion(contour, fit, rim, _undistorted(fit, region.settings.camera))
+
+
 def is_coarse(fit: EdgeFit) -> bool:
     """Whether the edges scatter about the ellipse by more than texture and motion explain.
 
@@ -302,8 +332,7 @@ def is_coarse(fit: EdgeFit) -> bool:
     return fit.scatter > Verdict.COARSEST * width
 
 
-def undistorted(fit: EdgeFit, camera: LensDistortion | None) -> AffineEllipse | None:
-    """The ellipse without the lens's distortion; None if the lens cannot have made it."""
+def _undistorted(fit: EdgeFit, camera: LensDistortion | None) -> AffineEllipse | None:
     if camera is None:
         return fit.ellipse
     edges = contour_points(fit.ellipse, fit.offsets)[fit.inliers]

@@ -1,7 +1,7 @@
 """From frame to frame: where the spot is looked for, and which of the spots found is it.
 
 A frame's way: bright regions (`contour.regions_in`), each one's contour, motion, reflection and
-distortion (`measuring`), the verdict on it (`verdict.sighting_in`), and the choice of
+distortion (`measuring.measured_in`), the verdict on it (`verdict.sighting_in`), and the choice of
 one (`verdict.one_of`). Nothing is measured after the verdict.
 
 `outlines_of` says where the spot may be in a frame in which none was measured.

@@ -1,6 +1,6 @@
 """Spot or not: every reason to reject what was measured, in one place.
 
-`sighting_in` measures a region and judges it by itself, `continues` judges a spot beside the
+`sighting_in` has a region measured and judges it by itself, `continues` judges a spot beside the
 last frame's, and `one_of` the spots of a whole frame beside each other.
 """
 
@@ -9,18 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector.contour import Region, contour_of, patch_round
+from estimator.detector.contour import Region
 from estimator.detector.edges import EdgeFit
 from estimator.detector.ellipse import covariance_of_axes, shares_of_contour
-from estimator.detector.measuring import (
-    at_mid_exposure,
-    is_coarse,
-    rim_on,
-    significance_of,
-    undistorted,
-)
+from estimator.detector.measuring import MeasuredRegion, is_coarse, measured_in, significance_of
 from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import Motion, Refine, Verdict
+from estimator.detector.tuning import Refine, Verdict
 from formats.spots import NoSpot, Reason, Spot
 
 
@@ -40,7 +34,8 @@ class Sighting(NamedTuple):
 def sighting_in(region: Region) -> Sighting | NoSpot:
     """The spot that a region shows, or why it shows none: measure, then judge."""
     significance = significance_of(region) if region.faint else 0.0
-    found = _measured(region)
+    measured = measured_in(region)
+    found = measured if isinstance(measured, NoSpot) else _judged(region, measured)
     if not found and region.faint and found.reason is not Reason.TOO_FAINT:
         # Texture may have made it: its outline is rough, or it has none.
         significant = 2 * significance > Verdict.FAINTEST
@@ -50,18 +45,11 @@ def sighting_in(region: Region) -> Sighting | NoSpot:
     return found
 
 
-def _measured(region: Region) -> Sighting | NoSpot:
-    """Contour, motion, reflection and distortion of a region, and the verdict on them."""
-    contour = contour_of(region)
-    if isinstance(contour, NoSpot):
-        return contour
-    fit, settings = contour, region.settings
-    if fit.levels.width > Motion.SMEARED and not is_coarse(fit):
-        fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
+def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
+    fit, settings = measured.fit, region.settings
     levels = fit.levels
     semi_major, semi_minor, _ = fit.ellipse.axes()
-    possible = undistorted(fit, settings.camera)
-    ellipse = possible or fit.ellipse
+    ellipse = measured.ellipse or fit.ellipse
     covariance = covariance_of_axes(ellipse, fit.step_covariance)
     coverage, belonging, in_frame = shares_of_contour(
         fit.ellipse, fit.seen, fit.inliers, fit.band.inside
@@ -81,10 +69,10 @@ def _measured(region: Region) -> Sighting | NoSpot:
         (semi_major > settings.max_semi_major_px, Reason.TOO_LARGE),
         (coverage < covered, Reason.CLIPPED if in_frame < covered else Reason.OCCLUDED),
         (rough, Reason.OCCLUDED if partial else Reason.NONE_FOUND),
-        (possible is None, Reason.NONE_FOUND),
+        (measured.ellipse is None, Reason.NONE_FOUND),
         (significance < Verdict.FAINTEST and low, Reason.TOO_FAINT),
         (vague and partial and levels.width < Refine.BROAD, Reason.OCCLUDED),
-        (rim_on(region, fit) is not None, Reason.AMBIGUOUS),
+        (measured.rim is not None, Reason.AMBIGUOUS),
     ):
         if rejected:
             return NoSpot(reason, significance if reason is Reason.TOO_FAINT else math.nan)
@@ -102,7 +90,7 @@ def _measured(region: Region) -> Sighting | NoSpot:
         inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
         saturated=region.saturated[region.channel],
     )
-    return Sighting(spot, contour, region.channel)
+    return Sighting(spot, measured.contour, region.channel)
 
 
 def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
