@@ -215,8 +215,8 @@ class Options(Given):
             unused = stated.model_fields_set - {"axis_sigma_deg", "clock_sigma_s", "shake_px"}
             if unused:
                 say(
-                    f"{', '.join(sorted(unused))} of {self.stated} have no effect in the mode "
-                    "pixels. The sub-pixel mode uses them."
+                    f"The mode pixels does not use {', '.join(sorted(unused))} of {self.stated}; "
+                    "the sub-pixel mode does."
                 )
             if beam is None or microscope is None:
                 raise InputError("the mode pixels needs a calibration. Give --calibration.")
