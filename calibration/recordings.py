@@ -20,6 +20,7 @@ from jaxtyping import ArrayLike, Float
 import optics
 from calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
 from estimator import track_whole_source
+from estimator.run.offline import MOST_ASIDE_MM
 from estimator.run.options import Options
 from estimator.sources.opening import open_source
 from formats.inputs import InputError, shortened
@@ -28,8 +29,6 @@ from formats.poses import Quaternion, read_poses, turned
 from formats.spots import Spot, SpotRecord, read_spots
 from formats.stack import Stack, read_stack
 
-_MOST_ASIDE_MM = 0.05
-"""Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
 _MOST_ASKEW_DEG = 10.0
 """Largest angle between the tip's motion and the tool's axis: three standard deviations of
 `BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
@@ -119,15 +118,15 @@ def withdrawal(
     gone = places[0] - places
     _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
     # A tip at rest has no direction.
-    motion = lines[0] if travel[0] > _MOST_ASIDE_MM else axis
+    motion = lines[0] if travel[0] > MOST_ASIDE_MM else axis
     motion = np.asarray(motion * np.copysign(1.0, motion @ axis))
     readings = gone @ motion
     aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
     askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
-    if aside > _MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
+    if aside > MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
         raise InputError(
             f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
-            f"line is {askew:.1f}° from the tool's axis; {_MOST_ASIDE_MM} mm and "
+            f"line is {askew:.1f}° from the tool's axis; {MOST_ASIDE_MM} mm and "
             f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
         )
     middle = poses[(first + last) // 2].rotation

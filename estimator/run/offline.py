@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _LEAST_MOVES, _LEAST_TRAVEL_MM = 5, 1.0  # of a withdrawal that tells how true distances are
-_MOST_ASIDE_MM = 0.05  # of a withdrawal from its line
+MOST_ASIDE_MM = 0.05
+"""Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
 _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
@@ -92,7 +93,7 @@ class Tracking:
         gone = place[:, :1] - place
         along = towards @ gone
         aside = np.linalg.norm(gone - np.outer(towards, along), axis=0)
-        if np.ptp(along) < _LEAST_TRAVEL_MM or aside.max() > _MOST_ASIDE_MM:
+        if np.ptp(along) < _LEAST_TRAVEL_MM or aside.max() > MOST_ASIDE_MM:
             return None
         (ratio, _), covariance = np.polyfit(along, distance, 1, cov=True)
         if abs(ratio - 1.0) < max(_CONTRADICTED, _SURE * math.sqrt(covariance[0, 0])):
