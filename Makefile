@@ -35,7 +35,7 @@ docs: $(SITE) $(LIBRARIES) ## build the documentation into out/docs/site
 	.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet docs out/docs/site
 
 bench: $(LIBRARIES) ## measure speed and accuracy, compared with alternatives
-	.venv/bin/python -m benchmarks.bench
+	.venv/bin/python -m eyespot.benchmarks.bench
 
 constraints: ## resolve all versions anew and write constraints.txt
 	tools/pin-versions

@@ -12,11 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
-import optics
-from benchmarks import reporting as page
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, first_reached, largest
-from scenes import Scene
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, first_reached, largest
+from eyespot.scenes import Scene
+from eyespot.scenes.world.world import World
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""

@@ -12,12 +12,19 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from benchmarks.reporting import Claim, listed
-from estimator import LiteralMode, LiteralSettings, Ranger, SubpixelMode, SubpixelSettings, track
-from formats.spots import NoSpot, Spot, SpotRecord, write_spots
-from formats.stack import FrameLabels, Stack
-from scenes import Scene, SceneError
-from scenes.camera import CameraSensor
+from eyespot.benchmarks.reporting import Claim, listed
+from eyespot.estimator import (
+    LiteralMode,
+    LiteralSettings,
+    Ranger,
+    SubpixelMode,
+    SubpixelSettings,
+    track,
+)
+from eyespot.formats.spots import NoSpot, Spot, SpotRecord, write_spots
+from eyespot.formats.stack import FrameLabels, Stack
+from eyespot.scenes import Scene, SceneError
+from eyespot.scenes.camera import CameraSensor
 
 # Summaries of errors, and Shapley's fair shares of a whole.
 #

@@ -19,14 +19,14 @@ from cyclopts import Parameter
 from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
-from benchmarks.reporting import rows_of
-from benchmarks.sets.read import plain_spot
-from benchmarks.sets.spec import scene_value
-from estimator import Ranger, Source, open_source, track_source
-from estimator.run.options import OUT, Options
-from estimator.run.progress_bar import progress
-from formats.calibration import read_calibration
-from formats.inputs import (
+from eyespot.benchmarks.reporting import rows_of
+from eyespot.benchmarks.sets.read import plain_spot
+from eyespot.benchmarks.sets.spec import scene_value
+from eyespot.estimator import Ranger, Source, open_source, track_source
+from eyespot.estimator.run.options import OUT, Options
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import (
     InputError,
     Strict,
     check_schema,
@@ -35,13 +35,13 @@ from formats.inputs import (
     read_text,
     validated,
 )
-from formats.microscope import read_microscope
-from formats.poses import PoseTrack, read_poses
-from formats.spots import PARAMETERS, spots_table
-from formats.whole_files import refuse_existing, write_text
-from scenes import Scene, World, changed, load_scene, render_stack, scene_toml
-from scenes.commands import Changes, SceneFile
-from scenes.world.motion import frame_count, kinematics
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import PoseTrack, read_poses
+from eyespot.formats.spots import PARAMETERS, spots_table
+from eyespot.formats.whole_files import refuse_existing, write_text
+from eyespot.scenes import Scene, World, changed, load_scene, render_stack, scene_toml
+from eyespot.scenes.commands import Changes, SceneFile
+from eyespot.scenes.world.motion import frame_count, kinematics
 
 SCHEMA = 1
 HISTORY = {1: "the first format"}

@@ -17,8 +17,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 
-from formats.page import PALETTE, templates
-from formats.page import STYLE as STYLE_OF_FITS
+from eyespot.formats.page import PALETTE, templates
+from eyespot.formats.page import STYLE as STYLE_OF_FITS
 
 # Style, small multiples and files of figures.
 

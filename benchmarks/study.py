@@ -22,19 +22,26 @@ import pandas as pd
 from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt
 
-import scenes
-from benchmarks.paper import SUBPIXEL, Photographer, track_stack
-from benchmarks.reporting import STYLE, Report, write_page
-from estimator import Reader
-from estimator.run.options import Options
-from estimator.run.progress_bar import progress, say
-from formats.calibration import write_calibration
-from formats.inputs import InputError, in_file, object_in, read_text, shortened
-from formats.stack import Stack, StackWriter, read_stack
-from formats.whole_files import errors_named, lock, refuse_foreign, require_space, sweep, write_text
-from scenes import Scene, SceneError
-from scenes.commands import Changes as Changes
-from scenes.world.labels import true_calibration
+from eyespot import scenes
+from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
+from eyespot.benchmarks.reporting import STYLE, Report, write_page
+from eyespot.estimator import Reader
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.progress_bar import progress, say
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
+from eyespot.formats.stack import Stack, StackWriter, read_stack
+from eyespot.formats.whole_files import (
+    errors_named,
+    lock,
+    refuse_foreign,
+    require_space,
+    sweep,
+    write_text,
+)
+from eyespot.scenes import Scene, SceneError
+from eyespot.scenes.commands import Changes as Changes
+from eyespot.scenes.world.labels import true_calibration
 
 OutputFolder = Annotated[
     Path,

@@ -10,6 +10,6 @@ spots/       Fits to the ellipses of spots
 
 import lazy_loader
 
-import optics  # noqa: F401 - switches JAX to 64 bits before the first array
+from eyespot import optics  # noqa: F401 - switches JAX to 64 bits before the first array
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -13,7 +13,7 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float
 
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 FLOAT32_LEVENBERG_MARQUARDT: optx.AbstractLeastSquaresSolver = optx.LevenbergMarquardt(
     rtol=1e-4, atol=1e-2

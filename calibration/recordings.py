@@ -17,17 +17,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
-import optics
-from calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
-from estimator import track_whole_source
-from estimator.run.offline import MOST_ASIDE_MM
-from estimator.run.options import Options
-from estimator.sources.opening import open_source
-from formats.inputs import InputError, shortened
-from formats.microscope import MicroscopeFile, read_microscope
-from formats.poses import Quaternion, read_poses, turned
-from formats.spots import Spot, SpotRecord, read_spots
-from formats.stack import Stack, read_stack
+from eyespot import optics
+from eyespot.calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
+from eyespot.estimator import track_whole_source
+from eyespot.estimator.run.offline import MOST_ASIDE_MM
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.microscope import MicroscopeFile, read_microscope
+from eyespot.formats.poses import Quaternion, read_poses, turned
+from eyespot.formats.spots import Spot, SpotRecord, read_spots
+from eyespot.formats.stack import Stack, read_stack
 
 _MOST_ASKEW_DEG = 10.0
 """Largest angle between the tip's motion and the tool's axis: three standard deviations of

@@ -6,7 +6,7 @@ import itertools
 import re
 from typing import Any
 
-from formats.spots import PARAMETERS
+from eyespot.formats.spots import PARAMETERS
 
 
 def named(place: str) -> Any:
@@ -40,8 +40,8 @@ MEANINGS = {
         "retina_tilt_azimuth_deg": "Direction in which its z leans.",
         "retina_shift_mm": "Of its centre across the axis: x, y.",
         "camera": "Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
-        **attributes_of(named("formats.camera:CameraSheet")),
-        **attributes_of(named("formats.microscope:PathSeries")),
+        **attributes_of(named("eyespot.formats.camera:CameraSheet")),
+        **attributes_of(named("eyespot.formats.microscope:PathSeries")),
     },
     "spots": {
         "status": "Whether there is a spot.",

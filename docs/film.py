@@ -14,12 +14,12 @@ from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from benchmarks.reporting import BLACK, STYLE, VERMILION
-from estimator import Ranger, SubpixelSettings, TrackState, measure
-from formats.microscope import read_microscope
-from formats.spots import Spot
-from scenes import load_scene, render_stack
-from scenes.world.labels import true_calibration
+from eyespot.benchmarks.reporting import BLACK, STYLE, VERMILION
+from eyespot.estimator import Ranger, SubpixelSettings, TrackState, measure
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import Spot
+from eyespot.scenes import load_scene, render_stack
+from eyespot.scenes.world.labels import true_calibration
 
 _FILE = Path(__file__).with_name("film.gif")
 _SCENE = [

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 from docs.messages import cell, errors_page, reasons_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
-from scenes import Scene
+from eyespot.scenes import Scene
 
 _PICTURES = {
     "phantom": 1,

@@ -9,14 +9,14 @@ from collections.abc import Iterator, Mapping
 from operator import itemgetter
 from pathlib import Path
 
-from calibration.command.verdict import Fault, remedy
-from estimator.distance.budget import Cause
-from estimator.distance.range import WallMemory
-from estimator.run import exit_codes
-from eyespot.command_line import PACKAGES
-from formats.spots import Reason
+from eyespot.calibration.command.verdict import Fault, remedy
+from eyespot.estimator.distance.budget import Cause
+from eyespot.estimator.distance.range import WallMemory
+from eyespot.estimator.run import exit_codes
+from eyespot.formats.spots import Reason
 
 HOME = Path(__file__).resolve().parents[1]
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
 _ERRORS = (
     *("InputError", "SceneError"),

@@ -11,9 +11,9 @@ import tempfile
 import time
 from pathlib import Path
 
-from formats.calibration import write_calibration
-from scenes import load_scene, render_stack
-from scenes.world.labels import true_calibration
+from eyespot.formats.calibration import write_calibration
+from eyespot.scenes import load_scene, render_stack
+from eyespot.scenes.world.labels import true_calibration
 
 HERE = Path(__file__).parent
 PORT = 8123

@@ -65,11 +65,11 @@ def _ros1(folder: Path) -> None:
         f"_calibration:={MADE}/beam.json",
         "_eye_from_robot:=[0,0,0,1]",
     ]
-    node = ["python", "-m", "estimator.rig.node", *given]
+    node = ["eyespot", "node", *given]
     with RosSession(folder) as session:
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
         session.start("rosparam", "set", "use_sim_time", "true").wait()
-        session.start(sys.executable, *node[1:])
+        session.start(sys.executable, "-m", *node)
         recorder = session.start("rosbag", "record", f"--limit={count}", "-O", recorded, *TOPICS)
         session.wait_until(
             lambda: session.published("/eyespot") >= set(TOPICS), "the node and the recorder"
@@ -122,7 +122,7 @@ def _ros2(folder: Path) -> None:
         '-p eye_from_robot:="[0, 0, 0, 1]"',
         "-p use_sim_time:=true",
     ]
-    command = "python -m estimator.rig.node --ros-args"
+    command = "eyespot node --ros-args"
     words = " ".join(given).replace('"[0, 0, 0, 1]"', "[0,0,0,1]").split()
     node = subprocess.Popen(
         [_JAZZY, *command.split()[1:], *words],
@@ -133,7 +133,7 @@ def _ros2(folder: Path) -> None:
         text=True,
     )
     try:
-        player = [_JAZZY, HOME / "tests" / "ros2_player.py", bag, answers, "1.0"]
+        player = [_JAZZY, HOME / "tests/support/rig/ros2_player.py", bag, answers, "1.0"]
         subprocess.run(list(map(str, player)), env=environment, check=True)
         time.sleep(_SETTLED_S)
     finally:

@@ -41,7 +41,7 @@ KINDS = (
         "Scene (TOML)",
         "What `eyespot render` renders. `eyespot scene init` writes one with all keys; their "
         "meanings and units are [on a page of their own](scene_keys.md).",
-        models=("scenes.description.scene:Scene",),
+        models=("eyespot.scenes.description.scene:Scene",),
     ),
     FileKind(
         "stack",
@@ -53,7 +53,7 @@ KINDS = (
         "Stack: a line of `metadata.jsonl`",
         "True values of one image. `eyespot render` writes it, `eyespot score` reads it; Hugging "
         "Face `datasets` reads the file as it is.",
-        models=("formats.stack:FrameLabels",),
+        models=("eyespot.formats.stack:FrameLabels",),
     ),
     FileKind(
         "kinematics",
@@ -66,26 +66,26 @@ KINDS = (
         "The camera over the eye. Stacks have one; `eyespot camera` adds the camera's noise. "
         "Camera calibrations of OpenCV, ROS and Kalibr are read, too (`--microscope`).",
         models=(
-            "formats.microscope:_PinholeFile",
-            "formats.microscope:_TelecentricFile",
-            "formats.microscope:_PathFile",
+            "eyespot.formats.microscope:_PinholeFile",
+            "eyespot.formats.microscope:_TelecentricFile",
+            "eyespot.formats.microscope:_PathFile",
         ),
-        meanings=("formats.microscope:MicroscopeFile",),
+        meanings=("eyespot.formats.microscope:MicroscopeFile",),
     ),
     FileKind(
         "calibration",
         "Calibration (JSON)",
         "Parameters of a beam with their covariance. `eyespot fit` writes it; `track`, `budget`, "
         "`console` and the node read it.",
-        models=("formats.calibration:_CalibrationFile",),
-        meanings=("formats.calibration:Calibration",),
+        models=("eyespot.formats.calibration:_CalibrationFile",),
+        meanings=("eyespot.formats.calibration:Calibration",),
     ),
     FileKind(
         "spots",
         "Spots: a row (CSV or Parquet)",
         "What was measured in one frame. `eyespot track` writes it, `eyespot fit` and `eyespot "
         "score` read it.",
-        meanings=("formats.spots:SpotRecord", "formats.spots:Spot"),
+        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spots:Spot"),
     ),
     FileKind(
         "plain-spots",
@@ -96,66 +96,69 @@ KINDS = (
         "budget",
         "Budget (JSON)",
         "The uncertainty of one distance by cause: what `eyespot budget --json` prints.",
-        meanings=("estimator.distance.budget:Budget", "estimator.distance.budget:Part"),
+        meanings=(
+            "eyespot.estimator.distance.budget:Budget",
+            "eyespot.estimator.distance.budget:Part",
+        ),
     ),
     FileKind(
         "stated",
         "Stated uncertainties (TOML)",
         "What a lab knows of its eye, robot and clocks (`--stated`).",
-        models=("formats.stated:Stated",),
+        models=("eyespot.formats.stated:Stated",),
     ),
     FileKind(
         "plan",
         "Plan (JSON)",
         "Predictions of an experiment. `eyespot preregister` writes it, `eyespot adjudicate` reads "
         "it.",
-        models=("benchmarks.predictions:Plan",),
+        models=("eyespot.benchmarks.predictions:Plan",),
     ),
     FileKind(
         "spec",
         "Spec of a labelled set (TOML)",
         "What `eyespot dataset` makes. Scene keys may be nested or dotted.",
-        models=("benchmarks.sets.spec:SetSpec",),
+        models=("eyespot.benchmarks.sets.spec:SetSpec",),
     ),
     FileKind(
         "set",
         "Labelled set (`set.json`)",
         "The stacks of a set. `eyespot dataset` writes it.",
-        models=("benchmarks.sets.read:_SetFile",),
+        models=("eyespot.benchmarks.sets.read:_SetFile",),
     ),
     FileKind(
         "manifest",
         "Manifest (`manifest.json`)",
         "Size and SHA-256 of each file in a stack or set; `eyespot dataset verify` compares.",
-        models=("formats.manifest:_Manifest",),
+        models=("eyespot.formats.manifest:_Manifest",),
     ),
     FileKind(
         "entry",
         "Entry of a leaderboard (`entry.json`)",
         "What an entrant says of its tracker; `eyespot score --entries` reads it.",
-        models=("benchmarks.sets.score.spots:_About",),
-        meanings=("benchmarks.sets.score.spots:ScoredEstimator",),
+        models=("eyespot.benchmarks.sets.score.spots:_About",),
+        meanings=("eyespot.benchmarks.sets.score.spots:ScoredEstimator",),
     ),
     FileKind(
         "glue-lens",
         "Glue lens (TOML)",
         "A drop of glue on a fibre (`source.lens`, `--lens`). Those of eyespot lie in "
         "`optics/lenses`.",
-        meanings=("optics.lens:GlueLens",),
+        meanings=("eyespot.optics.lens:GlueLens",),
     ),
     FileKind(
         "eye",
         "Eye (TOML)",
         "An eye to look into (`viewing.eye`). Those of eyespot lie in `optics/viewing/eyes`. A "
         "value `[a, b]` is a + b times the refraction in dioptres.",
-        models=("optics.viewing.eye:EyeFile",),
+        models=("eyespot.optics.viewing.eye:EyeFile",),
     ),
     FileKind(
         "viewing-lens",
         "Viewing lens (TOML)",
         "A contact lens, or a lens held above the eye (`viewing.lens`). Those of eyespot lie in "
         "`optics/viewing/lenses`.",
-        models=("optics.viewing.eye:_ViewingLensFile",),
+        models=("eyespot.optics.viewing.eye:_ViewingLensFile",),
     ),
 )
 
@@ -223,7 +226,7 @@ def _or_null(kind: dict[str, Any]) -> dict[str, Any]:
 
 
 def _stack() -> dict[str, Any]:
-    scene = TypeAdapter(named("scenes.description.scene:Scene")).json_schema()
+    scene = TypeAdapter(named("eyespot.scenes.description.scene:Scene")).json_schema()
     parts = scene.pop("$defs")
     return {
         "type": "object",
@@ -248,16 +251,16 @@ def _stack() -> dict[str, Any]:
 
 
 def _kinematics() -> dict[str, Any]:
-    from formats.stack import KINEMATICS
+    from eyespot.formats.stack import KINEMATICS
 
     return _object({name: _NUMBER for name in KINEMATICS})
 
 
 def _spots() -> dict[str, Any]:
-    from estimator.distance.budget import Cause
-    from estimator.distance.range import WallMemory
-    from formats import spots
-    from formats.spots import Reason
+    from eyespot.estimator.distance.budget import Cause
+    from eyespot.estimator.distance.range import WallMemory
+    from eyespot.formats import spots
+    from eyespot.formats.spots import Reason
 
     kinds = {int: _WHOLE, str: _TEXT, float: _NUMBER}
     columns = {name: _or_null(kinds[spots._KINDS.get(name, float)]) for name in spots.COLUMNS}
@@ -273,14 +276,14 @@ def _spots() -> dict[str, Any]:
 
 
 def _plain_spots() -> dict[str, Any]:
-    from benchmarks.sets.score import spots as plain_spots
+    from eyespot.benchmarks.sets.score import spots as plain_spots
 
     columns = {name: _or_null(_NUMBER) for name in plain_spots.COLUMNS} | {"file_name": _TEXT}
     return _object(columns, required=iter(["file_name"]))
 
 
 def _budget() -> dict[str, Any]:
-    from estimator.distance.budget import Cause
+    from eyespot.estimator.distance.budget import Cause
 
     causes = [cause.value for cause in Cause]
     number = _or_null(_NUMBER)
@@ -315,7 +318,7 @@ def _budget() -> dict[str, Any]:
 
 
 def _glue_lens() -> dict[str, Any]:
-    from optics import GlueLens
+    from eyespot.optics import GlueLens
 
     meanings = attributes_of(GlueLens)
     numbers = {name: {**_NUMBER, "description": text} for name, text in meanings.items()}

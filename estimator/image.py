@@ -6,7 +6,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from formats.camera import LensDistortion, Response
+from eyespot.formats.camera import LensDistortion, Response
 
 _ODD = 0.002  # share of the bright pixels that may exceed the level: hot pixels, writing over them
 _FEWEST = 8  # pixels that have a value which is the level

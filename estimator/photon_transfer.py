@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from formats.camera import CameraSheet
-from formats.inputs import InputError
+from eyespot.formats.camera import CameraSheet
+from eyespot.formats.inputs import InputError
 
 _MIDDLE = 0.5  # of the frame's width and height, which is the most even
 _DARK = 0.1  # of full scale; a pair with the light off lies below

@@ -17,18 +17,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.image import outline_px, rgb_8bit
-from formats.camera import LensDistortion, Response
-from formats.inputs import InputError, in_utf8
-from formats.microscope import MicroscopeFile, read_microscope
-from formats.spots import NoSpot, Spot
-from formats.stack import FrameLabels, read_stack
-from formats.whole_files import written_whole
+from eyespot.estimator.image import outline_px, rgb_8bit
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.inputs import InputError, in_utf8
+from eyespot.formats.microscope import MicroscopeFile, read_microscope
+from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.stack import FrameLabels, read_stack
+from eyespot.formats.whole_files import written_whole
 
 if TYPE_CHECKING:
-    from estimator.distance.range import Range
-    from estimator.run.reader import Reading
-    from estimator.sources.source import Frame
+    from eyespot.estimator.distance.range import Range
+    from eyespot.estimator.run.reader import Reading
+    from eyespot.estimator.sources.source import Frame
 
 
 _GREY, _RING = (128, 128, 128), (190, 120, 90)

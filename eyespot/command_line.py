@@ -7,22 +7,18 @@ when that command runs. How a command ends is decided in `estimator.run.exit_cod
 
 from __future__ import annotations
 
-import importlib.util
 import io
 import sys
 from importlib.machinery import ModuleSpec
-from pathlib import Path
 from types import ModuleType
 from typing import Annotated
 
 from cyclopts import App, Parameter
 
-HOME = Path(__file__).resolve().parents[1]
 HEAVY = (
     *("cv2", "dask", "distributed", "drjit", "equinox", "jax", "jaxtyping", "lineax"),
     *("matplotlib", "mitsuba", "optimistix", "pandas", "plotly", "scipy", "skimage"),
 )
-PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 COMMANDS = {
     "": {
@@ -32,6 +28,7 @@ COMMANDS = {
         "estimator.console.command:console": "Show a source and its distances in the browser.",
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
+        "estimator.rig.node:node": "Measure a microscope's images under ROS 1 or 2.",
         "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
         "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
         "benchmarks.sets.score.pages:score": "Compare spots with the labels of a set.",
@@ -69,7 +66,8 @@ COMMANDS = {
         "benchmarks.studies.loop:loop": "Keep a distance with a simulated robot.",
     },
 }
-"""By the first word of two, if there are two: each command's function, and its line in the list."""
+"""By the first word of two, if there are two: each command's function, in a package of `eyespot`,
+and its line in the list."""
 
 # No --no-quick beside --quick; of an option that is given twice the last one counts; the default of
 # a flag, or of an option that may be left out, goes without saying.
@@ -106,7 +104,7 @@ groups = {"": app} | {
 app.register_install_completion_command(help="Complete words with Tab in bash, zsh and fish.")
 for _name, _group in groups.items():
     for _function, _about in COMMANDS[_name].items():
-        _group.command(_function, help=_about, help_format="markdown")
+        _group.command(f"eyespot.{_function}", help=_about, help_format="markdown")
     if _name:
         app.command(_group)
 
@@ -132,7 +130,7 @@ def dataset(*words: Annotated[str, Parameter(show=False, allow_leading_hyphen=Tr
 def show_docstring(command: App) -> None:
     """Make a command's docstring its help, instead of the line that the list shows."""
     function = command.default_command
-    if function and function.__module__.split(".")[0] in PACKAGES:
+    if function and function.__module__ != __name__:
         command.help = None
 
 
@@ -171,28 +169,6 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    if message := _foreign_package():
-        print(f"eyespot: {message}", file=sys.stderr)
-        sys.exit(2)
-    from estimator.run.exit_codes import run_command
+    from eyespot.estimator.run.exit_codes import run_command
 
     run_command(run)
-
-
-def _foreign_package() -> str | None:
-    """A message if Python finds another distribution's `benchmarks`; our names are common."""
-    for name in PACKAGES:
-        spec = importlib.util.find_spec(name)
-        if spec is None or spec.origin is None:
-            return f"eyespot's package {name} is missing in {HOME}. Install it again."
-        found = Path(spec.origin).resolve().parent
-        if found != HOME / name:
-            from importlib import metadata
-
-            owners = metadata.packages_distributions().get(name, [])
-            owner = next((owner for owner in owners if owner != "eyespot"), "its distribution")
-            return (
-                f"the package {name} that Python finds is {found}, not eyespot's. Uninstall "
-                f"{owner}, or give eyespot an environment of its own (`make setup`)."
-            )
-    return None

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from estimator.run.progress_bar import quiet
-from formats.stack import Stack as Stack
-from scenes import Scene as Scene
-from scenes import load_scene as load_scene
+from eyespot.estimator.run.progress_bar import quiet
+from eyespot.formats.stack import Stack as Stack
+from eyespot.scenes import Scene as Scene
+from eyespot.scenes import load_scene as load_scene
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from benchmarks.sets.read import LabelledSet
+    from eyespot.benchmarks.sets.read import LabelledSet
     from eyespot.results import Fit, Score
 
 File = str | Path
@@ -40,9 +40,9 @@ def render(
     Raises:
         InputError: the scene is impossible, or `out` exists.
     """
-    from estimator.run.progress_bar import progress as bar
-    from scenes import changed, render_stack
-    from scenes.world.motion import frame_count
+    from eyespot.estimator.run.progress_bar import progress as bar
+    from eyespot.scenes import changed, render_stack
+    from eyespot.scenes.world.motion import frame_count
 
     scene = scene if isinstance(scene, Scene) else load_scene(Path(scene))
     scene = changed(scene, changes) if changes else scene
@@ -86,10 +86,10 @@ def track(
     Raises:
         InputError: wrong options or files.
     """
-    from estimator.run.command import tracked
-    from estimator.run.options import Options, RecordingOptions
-    from formats.calibration import read_calibration
-    from formats.spots import spots_table
+    from eyespot.estimator.run.command import tracked
+    from eyespot.estimator.run.options import Options, RecordingOptions
+    from eyespot.formats.calibration import read_calibration
+    from eyespot.formats.spots import spots_table
 
     files = {"calibration": calibration, "microscope": microscope}
     given = {name: Path(file) for name, file in files.items() if file is not None}
@@ -124,8 +124,8 @@ def fit(sources: File | Sequence[File], *, progress: bool = False, **choices: An
     Raises:
         InputError: wrong options or files.
     """
-    from calibration.command.choices import Choices
-    from calibration.command.fitting import fit_recordings
+    from eyespot.calibration.command.choices import Choices
+    from eyespot.calibration.command.fitting import fit_recordings
 
     several = [sources] if isinstance(sources, str | Path) else sources
     with quiet(bars=progress):
@@ -159,8 +159,8 @@ def score(
     Raises:
         InputError: wrong files, or nothing to score.
     """
-    from benchmarks.sets.score.pages import run
-    from benchmarks.sets.score.spots import sample_folder
+    from eyespot.benchmarks.sets.score.pages import run
+    from eyespot.benchmarks.sets.score.spots import sample_folder
 
     with quiet(bars=progress):
         return run(
@@ -188,9 +188,9 @@ def dataset(
     Raises:
         InputError: the spec is wrong.
     """
-    from benchmarks.sets.make import make_set
-    from benchmarks.sets.spec import load_spec
-    from benchmarks.sets.workers import cores, local_workers
+    from eyespot.benchmarks.sets.make import make_set
+    from eyespot.benchmarks.sets.spec import load_spec
+    from eyespot.benchmarks.sets.workers import cores, local_workers
 
     settings = load_spec(str(spec), tuple(changes))
     with quiet(bars=progress):

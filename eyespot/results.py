@@ -1,4 +1,4 @@
 """What the functions return; apart from them, because importing it loads JAX."""
 
-from benchmarks.sets.score.judging import Score as Score
-from calibration.command.fitting import Fit as Fit
+from eyespot.benchmarks.sets.score.judging import Score as Score
+from eyespot.calibration.command.fitting import Fit as Fit

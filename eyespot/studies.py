@@ -14,18 +14,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
-from benchmarks.studies.design import design as _design
-from benchmarks.studies.dynamic import dynamic as _dynamic
-from benchmarks.studies.eccentricity import eccentricity as _eccentricity
-from benchmarks.studies.eye import eye as _eye
-from benchmarks.studies.loop import loop as _loop
-from benchmarks.studies.medium import medium as _medium
-from benchmarks.studies.pose import pose as _pose
-from benchmarks.studies.sensors import sensors as _sensors
-from benchmarks.studies.static import static as _static
-from benchmarks.studies.table_one import table_one as _table_one
-from benchmarks.studies.validate import validate as _validate
-from estimator.run.progress_bar import quiet
+from eyespot.benchmarks.studies.design import design as _design
+from eyespot.benchmarks.studies.dynamic import dynamic as _dynamic
+from eyespot.benchmarks.studies.eccentricity import eccentricity as _eccentricity
+from eyespot.benchmarks.studies.eye import eye as _eye
+from eyespot.benchmarks.studies.loop import loop as _loop
+from eyespot.benchmarks.studies.medium import medium as _medium
+from eyespot.benchmarks.studies.pose import pose as _pose
+from eyespot.benchmarks.studies.sensors import sensors as _sensors
+from eyespot.benchmarks.studies.static import static as _static
+from eyespot.benchmarks.studies.table_one import table_one as _table_one
+from eyespot.benchmarks.studies.validate import validate as _validate
+from eyespot.estimator.run.progress_bar import quiet
 
 if TYPE_CHECKING:
     import pandas as pd

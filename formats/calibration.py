@@ -25,7 +25,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import AllowInfNan, ConfigDict, Field
 
-from formats.inputs import (
+from eyespot.formats.inputs import (
     InputError,
     Strict,
     check_schema,
@@ -35,8 +35,8 @@ from formats.inputs import (
     shortened,
     validated,
 )
-from formats.poses import Vector
-from formats.whole_files import write_text
+from eyespot.formats.poses import Vector
+from eyespot.formats.whole_files import write_text
 
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "area")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""

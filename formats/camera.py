@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from pydantic import Field
 
-from formats.inputs import InputError, Strict
+from eyespot.formats.inputs import InputError, Strict
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float  # 0.1 s, a tenth of a short `track`

@@ -11,9 +11,9 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
-from formats.camera import LensDistortion
-from formats.inputs import InputError, shortened
-from formats.whole_files import damage_reported
+from eyespot.formats.camera import LensDistortion
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.whole_files import damage_reported
 
 _NAMES = {
     "image_width": ("imagewidth", "width"),

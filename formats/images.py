@@ -17,7 +17,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
-from formats.inputs import InputError, read_data
+from eyespot.formats.inputs import InputError, read_data
 
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffFrame, TiffPage

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from formats.inputs import Strict, check_schema, in_file, object_in, read_text, validated
-from formats.whole_files import write_text
+from eyespot.formats.inputs import Strict, check_schema, in_file, object_in, read_text, validated
+from eyespot.formats.whole_files import write_text
 
 MANIFEST = "manifest.json"
 HISTORY = {1: "the format of eyespot 0.1"}

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, model_validator
 
-from formats.camera import CameraNoise, CameraSheet, LensDistortion, Response
-from formats.camera_files import calibration_in, camera_of
-from formats.inputs import (
+from eyespot.formats.camera import CameraNoise, CameraSheet, LensDistortion, Response
+from eyespot.formats.camera_files import calibration_in, camera_of
+from eyespot.formats.inputs import (
     InputError,
     Strict,
     check_schema,
@@ -27,7 +27,7 @@ from formats.inputs import (
 )
 
 if TYPE_CHECKING:
-    import optics
+    from eyespot import optics
 
 
 _Series = Annotated[
@@ -187,7 +187,7 @@ class MicroscopeFile:
 
     def wall(self) -> "optics.Surface":
         """The wall that the spots lie on. Loads JAX."""
-        import optics
+        from eyespot import optics
 
         if self.plane_normal is not None:
             pole = np.array([0.0, 0.0, -self.eye_radius_mm])
@@ -216,7 +216,7 @@ class MicroscopeFile:
         path = self.viewing_path
         if path is None:
             return self.pinhole()
-        from optics.viewing.camera import PathCamera
+        from eyespot.optics.viewing.camera import PathCamera
 
         # The time to compile a pose grows with the terms: without those that move no line of sight
         # by more than 1e-7 mm (2e-5 px).
@@ -240,7 +240,7 @@ class MicroscopeFile:
 
     def pinhole(self) -> "optics.Microscope":
         """The pinhole without distortion, of a viewing path the paraxial one. Loads JAX."""
-        import optics
+        from eyespot import optics
 
         return optics.microscope(
             scale=self.scale_mm_px,

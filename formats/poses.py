@@ -9,8 +9,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from formats.inputs import InputError, csv_rows, in_file, number_in
-from formats.ros_bags import is_bag, messages_of, opened_bag, stamp_s, topic_in
+from eyespot.formats.inputs import InputError, csv_rows, in_file, number_in
+from eyespot.formats.ros_bags import is_bag, messages_of, opened_bag, stamp_s, topic_in
 
 _UNIT = 0.01  # tolerance of a unit length: files round
 _LATEST_S = 1e11  # clocks count from 1970; more is no time

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from formats.inputs import InputError, check_regular, in_file, inside
-from formats.whole_files import damage_reported
+from eyespot.formats.inputs import InputError, check_regular, in_file, inside
+from eyespot.formats.whole_files import damage_reported
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
 
 import numpy as np
 
-from formats.inputs import (
+from eyespot.formats.inputs import (
     MOST_ROWS,
     InputError,
     check_regular,
@@ -28,7 +28,7 @@ from formats.inputs import (
     number_in,
     shortened,
 )
-from formats.whole_files import (
+from eyespot.formats.whole_files import (
     append_line,
     damage_reported,
     give_name,

@@ -31,8 +31,8 @@ import tomli_w
 from pydantic import ConfigDict, Field
 from pydantic import Strict as StrictType
 
-from formats.images import read_image
-from formats.inputs import (
+from eyespot.formats.images import read_image
+from eyespot.formats.inputs import (
     InputError,
     Strict,
     check_schema,
@@ -46,8 +46,8 @@ from formats.inputs import (
     shortened,
     validated,
 )
-from formats.manifest import MANIFEST, differences, read_manifest, write_manifest
-from formats.whole_files import (
+from eyespot.formats.manifest import MANIFEST, differences, read_manifest, write_manifest
+from eyespot.formats.whole_files import (
     STOPPED,
     append_line,
     empty,

@@ -13,7 +13,7 @@ from typing import Annotated, Self
 from pydantic import ConfigDict, Field, model_validator
 from pydantic import Strict as StrictType
 
-from formats.inputs import InputError, Strict, in_file, read_toml, validated
+from eyespot.formats.inputs import InputError, Strict, in_file, read_toml, validated
 
 _Sigma = Annotated[float, Field(ge=0, le=1e6)]
 _Degrees = Annotated[float, Field(ge=0, lt=90)]

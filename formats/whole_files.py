@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 UNFINISHED = ".unfinished"
 STOPPED = ".partial"  # a stopped stack, which `StackWriter` continues

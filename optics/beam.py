@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from optics.surface import Intersection, Sphere, Surface, components
+from eyespot.optics.surface import Intersection, Sphere, Surface, components
 
 
 class Beam(eqx.Module):

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from formats.inputs import InputError
-from optics.surface import components
+from eyespot.formats.inputs import InputError
+from eyespot.optics.surface import components
 
 _UNDISTORT_STEPS = 12
 

@@ -8,10 +8,15 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from optics.beam import Beam, generator_angles
-from optics.camera import Camera
-from optics.ellipse import Ellipse, ellipse_of_contour, in_unit_circle, steps_of_eccentric_angle
-from optics.surface import Intersection, Surface
+from eyespot.optics.beam import Beam, generator_angles
+from eyespot.optics.camera import Camera
+from eyespot.optics.ellipse import (
+    Ellipse,
+    ellipse_of_contour,
+    in_unit_circle,
+    steps_of_eccentric_angle,
+)
+from eyespot.optics.surface import Intersection, Surface
 
 CONTOUR_POINTS = 128
 """Enough for 1e-9 px on every spot inside the working volume; the sums converge spectrally."""
@@ -45,7 +50,7 @@ def spot_ellipse(
     """Ellipse of the image of the spot's edge, px: the `exact` model, forward.
 
     Example:
-        >>> import optics
+        >>> from eyespot import optics
         >>> eye = optics.Sphere(11.5)
         >>> view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
         >>> cone = {"half_angle": 0.0499584, "apex_offset": -5.117}

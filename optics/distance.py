@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import optimistix as optx
 from jaxtyping import Array, Float, ScalarLike
 
-from optics.beam import Beam, beam_at_spot
-from optics.camera import Camera
-from optics.contour import FEW_POINTS, spot_ellipse
-from optics.ellipse import Ellipse
-from optics.surface import Surface
+from eyespot.optics.beam import Beam, beam_at_spot
+from eyespot.optics.camera import Camera
+from eyespot.optics.contour import FEW_POINTS, spot_ellipse
+from eyespot.optics.ellipse import Ellipse
+from eyespot.optics.surface import Surface
 
 _ITERATION: optx.AbstractFixedPointSolver = optx.FixedPointIteration(rtol=1e-11, atol=1e-11)
 _MOST_STEPS = 12
@@ -47,7 +47,7 @@ def exact_distance(
         spot: other arguments of `beam_at_spot`, mm and rad.
 
     Example:
-        >>> import optics
+        >>> from eyespot import optics
         >>> eye = optics.Sphere(11.5)
         >>> view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)
         >>> cone = {"half_angle": 0.0499584, "apex_offset": -5.117}

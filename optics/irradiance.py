@@ -25,7 +25,7 @@ from jax import lax
 from jax.typing import ArrayLike
 from jaxtyping import Array, Bool, Float, PyTree
 
-from optics.irradiance_edges import (
+from eyespot.optics.irradiance_edges import (
     RingRange,
     RingRays,
     approach_extremes,
@@ -35,7 +35,7 @@ from optics.irradiance_edges import (
     settle,
     smallest,
 )
-from optics.lens import GlueLens
+from eyespot.optics.lens import GlueLens
 
 _MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell

@@ -16,8 +16,8 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from optics.lens import GlueLens
-from optics.refraction import fresnel_transmittance, refracted_cosine
+from eyespot.optics.lens import GlueLens
+from eyespot.optics.refraction import fresnel_transmittance, refracted_cosine
 
 _STEPS = 6  # Newton or bisection steps towards a boundary
 _APPROACHES = 2  # pairs of steps towards an extremum

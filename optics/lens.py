@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from formats.inputs import InputError, check_schema, in_file, read_toml, shortened
+from eyespot.formats.inputs import InputError, check_schema, in_file, read_toml, shortened
 
 _PRESETS = Path(__file__).parent / "lenses"
 _HISTORY = {1: "the format of eyespot 0.1"}

@@ -15,10 +15,10 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, Int
 from scipy.ndimage import binary_dilation
 
-from optics.irradiance import vector_irradiance
-from optics.irradiance_edges import implicit_root, scan_boundaries, settle
-from optics.lens import GlueLens
-from optics.refraction import refract
+from eyespot.optics.irradiance import vector_irradiance
+from eyespot.optics.irradiance_edges import implicit_root, scan_boundaries, settle
+from eyespot.optics.lens import GlueLens
+from eyespot.optics.refraction import refract
 
 TRANSMITTED, TOTAL_INTERNAL_REFLECTION, MISSED_APERTURE = 0, 1, 2
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike, Float

@@ -37,8 +37,8 @@ def init(
         microscope: Pinhole on the eye's sphere as in the paper's equation, or 200 mm above the eye.
         overwrite: Replace the file if it exists.
     """
-    from formats.whole_files import written_whole
-    from scenes.description.scene_file import scene_template
+    from eyespot.formats.whole_files import written_whole
+    from eyespot.scenes.description.scene_file import scene_template
 
     schema_file = f"./{SCHEMA_FILE}" if path.with_name(SCHEMA_FILE).exists() else None
     template = scene_template(schema_file=schema_file)
@@ -54,7 +54,7 @@ def schema() -> None:
 
     Save it as scene.schema.json: scene files written by `scene init` in that folder refer to it.
     """
-    from scenes.description.scene_file import scene_schema
+    from eyespot.scenes.description.scene_file import scene_schema
 
     print(json.dumps(scene_schema(), indent=2))
 
@@ -79,12 +79,12 @@ def render(
         variant: Mitsuba variant: for the CPU (llvm_ad_rgb), for an NVIDIA GPU (cuda_ad_rgb), or
             for a CPU without LLVM (scalar_rgb; ideal cones only, a minute per frame).
     """
-    from estimator.run.progress_bar import progress, say
-    from estimator.viewer import check_recording_path, record_stack
-    from formats.whole_files import refuse_existing
-    from scenes.description.scene_file import load_scene
-    from scenes.stacks.stack import render_stack, write_preview
-    from scenes.world.motion import frame_count
+    from eyespot.estimator.run.progress_bar import progress, say
+    from eyespot.estimator.viewer import check_recording_path, record_stack
+    from eyespot.formats.whole_files import refuse_existing
+    from eyespot.scenes.description.scene_file import load_scene
+    from eyespot.scenes.stacks.stack import render_stack, write_preview
+    from eyespot.scenes.world.motion import frame_count
 
     settings = load_scene(scene, changes)
     for remark in settings.without_effect:
@@ -113,8 +113,8 @@ def render(
 
 def check(scene: SceneFile, /, *, changes: Changes = ()) -> None:
     """Check whether a scene file can be rendered."""
-    from scenes.description.scene_file import load_scene
-    from scenes.stacks.stack import check_scene
+    from eyespot.scenes.description.scene_file import load_scene
+    from eyespot.scenes.stacks.stack import check_scene
 
     settings = load_scene(scene, changes)
     # Each key may be valid, but the spot may still leave the window.

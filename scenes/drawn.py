@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from formats.spots import Spot
-from scenes.walls.fundus import fundus
+from eyespot.formats.spots import Spot
+from eyespot.scenes.walls.fundus import fundus
 
 Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Light (peak 1) from the elliptical radius (1 on the contour) and the distance from it in px."""

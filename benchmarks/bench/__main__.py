@@ -1,4 +1,4 @@
-"""Runs benchmarks: `python -m benchmarks.bench [NAME ...] [--full]`.
+"""Runs benchmarks: `python -m eyespot.benchmarks.bench [NAME ...] [--full]`.
 
 A benchmark is a public function of one of the `FILES` that takes `full` and returns a table. The
 first sentence of its docstring is the table's title.
@@ -26,7 +26,7 @@ def benchmarks() -> dict[str, Callable[..., pd.DataFrame]]:
     return {
         f"{file}.{name}": bench
         for file in FILES
-        for name, bench in vars(import_module(f"benchmarks.bench.{file}")).items()
+        for name, bench in vars(import_module(f"eyespot.benchmarks.bench.{file}")).items()
         if inspect.isfunction(bench) and "full" in inspect.signature(bench).parameters
     }
 

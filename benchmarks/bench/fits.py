@@ -14,17 +14,16 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-import calibration
-import optics
-from benchmarks.paper import rms
-from benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
-from calibration import Prior
-from calibration.pixels.data import Footage, read_footage
-from calibration.pixels.fit import fit_image
-from calibration.recordings import read_recording
-from formats.stack import Stack
-from optics.wall_light.lens import lens_parameters
-from scenes import Scene, render_stack
+from eyespot import calibration, optics
+from eyespot.benchmarks.paper import rms
+from eyespot.benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
+from eyespot.calibration import Prior
+from eyespot.calibration.pixels.data import Footage, read_footage
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.calibration.recordings import read_recording
+from eyespot.formats.stack import Stack
+from eyespot.optics.wall_light.lens import lens_parameters
+from eyespot.scenes import Scene, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}
 

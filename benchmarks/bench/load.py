@@ -22,14 +22,14 @@ from distributed import Client, as_completed
 from distributed.scheduler import heartbeat_interval
 from skimage.io import imsave
 
-from benchmarks.sets.make import make_set, versions
-from benchmarks.sets.read import verify_set
-from benchmarks.sets.spec import SetSpec, load_spec, plan
-from benchmarks.sets.workers import local_workers
-from estimator import Frame, SubpixelMode, SubpixelSettings
-from formats.spots import Spot
-from scenes import changed, render_stack
-from scenes.drawn import Drawing, any_truth, any_wall, frame_of
+from eyespot.benchmarks.sets.make import make_set, versions
+from eyespot.benchmarks.sets.read import verify_set
+from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
+from eyespot.benchmarks.sets.workers import local_workers
+from eyespot.estimator import Frame, SubpixelMode, SubpixelSettings
+from eyespot.formats.spots import Spot
+from eyespot.scenes import changed, render_stack
+from eyespot.scenes.drawn import Drawing, any_truth, any_wall, frame_of
 
 _DISTINCT = 60  # drawn frames, which repeat
 _RATE_HZ = 30.0

@@ -17,22 +17,22 @@ import numpy as np
 import pandas as pd
 from scipy.stats import chi2
 
-import optics
-from benchmarks.bench.load import memory_mb
-from benchmarks.paper import largest, rms
-from benchmarks.sets.read import own_reader, true_beam
-from benchmarks.sets.spec import SetSpec, load_spec, plan
-from benchmarks.studies.pose import PRIOR_DEG, drawn_prior
-from estimator.distance.range import TipPose
-from estimator.run.options import Options
-from estimator.run.reader import Reader, Reading
-from estimator.sources.opening import open_source
-from formats.calibration import write_calibration
-from formats.microscope import read_microscope
-from formats.poses import Pose, PoseTrack, read_poses
-from formats.stack import FrameLabels, Stack
-from scenes import Scene, SceneError, render_stack
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.benchmarks.bench.load import memory_mb
+from eyespot.benchmarks.paper import largest, rms
+from eyespot.benchmarks.sets.read import own_reader, true_beam
+from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
+from eyespot.benchmarks.studies.pose import PRIOR_DEG, drawn_prior
+from eyespot.estimator.distance.range import TipPose
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.reader import Reader, Reading
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import Pose, PoseTrack, read_poses
+from eyespot.formats.stack import FrameLabels, Stack
+from eyespot.scenes import Scene, SceneError, render_stack
+from eyespot.scenes.world.world import World
 
 
 def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0) -> pd.DataFrame:

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 
-import optics
-from optics.viewing import load_eye, load_viewing_lens, path_camera, viewing_path
-from scenes import Renderer, Scene
+from eyespot import optics
+from eyespot.optics.viewing import load_eye, load_viewing_lens, path_camera, viewing_path
+from eyespot.scenes import Renderer, Scene
 
 
 def _timed(call: Callable[[], Any]) -> dict[str, float]:

@@ -13,14 +13,14 @@ from skimage.color import rgb2gray
 from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
-from benchmarks.rivals.learned.network import LearnedEstimator, PixelSquare, blob_in
-from benchmarks.rivals.pupil import PupilDetector, why_unavailable
-from benchmarks.sets.read import Mode, own_reader, plain_spot
-from estimator import Frame, Range
-from formats.calibration import Calibration
-from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.spots import NoSpot, Reason, Spot
+from eyespot.benchmarks.rivals.learned.network import LearnedEstimator, PixelSquare, blob_in
+from eyespot.benchmarks.rivals.pupil import PupilDetector, why_unavailable
+from eyespot.benchmarks.sets.read import Mode, own_reader, plain_spot
+from eyespot.estimator import Frame, Range
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import NoSpot, Reason, Spot
 
 # What an entry is: a frame goes in, an ellipse or a miss comes out.
 

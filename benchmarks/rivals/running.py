@@ -22,21 +22,21 @@ from cyclopts import Parameter
 from cyclopts.types import PositiveInt
 from distributed import Client
 
-from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
-from benchmarks.rivals.learned.network import WEIGHTS
-from benchmarks.rivals.pupil import PACKAGE
-from benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
-from benchmarks.sets.workers import cores, local_workers
-from benchmarks.study import versions, write_json
-from estimator import Frame, Ranger, open_source
-from estimator.run.options import OUT
-from estimator.run.progress_bar import progress
-from formats.inputs import InputError, in_file, read_text
-from formats.manifest import fingerprint
-from formats.microscope import read_microscope
-from formats.spots import Spot, SpotRecord, write_spots
-from formats.whole_files import require_space, written_whole
+from eyespot.benchmarks.paper import VISIBLE_ENOUGH
+from eyespot.benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
+from eyespot.benchmarks.rivals.learned.network import WEIGHTS
+from eyespot.benchmarks.rivals.pupil import PACKAGE
+from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
+from eyespot.benchmarks.sets.workers import cores, local_workers
+from eyespot.benchmarks.study import versions, write_json
+from eyespot.estimator import Frame, Ranger, open_source
+from eyespot.estimator.run.options import OUT
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.inputs import InputError, in_file, read_text
+from eyespot.formats.manifest import fingerprint
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.formats.whole_files import require_space, written_whole
 
 _LEAST_BYTES = 2**20  # of the spots files
 

@@ -13,10 +13,10 @@ import tomli_w
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from benchmarks import reporting as page
-from benchmarks.sets import croissant
-from benchmarks.sets.read import LabelledSet, Row, rows
-from formats.whole_files import write_text, written_whole
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.sets import croissant
+from eyespot.benchmarks.sets.read import LabelledSet, Row, rows
+from eyespot.formats.whole_files import write_text, written_whole
 
 # Figures of the data card: histograms of the labels and sample images.
 

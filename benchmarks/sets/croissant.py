@@ -11,8 +11,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.sets.read import LabelledSet
-from formats.stack import FrameLabels
+from eyespot.benchmarks.sets.read import LabelledSet
+from eyespot.formats.stack import FrameLabels
 
 FILE = "croissant.json"
 

@@ -25,9 +25,9 @@ from cyclopts.types import PositiveInt
 from distributed import Client, as_completed
 from rich.filesize import decimal
 
-import scenes
-from benchmarks.sets import card
-from benchmarks.sets.read import (
+from eyespot import scenes
+from eyespot.benchmarks.sets import card
+from eyespot.benchmarks.sets.read import (
     SCHEMA,
     LabelledSet,
     SetError,
@@ -36,16 +36,16 @@ from benchmarks.sets.read import (
     verify_set,
     write_set_manifest,
 )
-from benchmarks.sets.spec import PlannedStack, SetSpec, load_spec, plan
-from benchmarks.sets.workers import cores, local_workers, running_scheduler
-from estimator.run.options import OUT
-from estimator.run.progress_bar import duration, say
-from estimator.run.progress_bar import progress as bar
-from formats.inputs import InputError, in_file, object_in, read_text, shortened
-from formats.manifest import MANIFEST
-from formats.stack import StackWriter
-from formats.whole_files import BeingWrittenError, require_space, sweep, write_text
-from scenes.commands import Changes
+from eyespot.benchmarks.sets.spec import PlannedStack, SetSpec, load_spec, plan
+from eyespot.benchmarks.sets.workers import cores, local_workers, running_scheduler
+from eyespot.estimator.run.options import OUT
+from eyespot.estimator.run.progress_bar import duration, say
+from eyespot.estimator.run.progress_bar import progress as bar
+from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
+from eyespot.formats.manifest import MANIFEST
+from eyespot.formats.stack import StackWriter
+from eyespot.formats.whole_files import BeingWrittenError, require_space, sweep, write_text
+from eyespot.scenes.commands import Changes
 
 # What a worker does: it renders one stack.
 

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from estimator import (
+from eyespot.estimator import (
     LiteralMode,
     LiteralSettings,
     PixelsMode,
@@ -20,9 +20,9 @@ from estimator import (
     SubpixelMode,
     SubpixelSettings,
 )
-from estimator.run.reader import best_mode
-from formats.calibration import Calibration
-from formats.inputs import (
+from eyespot.estimator.run.reader import best_mode
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import (
     FOLDER_NAME,
     InputError,
     Strict,
@@ -34,10 +34,16 @@ from formats.inputs import (
     read_text,
     validated,
 )
-from formats.manifest import MANIFEST, differences, fingerprint, read_manifest, write_manifest
-from formats.microscope import MicroscopeFile
-from formats.spots import Spot
-from formats.stack import FrameLabels, Stack, read_stack
+from eyespot.formats.manifest import (
+    MANIFEST,
+    differences,
+    fingerprint,
+    read_manifest,
+    write_manifest,
+)
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import Spot
+from eyespot.formats.stack import FrameLabels, Stack, read_stack
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
@@ -205,7 +211,7 @@ def true_beam(stack: Stack) -> Calibration:
     Raises:
         InputError: the stack was not rendered, so that nothing says what its source is.
     """
-    from scenes import Scene  # loads JAX, which a reader of files need not have
+    from eyespot.scenes import Scene  # loads JAX, which a reader of files need not have
 
     scene = stack.description.get("scene")
     if not isinstance(scene, dict):
@@ -217,8 +223,8 @@ def true_beam(stack: Stack) -> Calibration:
 
 @functools.cache
 def _beam(source: str) -> Calibration:
-    from scenes import Scene
-    from scenes.world.labels import true_calibration
+    from eyespot.scenes import Scene
+    from eyespot.scenes.world.labels import true_calibration
 
     return true_calibration(Scene.model_validate_json(source))
 
@@ -276,7 +282,7 @@ def own_reader(
             ranger = Ranger(beam, microscope)
     if mode == "subpixel":
         return SubpixelMode(settings, ranger)
-    from estimator.pixels.tracker import PixelRanger
+    from eyespot.estimator.pixels.tracker import PixelRanger
 
     assert beam is not None, "the mode pixels needs the beam"
     return PixelsMode(settings, PixelRanger(beam, microscope))

@@ -21,7 +21,7 @@ from pydantic import (
 )
 from scipy.stats import qmc
 
-from formats.inputs import (
+from eyespot.formats.inputs import (
     FOLDER_NAME,
     InputError,
     at_most_three,
@@ -30,8 +30,8 @@ from formats.inputs import (
     read_toml,
     shortened,
 )
-from scenes import Scene, SceneError, changed, parsed_change
-from scenes.description.scene_file import problem_sentence
+from eyespot.scenes import Scene, SceneError, changed, parsed_change
+from eyespot.scenes.description.scene_file import problem_sentence
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
@@ -130,7 +130,7 @@ HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
 
-_NAMED = resources.files("benchmarks.sets") / "named"
+_NAMED = resources.files("eyespot.benchmarks.sets") / "named"
 
 
 class SpecError(InputError):

@@ -12,7 +12,7 @@ from typing import Any
 import dask
 from distributed import Client, LocalCluster, Worker, WorkerPlugin
 
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 
 class OneCore(WorkerPlugin):

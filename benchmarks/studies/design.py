@@ -25,19 +25,26 @@ from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from threadpoolctl import threadpool_limits
 
-import optics
-import scenes
-from benchmarks.paper import rms, withdrawal
-from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, small_multiples
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Frame, Reader
-from formats.inputs import InputError
-from formats.stack import Stack
-from optics.wall_light.lens import lens_parameters, lens_toml
-from optics.wall_light.unknown_wall import distance_sigmas, lit_radii
-from scenes import Scene
-from scenes.walls.picture import write_random_wall
-from scenes.world.unknown_wall import SpotLight, UnknownWallScene
+from eyespot import optics, scenes
+from eyespot.benchmarks.paper import rms, withdrawal
+from eyespot.benchmarks.reporting import (
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    small_multiples,
+)
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.estimator import Frame, Reader
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import Stack
+from eyespot.optics.wall_light.lens import lens_parameters, lens_toml
+from eyespot.optics.wall_light.unknown_wall import distance_sigmas, lit_radii
+from eyespot.scenes import Scene
+from eyespot.scenes.walls.picture import write_random_wall
+from eyespot.scenes.world.unknown_wall import SpotLight, UnknownWallScene
 
 # The question: which drop, within which limits, at which distances.
 

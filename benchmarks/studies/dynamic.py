@@ -15,20 +15,27 @@ from cyclopts.validators import Number
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import optics
-import scenes
-from benchmarks import paper
-from benchmarks import reporting as page
-from benchmarks.reporting import grouped, number, rows_of, where
-from benchmarks.study import Changes, LightSource, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import fit_plane
-from estimator import Ranger, Reading, open_source
-from formats.microscope import MicroscopeFile, read_microscope
-from formats.poses import PoseTrack, read_poses
-from formats.stack import Stack
-from scenes import Scene
-from scenes.world.labels import study_calibration, true_calibration
-from scenes.world.world import World
+from eyespot import optics, scenes
+from eyespot.benchmarks import paper
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.reporting import grouped, number, rows_of, where
+from eyespot.benchmarks.study import (
+    Changes,
+    LightSource,
+    OutputFolder,
+    Quick,
+    Seed,
+    StartingScene,
+    Study,
+)
+from eyespot.calibration import fit_plane
+from eyespot.estimator import Ranger, Reading, open_source
+from eyespot.formats.microscope import MicroscopeFile, read_microscope
+from eyespot.formats.poses import PoseTrack, read_poses
+from eyespot.formats.stack import Stack
+from eyespot.scenes import Scene
+from eyespot.scenes.world.labels import study_calibration, true_calibration
+from eyespot.scenes.world.world import World
 
 # The scenes of the dynamic study: tips moving at several speeds, and the same without blur.
 

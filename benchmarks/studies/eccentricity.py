@@ -16,18 +16,17 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-import optics
-import scenes
-from benchmarks import model_error, paper
-from benchmarks import reporting as page
-from benchmarks.reporting import grouped, listed, number, where
-from benchmarks.studies import error_causes
-from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import fit_eccentricity
-from formats.inputs import InputError
-from formats.whole_files import written_whole
-from scenes import Scene
+from eyespot import optics, scenes
+from eyespot.benchmarks import model_error, paper
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.reporting import grouped, listed, number, where
+from eyespot.benchmarks.studies import error_causes
+from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.calibration import fit_eccentricity
+from eyespot.formats.inputs import InputError
+from eyespot.formats.whole_files import written_whole
+from eyespot.scenes import Scene
 
 # The space of geometries: scrambled Sobol points, every model's error there, in bounded memory.
 

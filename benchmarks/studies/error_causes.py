@@ -19,12 +19,12 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array, Float
 
-import optics
-from benchmarks.model_error import Geometry, place
-from benchmarks.paper import coalitions, shapley_values
-from optics.irradiance import in_batches
-from scenes import Scene
-from scenes.walls.picture import PRESETS_MM, wall_spread
+from eyespot import optics
+from eyespot.benchmarks.model_error import Geometry, place
+from eyespot.benchmarks.paper import coalitions, shapley_values
+from eyespot.optics.irradiance import in_batches
+from eyespot.scenes import Scene
+from eyespot.scenes.walls.picture import PRESETS_MM, wall_spread
 
 # The chain from a distance to a spot's size and back, each link of which can be real or ideal.
 #

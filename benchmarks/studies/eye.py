@@ -15,17 +15,17 @@ from jaxtyping import Array, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import optics
-from benchmarks import reporting as page
-from benchmarks.model_error import ECCENTRICITY
-from benchmarks.paper import coalitions, first_reached, shapley_values
-from benchmarks.reporting import grouped, listed, number, rows_of, where
-from benchmarks.studies import eye_paths
-from benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
-from benchmarks.study import OutputFolder, Quick, Seed, Study
-from optics.irradiance import in_batches
-from optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
-from optics.viewing.camera import local_magnification
+from eyespot import optics
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.model_error import ECCENTRICITY
+from eyespot.benchmarks.paper import coalitions, first_reached, shapley_values
+from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.studies import eye_paths
+from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
+from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study
+from eyespot.optics.irradiance import in_batches
+from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
+from eyespot.optics.viewing.camera import local_magnification
 
 # Errors of every recipe in many eyes behind one viewing path.
 

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-import optics
-from calibration.solvers import GAUSS_NEWTON, least_squares
-from calibration.spots.cone_trials import (
+from eyespot import optics
+from eyespot.calibration.solvers import GAUSS_NEWTON, least_squares
+from eyespot.calibration.spots.cone_trials import (
     NUISANCES,
     RETINA,
     SIZE_PER_MM,
@@ -21,12 +21,12 @@ from calibration.spots.cone_trials import (
     misfit,
     whitening_of,
 )
-from formats.inputs import read_toml
-from optics.irradiance import in_batches
-from optics.viewing.camera import PathCamera, path_camera
-from optics.viewing.eye import Eye, load_viewing_lens
-from optics.viewing.path import viewing_path
-from optics.viewing.trace import Conic, Element, Medium, Refracting
+from eyespot.formats.inputs import read_toml
+from eyespot.optics.irradiance import in_batches
+from eyespot.optics.viewing.camera import PathCamera, path_camera
+from eyespot.optics.viewing.eye import Eye, load_viewing_lens
+from eyespot.optics.viewing.path import viewing_path
+from eyespot.optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067
 NOMINAL_RADIUS_MM = 12.0  # radius of the sphere that models assume where no eye is calibrated

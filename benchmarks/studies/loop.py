@@ -18,17 +18,25 @@ import pandas as pd
 from matplotlib.axes import Axes
 from scipy.linalg import expm
 
-import scenes
-from benchmarks.paper import largest, rms
-from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table, small_multiples
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from estimator import Frame
-from estimator.run.offline import record_of
-from estimator.run.overlay import annotated, overlay_writer
-from formats.camera import Response
-from formats.poses import Pose, PoseTrack
-from formats.spots import SpotRecord
-from scenes import LiveCamera, Scene, World
+from eyespot import scenes
+from eyespot.benchmarks.paper import largest, rms
+from eyespot.benchmarks.reporting import (
+    Claim,
+    Column,
+    Picture,
+    Report,
+    Section,
+    Table,
+    small_multiples,
+)
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.estimator import Frame
+from eyespot.estimator.run.offline import record_of
+from eyespot.estimator.run.overlay import annotated, overlay_writer
+from eyespot.formats.camera import Response
+from eyespot.formats.poses import Pose, PoseTrack
+from eyespot.formats.spots import SpotRecord
+from eyespot.scenes import LiveCamera, Scene, World
 
 # The question: an arm through a trocar, a path along the wall, a camera with a delay.
 

@@ -12,21 +12,20 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import optics
-import scenes
-from benchmarks import reporting as page
-from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, rms, withdrawal
-from benchmarks.reporting import number, rows_of, where
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import fit_plane
-from estimator import Ranger
-from formats.calibration import Calibration
-from formats.microscope import read_microscope
-from formats.stack import Stack, read_stack
-from scenes import Scene
-from scenes.world.labels import study_calibration, true_calibration
-from scenes.world.world import Cone, World, lens_light
+from eyespot import optics, scenes
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.model_error import DISTANCE
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, rms, withdrawal
+from eyespot.benchmarks.reporting import number, rows_of, where
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.calibration import fit_plane
+from eyespot.estimator import Ranger
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.stack import Stack, read_stack
+from eyespot.scenes import Scene
+from eyespot.scenes.world.labels import study_calibration, true_calibration
+from eyespot.scenes.world.world import Cone, World, lens_light
 
 # Half-maximum radius of a light in a medium against distance, in closed form.
 

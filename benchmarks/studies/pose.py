@@ -16,13 +16,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import qmc
 
-import optics
-import scenes
-from benchmarks import reporting as page
-from benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, rms, write_results
-from benchmarks.reporting import listed, number, where
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration.spots.tool_pose import (
+from eyespot import optics, scenes
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, rms, write_results
+from eyespot.benchmarks.reporting import listed, number, where
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,
     contour_mismatch_covariance,
@@ -32,15 +31,15 @@ from calibration.spots.tool_pose import (
     tool_contours,
     tool_pose_bound,
 )
-from estimator import Ranger, SubpixelSettings, TrackState
-from estimator import measure as measured
-from formats.microscope import read_microscope
-from formats.spots import NoSpot, Spot
-from formats.stack import Stack
-from formats.whole_files import written_whole
-from scenes import Scene
-from scenes.world.labels import true_calibration
-from scenes.world.world import World
+from eyespot.estimator import Ranger, SubpixelSettings, TrackState
+from eyespot.estimator import measure as measured
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.stack import Stack
+from eyespot.formats.whole_files import written_whole
+from eyespot.scenes import Scene
+from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.
 

@@ -18,9 +18,8 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import ConvexHull
 from skimage.measure import points_in_poly
 
-import optics
-import scenes
-from optics.viewing import (
+from eyespot import optics, scenes
+from eyespot.optics.viewing import (
     ThinLens,
     ViewingPath,
     bare_path,
@@ -30,11 +29,11 @@ from optics.viewing import (
     side_camera,
     viewing_path,
 )
-from scenes import Scene
-from scenes.camera import CameraSensor
-from scenes.rendering.images import images_of
-from scenes.rendering.loaded_scene import radiance_along
-from scenes.world.world import World
+from eyespot.scenes import Scene
+from eyespot.scenes.camera import CameraSensor
+from eyespot.scenes.rendering.images import images_of
+from eyespot.scenes.rendering.loaded_scene import radiance_along
+from eyespot.scenes.world.world import World
 
 # What the sensors look at: the instrument, the light guide, the wall, and the microscopes.
 

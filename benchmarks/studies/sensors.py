@@ -14,14 +14,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import optics
-import scenes
-from benchmarks import reporting as page
-from benchmarks.model_error import DISTANCE
-from benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, withdrawal
-from benchmarks.reporting import grouped, listed, number, rows_of, where
-from benchmarks.studies import sensor_views
-from benchmarks.studies.sensor_views import (
+from eyespot import optics, scenes
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.model_error import DISTANCE
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, withdrawal
+from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.studies import sensor_views
+from eyespot.benchmarks.studies.sensor_views import (
     CONTOUR_PX,
     CONVERGENCE_DEG,
     MARK_PX,
@@ -42,9 +41,9 @@ from benchmarks.studies.sensor_views import (
     outline,
     place,
 )
-from benchmarks.study import OutputFolder, Quick, Seed, Study
-from estimator.run.progress_bar import progress
-from scenes import Scene
+from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.scenes import Scene
 
 # What each sensor can reach: exact marks with stated noise, and with one wrong assumption.
 

@@ -14,14 +14,14 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import scenes
-from benchmarks import paper
-from benchmarks import reporting as page
-from benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
-from benchmarks.reporting import listed, number, rows_of, where
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import Lines, fit_eccentricity, fit_lines
-from scenes import Scene, SceneError
+from eyespot import scenes
+from eyespot.benchmarks import paper
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
+from eyespot.benchmarks.reporting import listed, number, rows_of, where
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.calibration import Lines, fit_eccentricity, fit_lines
+from eyespot.scenes import Scene, SceneError
 
 # The rendered withdrawals, photographed and measured under each set of causes.
 

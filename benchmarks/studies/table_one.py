@@ -16,19 +16,18 @@ import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-import optics
-import scenes
-from benchmarks import paper
-from benchmarks import reporting as page
-from benchmarks.model_error import MEASURED, READING
-from benchmarks.reporting import listed, rows_of, where
-from benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
-from calibration import Lines, fit_lines
-from estimator import LiteralSettings
-from formats.page import PALETTE
-from formats.whole_files import write_text
-from scenes import Scene
-from scenes.world.world import World
+from eyespot import optics, scenes
+from eyespot.benchmarks import paper
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.model_error import MEASURED, READING
+from eyespot.benchmarks.reporting import listed, rows_of, where
+from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.calibration import Lines, fit_lines
+from eyespot.estimator import LiteralSettings
+from eyespot.formats.page import PALETTE
+from eyespot.formats.whole_files import write_text
+from eyespot.scenes import Scene
+from eyespot.scenes.world.world import World
 
 
 def even_span(row: paper.PlaneRow) -> float:

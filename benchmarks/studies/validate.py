@@ -14,14 +14,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-import optics
-from benchmarks import model_error, paper
-from benchmarks import reporting as page
-from benchmarks.paper import ACCEPTABLE_ERROR_MM
-from benchmarks.reporting import grouped, listed, number, rows_of, where
-from benchmarks.study import LightSource, OutputFolder, Quick, Study
-from calibration import fit_eccentricity, fit_lines, fit_plane
-from formats.stack import Stack, read_stack
+from eyespot import optics
+from eyespot.benchmarks import model_error, paper
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
+from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.study import LightSource, OutputFolder, Quick, Study
+from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
+from eyespot.formats.stack import Stack, read_stack
 
 # The fits of Tables I and II, and the models' errors.
 

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 from cyclopts import Parameter
 from pydantic import Field
 
-from estimator.run.options import Exposure, Given, Options
-from formats.inputs import InputError, shortened
+from eyespot.estimator.run.options import Exposure, Given, Options
+from eyespot.formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
-    from calibration.recordings import LogBook
-    from calibration.spots.cone_trials import Prior
-    from calibration.spots.paper import Loss
-    from formats.calibration import Calibration
-    from formats.poses import Quaternion
+    from eyespot.calibration.recordings import LogBook
+    from eyespot.calibration.spots.cone_trials import Prior
+    from eyespot.calibration.spots.paper import Loss
+    from eyespot.formats.calibration import Calibration
+    from eyespot.formats.poses import Quaternion
 
 _T = TypeVar("_T")
 
@@ -90,7 +90,7 @@ class Choices(Given):
         Raises:
             InputError: wrong format, or a sigma that is not positive.
         """
-        from calibration.spots.cone_trials import Prior
+        from eyespot.calibration.spots.cone_trials import Prior
 
         found = {}
         for text in self.prior:
@@ -110,7 +110,7 @@ class Choices(Given):
     @cached_property
     def known(self) -> Calibration | None:
         """The calibration that was made before."""
-        from formats.calibration import read_calibration
+        from eyespot.formats.calibration import read_calibration
 
         return read_calibration(self.calibration) if self.calibration else None
 
@@ -126,8 +126,8 @@ class Choices(Given):
         Raises:
             InputError: an option is missing, or does nothing because all sources are stacks.
         """
-        import optics
-        from calibration.recordings import LogBook
+        from eyespot import optics
+        from eyespot.calibration.recordings import LogBook
 
         if not sources:
             for name in ("microscope", "poses", "phantom", "medium", "eye_from_robot"):

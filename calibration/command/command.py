@@ -7,10 +7,10 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from calibration.command.choices import Choices
-from estimator.run.options import OUT, OUTPUT, Rerun
-from formats.inputs import InputError
-from formats.whole_files import require_space, written_whole
+from eyespot.calibration.command.choices import Choices
+from eyespot.estimator.run.options import OUT, OUTPUT, Rerun
+from eyespot.formats.inputs import InputError
+from eyespot.formats.whole_files import require_space, written_whole
 
 _MOST_BYTES = 2**23  # of a report with its figures
 
@@ -41,10 +41,10 @@ def fit(
     """
     from rich.console import Console
 
-    from calibration.command.fitting import fit_recordings, record_fit, table_of
-    from calibration.command.verdict import refusal
-    from estimator.viewer import check_recording_path
-    from formats.calibration import write_calibration
+    from eyespot.calibration.command.fitting import fit_recordings, record_fit, table_of
+    from eyespot.calibration.command.verdict import refusal
+    from eyespot.estimator.viewer import check_recording_path
+    from eyespot.formats.calibration import write_calibration
 
     report = out.with_suffix(".html")
     if report == out:

@@ -19,23 +19,29 @@ from matplotlib.figure import Figure
 from rich.markup import escape
 from rich.table import Table
 
-import optics
-from calibration.command import report as fit_report
-from calibration.command.choices import Choices
-from calibration.command.models import EYE, fit_cone_to_spots, fit_eye, fit_planes, fit_sphere
-from calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
-from calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
-from calibration.pixels.data import CONE, FREE, NUISANCES, known_names
-from calibration.recordings import SPOTS_FILES, Recording, is_stack, read_recording
-from calibration.spots.cone_fit import PARAMETERS
-from estimator import Ranger
-from estimator.run.progress_bar import progress, say
-from estimator.sources.opening import open_source
-from estimator.viewer import recording_of
-from formats.calibration import BEAM, Calibration, write_calibration
-from formats.inputs import InputError
-from formats.spots import Spot
-from formats.whole_files import written_whole
+from eyespot import optics
+from eyespot.calibration.command import report as fit_report
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.models import (
+    EYE,
+    fit_cone_to_spots,
+    fit_eye,
+    fit_planes,
+    fit_sphere,
+)
+from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
+from eyespot.calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
+from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
+from eyespot.calibration.recordings import SPOTS_FILES, Recording, is_stack, read_recording
+from eyespot.calibration.spots.cone_fit import PARAMETERS
+from eyespot.estimator import Ranger
+from eyespot.estimator.run.progress_bar import progress, say
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.viewer import recording_of
+from eyespot.formats.calibration import BEAM, Calibration, write_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import Spot
+from eyespot.formats.whole_files import written_whole
 
 
 def record_fit(target: str, fit: "Fit") -> None:

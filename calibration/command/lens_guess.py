@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 
-import optics
-from calibration.pixels.data import Footage
-from calibration.recordings import Recording
-from calibration.spots.cone_trials import Prior
-from formats.inputs import InputError
-from optics.wall_light.lens import lens_of
+from eyespot import optics
+from eyespot.calibration.pixels.data import Footage
+from eyespot.calibration.recordings import Recording
+from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.formats.inputs import InputError
+from eyespot.optics.wall_light.lens import lens_of
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
@@ -32,8 +32,8 @@ _RING_ERROR = 0.03
 _ALIKE, _FOREIGN = 1.0, 9.0
 """Mean square error of a spot's rings, median over the spots, in the unit above: below the first a
 lens is taken at once, and beyond the second it is no lens of these spots. Of five true lenses (14,
-15, 28, 30 and 32 of `tests.random_fits`) it was 0.03 to 0.9, of wrong minima 2 to 9, and of the
-best lenses for two cones 25 and 32."""
+15, 28, 30 and 32 of `tests.support.coverage.random_fits`) it was 0.03 to 0.9, of wrong minima 2 to
+9, and of the best lenses for two cones 25 and 32."""
 
 
 def guessed_lenses(

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-import optics
-from calibration.command.choices import Choices
-from calibration.command.verdict import Fitted, bounds_hit
-from calibration.pixels.data import CONE
-from calibration.recordings import Recording
-from calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone
-from calibration.spots.cone_trials import (
+from eyespot import optics
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.verdict import Fitted, bounds_hit
+from eyespot.calibration.pixels.data import CONE
+from eyespot.calibration.recordings import Recording
+from eyespot.calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone
+from eyespot.calibration.spots.cone_trials import (
     OUTLINE_PER_MM,
     RETINA,
     SIZE_PER_MM,
@@ -23,7 +23,7 @@ from calibration.spots.cone_trials import (
     Prior,
     phantom_wall,
 )
-from calibration.spots.paper import (
+from eyespot.calibration.spots.paper import (
     Loss,
     PlaneFit,
     PlaneTrial,
@@ -32,8 +32,8 @@ from calibration.spots.paper import (
     fit_plane,
     fit_plane_trials,
 )
-from formats.calibration import BEAM, QUANTITIES, Calibration
-from formats.inputs import InputError
+from eyespot.formats.calibration import BEAM, QUANTITIES, Calibration
+from eyespot.formats.inputs import InputError
 
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
 

@@ -10,21 +10,26 @@ import numpy as np
 from jaxtyping import Array, ArrayLike
 from scipy import ndimage
 
-import optics
-from calibration.command.choices import Choices
-from calibration.command.lens_guess import guessed_lenses
-from calibration.command.models import cone_start, known_cone
-from calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
-from calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, read_footage
-from calibration.pixels.fit import ImageFit, fit_image
-from calibration.recordings import Recording
-from calibration.solvers import propagated
-from calibration.spots.cone_trials import JointPrior, Prior, phantom_wall, wandering_boresight
-from estimator.run.progress_bar import progress, say
-from formats.calibration import BEAM, LENS_PARAMETERS, Calibration
-from formats.inputs import InputError
-from formats.stack import read_stack
-from optics.wall_light.lens import lens_parameters
+from eyespot import optics
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.lens_guess import guessed_lenses
+from eyespot.calibration.command.models import cone_start, known_cone
+from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
+from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, read_footage
+from eyespot.calibration.pixels.fit import ImageFit, fit_image
+from eyespot.calibration.recordings import Recording
+from eyespot.calibration.solvers import propagated
+from eyespot.calibration.spots.cone_trials import (
+    JointPrior,
+    Prior,
+    phantom_wall,
+    wandering_boresight,
+)
+from eyespot.estimator.run.progress_bar import progress, say
+from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import read_stack
+from eyespot.optics.wall_light.lens import lens_parameters
 
 _GLUE_INDEX = 1.49
 """Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""

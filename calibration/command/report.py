@@ -12,10 +12,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
-from calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
-from formats.inputs import in_figure
-from formats.page import PALETTE, STYLE, templates
+from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
+from eyespot.calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
+from eyespot.formats.inputs import in_figure
+from eyespot.formats.page import PALETTE, STYLE, templates
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
@@ -28,7 +28,7 @@ def render(fitted: Fitted, doubts: Sequence[Doubt], **about: Any) -> str:
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
     return (
-        templates("calibration.command")
+        templates("eyespot.calibration.command")
         .get_template("fit.html.j2")
         .render(
             **about,

@@ -15,11 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from calibration.pixels.fit import Failure
-from calibration.pixels.misfit import Misfit
-from calibration.recordings import Recording
-from calibration.solvers import accepted_range, slow_waves
-from formats.calibration import QUANTITIES
+from eyespot.calibration.pixels.fit import Failure
+from eyespot.calibration.pixels.misfit import Misfit
+from eyespot.calibration.recordings import Recording
+from eyespot.calibration.solvers import accepted_range, slow_waves
+from eyespot.formats.calibration import QUANTITIES
 
 
 class PixelResiduals(NamedTuple):

@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float
 
-import optics
-from calibration.recordings import withdrawal
-from calibration.spots.cone_trials import Prior
-from estimator.sources.opening import open_source
-from formats.camera import CameraNoise, CameraSheet, Response
-from formats.inputs import InputError, in_file, shortened, validated
-from formats.microscope import MicroscopeFile, read_microscope
-from formats.stack import Stack
-from optics.instrument import BareFibre
-from optics.wall_light.lens import PARAMETERS as LENS
+from eyespot import optics
+from eyespot.calibration.recordings import withdrawal
+from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.inputs import InputError, in_file, shortened, validated
+from eyespot.formats.microscope import MicroscopeFile, read_microscope
+from eyespot.formats.stack import Stack
+from eyespot.optics.instrument import BareFibre
+from eyespot.optics.wall_light.lens import PARAMETERS as LENS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,14 +10,14 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
-from calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
-from calibration.pixels.misfit import Misfit, Pixels, found_misfit
-from calibration.pixels.solver import EVEN, BeamSolver, Point
-from calibration.recordings import touch_of
-from calibration.solvers import covariance_and_lost, propagated
-from calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, JointPrior, Prior
-from formats.inputs import InputError
+from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
+from eyespot.calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
+from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
+from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
+from eyespot.calibration.recordings import touch_of
+from eyespot.calibration.solvers import covariance_and_lost, propagated
+from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, JointPrior, Prior
+from eyespot.formats.inputs import InputError
 
 Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]
 """The criterion of convergence that a fit does not meet, and the reason with its value: a further
@@ -92,8 +92,8 @@ _TOLERANCE = {True: 0.5, False: 0.04}
 root is the step in standard errors."""
 _OTHER_SAGS = (0.3, 3.0)
 """Factors of the sag for further starts. Two drops can have nearly the same light, and a drop that
-focuses it near the tip is found from flatter ones only (numbers 42 and 41 of `tests.photon_fits
-coverage`)."""
+focuses it near the tip is found from flatter ones only (numbers 42 and 41 of
+`tests.support.coverage.photon_fits coverage`)."""
 _POOR, _MISSED = 1.0, 0.25
 """Chi squared per cell above which a fit in wide cells, and then one in small cells, is not that of
 the right beam. Its unit is an error of 1 % of a frame's peak, so the latter is one of 0.5 %. Of

@@ -18,14 +18,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
-import optics
-from calibration.pixels.data import CONE, LENS, POSE, Footage
-from calibration.spots.cone_trials import beam_directions, phantom_wall
-from estimator.pixels.beam import blurred, blurred_with_growth
-from optics.wall_light.cells import CellBeam, pixels_see, square_lattice
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import FLATTEST, LensSamples, LensTable, halvings_for, lens_samples
-from optics.wall_light.pose_light import (
+from eyespot import optics
+from eyespot.calibration.pixels.data import CONE, LENS, POSE, Footage
+from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall
+from eyespot.estimator.pixels.beam import blurred, blurred_with_growth
+from eyespot.optics.wall_light.cells import CellBeam, pixels_see, square_lattice
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.lens import (
+    FLATTEST,
+    LensSamples,
+    LensTable,
+    halvings_for,
+    lens_samples,
+)
+from eyespot.optics.wall_light.pose_light import (
     BeamFrame,
     beam_at_wall,
     irradiance_alone,
@@ -40,8 +46,8 @@ _REACH = {True: 1.6, False: 1.05}
 _FINEST_PX = 0.17
 """Width of a table's cells, in pixels, below which they are not halved. The model averages over
 pixels, but wide cells blur a sharp image of the core. On counted photons (number 1 of
-`tests.photon_fits coverage`) a whole pixel biases NA by a standard error, 0.25 px by 0.3 and 0.17
-px by 0.05, compared with 0.1 px."""
+`tests.support.coverage.photon_fits coverage`) a whole pixel biases NA by a standard error, 0.25 px
+by 0.3 and 0.17 px by 0.05, compared with 0.1 px."""
 _HALVINGS = 6
 """Least number of halvings of a table's cells: tables of one shape need one compilation for all
 lenses of small frames."""
@@ -52,13 +58,14 @@ _FIRST_ORDER = 0.01
 """The same for the rounds that learn the noise: the light is right to the square, 1e-4."""
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
-image of the core (`tests.photon_fits examples`) had a sag ten sigma of the noise off."""
+image of the core (`tests.support.coverage.photon_fits examples`) had a sag ten sigma of the noise
+off."""
 _FLAT_MM = 1e-5  # least sag of a table
 ENCLOSED = 1.0 + 1e-4  # least rim of a cap over its core
 CLEAR = 1.003
 """Rim over the core from which on the light's derivatives are those of a rim that cuts off nothing.
 At 1.0001 an invisible rim seemed known 7 times, at 1.001 twice as well as from 1.002 on (seed 100
-of `tests.random_fits lenses`)."""
+of `tests.support.coverage.random_fits lenses`)."""
 
 
 class LinearLensLight:

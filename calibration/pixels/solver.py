@@ -26,8 +26,8 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
-from calibration.pixels.data import Footage, possible
-from calibration.pixels.light import (
+from eyespot.calibration.pixels.data import Footage, possible
+from eyespot.calibration.pixels.light import (
     CAP,
     CLEAR,
     NEAREST_MM,
@@ -43,10 +43,10 @@ from calibration.pixels.light import (
     cap_shape,
     cap_slopes,
 )
-from calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
-from calibration.spots.cone_trials import JointPrior, Prior, prior_terms
-from formats.inputs import InputError
-from optics.wall_light.lens import TABLE_ERROR
+from eyespot.calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
+from eyespot.calibration.spots.cone_trials import JointPrior, Prior, prior_terms
+from eyespot.formats.inputs import InputError
+from eyespot.optics.wall_light.lens import TABLE_ERROR
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""

@@ -9,8 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-import optics
-from calibration.solvers import (
+from eyespot import optics
+from eyespot.calibration.solvers import (
     Solution,
     covariance_and_lost,
     excess_variance,
@@ -18,7 +18,7 @@ from calibration.solvers import (
     propagated,
     slow_waves,
 )
-from calibration.spots.cone_trials import (
+from eyespot.calibration.spots.cone_trials import (
     BORESIGHT_SIGMA,
     HELD,
     LEAN_SIGMA,
@@ -32,7 +32,7 @@ from calibration.spots.cone_trials import (
     prior_terms,
     spots,
 )
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 PARAMETERS = (
     "half_angle",

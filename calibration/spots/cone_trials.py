@@ -20,9 +20,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-import optics
-from calibration.solvers import padded
-from formats.inputs import InputError
+from eyespot import optics
+from eyespot.calibration.solvers import padded
+from eyespot.formats.inputs import InputError
 
 NUISANCES = (
     "touch",
@@ -382,8 +382,8 @@ RETINA = Prior(13.0, 1.0)
 SIZE_SIGMA = 0.0001
 """Part by which the sizes of a trial's spots are off alike, as the texture of its wall pulls their
 edges: 0.007 of 75 px. More frames do not average it out. With it 88 random withdrawals over drawn
-retinas, printed paper and a photograph (seeds 0 to 174 of `tests.random_fits cones`) have the
-errors that they state; with half of it they are 1.3 times as large."""
+retinas, printed paper and a photograph (seeds 0 to 174 of `tests.support.coverage.random_fits
+cones`) have the errors that they state; with half of it they are 1.3 times as large."""
 
 SIZE_PER_MM = 0.00065
 """Part by which the best pinhole over a sphere misses the size of a spot, per mm of c.

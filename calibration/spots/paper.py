@@ -28,10 +28,10 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy import stats
 
-import optics
-from calibration.solvers import GAUSS_NEWTON, Solution, huber, least_squares, padded
-from calibration.spots.cone_trials import Prior
-from formats.inputs import InputError
+from eyespot import optics
+from eyespot.calibration.solvers import GAUSS_NEWTON, Solution, huber, least_squares, padded
+from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.formats.inputs import InputError
 
 Loss = Literal["squares", "huber"]
 """Least squares, or Huber's loss, which finds outliers."""

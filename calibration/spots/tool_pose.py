@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 from scipy.optimize import least_squares
 
-import optics
+from eyespot import optics
 
 _POINTS = 32  # per contour; its ellipse is then accurate to 1e-7 px
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 
 from cyclopts.types import Port
 
-from estimator.run.options import Options, RecordingOptions
-from formats.inputs import InputError
-from formats.poses import POSE_TOPIC
+from eyespot.estimator.run.options import Options, RecordingOptions
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import POSE_TOPIC
 
 if TYPE_CHECKING:
-    from formats.poses import PoseTrack
+    from eyespot.formats.poses import PoseTrack
 
 _TOPIC = "topic:"
 
@@ -41,19 +41,19 @@ def console(
         port: Port to listen on.
     """
     try:
-        from estimator.console.page import serve
+        from eyespot.estimator.console.page import serve
     except ModuleNotFoundError as error:
         raise InputError(
             f"the console needs the package {error.name}: pip install 'eyespot[console]'."
         ) from error
-    from estimator.console.gate import is_loopback
+    from eyespot.estimator.console.gate import is_loopback
 
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
     track: "Callable[[], PoseTrack] | None"
     if source.startswith(_TOPIC):
-        from estimator.rig.rig import RecentPoses
-        from estimator.rig.topic import open_topic
+        from eyespot.estimator.rig.rig import RecentPoses
+        from eyespot.estimator.rig.topic import open_topic
 
         if recorded.poses is not None:
             raise InputError(

@@ -16,10 +16,10 @@ from typing import IO, Any
 
 import numpy as np
 
-from estimator.console.session import CoursePoint, Session
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.spots import NoSpot, Spot
+from eyespot.estimator.console.session import CoursePoint, Session
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Spot
 
 _SATURATED = 0.01  # of the spot; below it are single hot pixels and reflections
 _DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has four times its least

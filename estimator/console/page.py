@@ -9,14 +9,14 @@ from typing import Any
 from nicegui import app, ui
 from starlette.responses import Response as Reply
 
-from estimator.console.gate import Gate
-from estimator.console.guide import FEWEST_SPOTS, LEAST_MM, Guide, Stage, exposure_advice
-from estimator.console.session import COURSE_S, Session, View, svg_of
-from estimator.run.options import Options
-from estimator.sources.source import Source
-from formats.inputs import InputError
-from formats.poses import PoseTrack
-from formats.spots import NoSpot
+from eyespot.estimator.console.gate import Gate
+from eyespot.estimator.console.guide import FEWEST_SPOTS, LEAST_MM, Guide, Stage, exposure_advice
+from eyespot.estimator.console.session import COURSE_S, Session, View, svg_of
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.sources.source import Source
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import PoseTrack
+from eyespot.formats.spots import NoSpot
 
 _PICTURE_S, _COURSE_S = 0.04, 0.25  # how often a page looks for something new
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")

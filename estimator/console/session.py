@@ -16,18 +16,18 @@ from queue import Full, Queue
 import cv2
 import numpy as np
 
-from estimator.image import outline_px, rgb_8bit
-from estimator.run.offline import record_of
-from estimator.run.overlay import RIG_RATE_HZ
-from estimator.run.reader import Reader, Reading
-from estimator.sources.ros import write_bag
-from estimator.sources.source import Frame, Source
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.poses import Pose, PoseTrack
-from formats.spots import Spot, spots_stream
-from formats.whole_files import refuse_existing
+from eyespot.estimator.image import outline_px, rgb_8bit
+from eyespot.estimator.run.offline import record_of
+from eyespot.estimator.run.overlay import RIG_RATE_HZ
+from eyespot.estimator.run.reader import Reader, Reading
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.poses import Pose, PoseTrack
+from eyespot.formats.spots import Spot, spots_stream
+from eyespot.formats.whole_files import refuse_existing
 
 Write = Callable[[Frame, Reading, float, PoseTrack], None]
 

@@ -13,10 +13,16 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
-from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch, ring_variance, robust_step
-from estimator.detector.levels import Levels
-from estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
-from formats.spots import NoSpot, Reason
+from eyespot.estimator.detector.ellipse import (
+    DESIGN,
+    AffineEllipse,
+    Patch,
+    ring_variance,
+    robust_step,
+)
+from eyespot.estimator.detector.levels import Levels
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
+from eyespot.formats.spots import NoSpot, Reason
 
 _ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.ellipse import AffineEllipse
-from estimator.detector.tuning import Channel, Search, Verdict
-from estimator.image import clip_level
-from formats.camera import GREY, GREY_WEIGHTS, Window
+from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.tuning import Channel, Search, Verdict
+from eyespot.estimator.image import clip_level
+from eyespot.formats.camera import GREY, GREY_WEIGHTS, Window
 
 
 def channel_for(

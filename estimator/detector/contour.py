@@ -23,14 +23,14 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Bright, Coarse, bright_regions, channel_for
-from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import AffineEllipse, Patch
-from estimator.detector.levels import dark_radius
-from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
-from formats.camera import GREY, Window
-from formats.spots import NoSpot, Reason
+from eyespot.estimator.detector.coarse import Bright, Coarse, bright_regions, channel_for
+from eyespot.estimator.detector.edges import EdgeFit, fit_edge
+from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.levels import dark_radius
+from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
+from eyespot.formats.camera import GREY, Window
+from eyespot.formats.spots import NoSpot, Reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
-from estimator.detector.coarse import Coarse
-from estimator.detector.ellipse import (
+from eyespot.estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
+from eyespot.estimator.detector.coarse import Coarse
+from eyespot.estimator.detector.ellipse import (
     DESIGN,
     AffineEllipse,
     Patch,
@@ -23,7 +23,7 @@ from estimator.detector.ellipse import (
     ring_variance,
     robust_step,
 )
-from estimator.detector.levels import (
+from eyespot.estimator.detector.levels import (
     RADII,
     RADIUS_STEP,
     Levels,
@@ -31,8 +31,8 @@ from estimator.detector.levels import (
     levels_of,
     slope_of_surroundings,
 )
-from estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
-from formats.spots import NoSpot, Reason
+from eyespot.estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
+from eyespot.formats.spots import NoSpot, Reason
 
 
 def refine_broad(

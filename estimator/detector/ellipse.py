@@ -10,7 +10,7 @@ from functools import cache
 import cv2
 import numpy as np
 
-from estimator.detector.tuning import FEWEST_RAYS, RAYS, ErrorGrowth, Refine, Trimming
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, ErrorGrowth, Refine, Trimming
 
 
 @dataclass(frozen=True, eq=False)

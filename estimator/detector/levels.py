@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Coarse
-from estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
-from estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, WideView
+from eyespot.estimator.detector.coarse import Coarse
+from eyespot.estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, WideView
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""

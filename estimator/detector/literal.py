@@ -30,10 +30,10 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from estimator.image import clip_level
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.spots import NoSpot, Reason, Spot
+from eyespot.estimator.image import clip_level
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

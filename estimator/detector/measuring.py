@@ -21,14 +21,20 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from estimator.detector.coarse import Coarse, bright_regions
-from estimator.detector.contour import Region, contour_of, patch_round
-from estimator.detector.edges import EdgeFit, fit_edge
-from estimator.detector.ellipse import AffineEllipse, Patch, contour_points, normals_of, refitted
-from estimator.detector.levels import RADII, RADIUS_STEP, background_of
-from estimator.detector.tuning import Motion, Refine, Reflection, Verdict
-from formats.camera import LensDistortion
-from formats.spots import NoSpot
+from eyespot.estimator.detector.coarse import Coarse, bright_regions
+from eyespot.estimator.detector.contour import Region, contour_of, patch_round
+from eyespot.estimator.detector.edges import EdgeFit, fit_edge
+from eyespot.estimator.detector.ellipse import (
+    AffineEllipse,
+    Patch,
+    contour_points,
+    normals_of,
+    refitted,
+)
+from eyespot.estimator.detector.levels import RADII, RADIUS_STEP, background_of
+from eyespot.estimator.detector.tuning import Motion, Refine, Reflection, Verdict
+from eyespot.formats.camera import LensDistortion
+from eyespot.formats.spots import NoSpot
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)

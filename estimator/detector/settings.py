@@ -13,8 +13,8 @@ one is used. Texture that differs between colours is removed from broad edges fi
 
 from dataclasses import dataclass, field
 
-from formats.camera import LensDistortion, Response
-from formats.inputs import InputError
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.inputs import InputError
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,12 +4,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector.ellipse import AffineEllipse, Patch
-from estimator.detector.levels import outermost_radius
-from estimator.detector.tuning import RAYS, SpotProfile
-from estimator.image import clip_level
-from formats.camera import GREY, LensDistortion, Response, Window, checked_frame
-from formats.spots import Spot
+from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.levels import outermost_radius
+from eyespot.estimator.detector.tuning import RAYS, SpotProfile
+from eyespot.estimator.image import clip_level
+from eyespot.formats.camera import GREY, LensDistortion, Response, Window, checked_frame
+from eyespot.formats.spots import Spot
 
 LEVELS = SpotProfile.LEVELS
 """Levels of the isophotes, as fractions of the peak above the background."""

@@ -13,18 +13,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from estimator.detector.contour import Region, contour_of, region_at, regions_in
-from estimator.detector.edges import EdgeFit
-from estimator.detector.ellipse import AffineEllipse
-from estimator.detector.levels import dark_radius
-from estimator.detector.literal import LiteralSettings, measure_literal
-from estimator.detector.measuring import rim_on
-from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import Faint, Verdict
-from estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
-from formats.camera import Window, checked_frame, without_repeats
-from formats.inputs import InputError
-from formats.spots import NoSpot, Outline, Reason, Spot
+from eyespot.estimator.detector.contour import Region, contour_of, region_at, regions_in
+from eyespot.estimator.detector.edges import EdgeFit
+from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.levels import dark_radius
+from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
+from eyespot.estimator.detector.measuring import rim_on
+from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.tuning import Faint, Verdict
+from eyespot.estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
+from eyespot.formats.camera import Window, checked_frame, without_repeats
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Outline, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

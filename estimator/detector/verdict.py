@@ -9,13 +9,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector.contour import Region
-from estimator.detector.edges import EdgeFit
-from estimator.detector.ellipse import covariance_of_axes, shares_of_contour
-from estimator.detector.measuring import MeasuredRegion, is_coarse, measured_in, significance_of
-from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tuning import Refine, Verdict
-from formats.spots import NoSpot, Reason, Spot
+from eyespot.estimator.detector.contour import Region
+from eyespot.estimator.detector.edges import EdgeFit
+from eyespot.estimator.detector.ellipse import covariance_of_axes, shares_of_contour
+from eyespot.estimator.detector.measuring import (
+    MeasuredRegion,
+    is_coarse,
+    measured_in,
+    significance_of,
+)
+from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.tuning import Refine, Verdict
+from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
 class Sighting(NamedTuple):

@@ -12,13 +12,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from estimator.detector import tuning
-from estimator.distance.range import Range
-from estimator.distance.ranger import Ranger
-from estimator.distance.tilted_cone import ConeView, distance_of, slopes_of
-from formats.calibration import BEAM, QUANTITIES
-from formats.spots import Spot
-from formats.stated import Stated
+from eyespot.estimator.detector import tuning
+from eyespot.estimator.distance.range import Range
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, slopes_of
+from eyespot.formats.calibration import BEAM, QUANTITIES
+from eyespot.formats.spots import Spot
+from eyespot.formats.stated import Stated
 
 
 class Cause(Enum):

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.distance.range import Range, TipPose
-from formats.calibration import Calibration
-from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.spots import Spot
+from eyespot.estimator.distance.range import Range, TipPose
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import Spot
 
 if TYPE_CHECKING:
-    import optics
+    from eyespot import optics
 
 
 _OTHER = 1.5  # ratio of scales that no fit corrects: zooms differ by more, and rulers by less
@@ -88,7 +88,7 @@ class AreaDistances:
         return Range(distance_mm=distance, sigma_mm=math.sqrt(slopes @ covariance @ slopes))
 
     def _distance(self, ellipse: np.ndarray, axis: np.ndarray, values: list[float]) -> float:
-        import optics
+        from eyespot import optics
 
         # Arrays: for plain numbers JAX would compile every time.
         array: Any = np.array
@@ -170,7 +170,7 @@ class ConePoses:
         axis: np.ndarray | None,
         axis_sigma_rad: float,
     ) -> "optics.PoseEstimate":
-        import optics
+        from eyespot import optics
 
         # Without an axis, pass one without weight: both cases share one compilation.
         if axis is None:

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from estimator.detector.shape import LEVELS, Shape
-from estimator.distance.range import Range
-from formats.calibration import LENS_PARAMETERS, Calibration
+from eyespot.estimator.detector.shape import LEVELS, Shape
+from eyespot.estimator.distance.range import Range
+from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
 
 if TYPE_CHECKING:
-    import optics
+    from eyespot import optics
 
 _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation between incidences
 _SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, the wall's texture and the camera's blur
@@ -143,7 +143,7 @@ def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
     Raises:
         InputError: no lens has these parameters; the text says which one is wrong.
     """
-    import optics
+    from eyespot import optics
 
     lens = optics.glue_lens(
         **{name: calibration.values[name] for name in LENS_PARAMETERS if name in calibration.values}
@@ -227,7 +227,7 @@ def _isophotes(light: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def _relative_error(calibration: Calibration) -> np.ndarray:
     """Standard error of the half-maximum radius at `_DISTANCES`, from the calibration's."""
-    import optics
+    from eyespot import optics
 
     def log_radius(values: Mapping[str, float]) -> np.ndarray:
         # Unchecked: a step of one standard error may leave what `optics.glue_lens` allows.

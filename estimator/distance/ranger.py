@@ -8,15 +8,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from estimator.detector.ellipse import AffineEllipse
-from estimator.detector.shape import spot_shape
-from estimator.distance.cone import UNKNOWN_SIGMA_PX, AreaDistances, ConePoses, calibrated_view
-from estimator.distance.lens_range import distance_from_lens, lens_curve
-from estimator.distance.range import Range
-from formats.calibration import CONE_MODELS, MODELS, Calibration
-from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.spots import Spot
+from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.shape import spot_shape
+from eyespot.estimator.distance.cone import (
+    UNKNOWN_SIGMA_PX,
+    AreaDistances,
+    ConePoses,
+    calibrated_view,
+)
+from eyespot.estimator.distance.lens_range import distance_from_lens, lens_curve
+from eyespot.estimator.distance.range import Range
+from eyespot.formats.calibration import CONE_MODELS, MODELS, Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import Spot
 
 Numbers = float | np.ndarray
 
@@ -143,7 +148,7 @@ class Ranger:
 
     def _closed_form(self, model: str, spot: Spot, spot_covariance: np.ndarray) -> Range:
         """Distance by a closed form, its sigma propagated by central differences."""
-        import optics
+        from eyespot import optics
 
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
@@ -158,7 +163,7 @@ class Ranger:
             at_x, at_y, _ = self._on_wall(eye, x, y, plane=False)
             c = np.hypot(at_x, at_y) if self.eccentricity_mm is None else self.eccentricity_mm
             if model == "corrected" and self._path is not None:
-                from optics.viewing.camera import local_magnification
+                from eyespot.optics.viewing.camera import local_magnification
 
                 camera, wall = self._path
                 magnification = local_magnification(
@@ -199,7 +204,7 @@ class Ranger:
 
         With `plane` the wall may be the microscope's plane; else it is the eyeball.
         """
-        import optics
+        from eyespot import optics
 
         u, v = self.microscope.principal_point_px
         seen: Any = {"right_px": x - u, "down_px": y - v, **eye}
@@ -208,7 +213,7 @@ class Ranger:
             return np.asarray(optics.plane_point(**seen, normal=normal))
         if self._path is None:
             return np.asarray(optics.eyeball_point(**seen))
-        from optics.viewing.camera import wall_point
+        from eyespot.optics.viewing.camera import wall_point
 
         # A line of sight is given by the offset in mm.
         own = eye["scale"] / self.microscope.scale_mm_px

@@ -38,7 +38,7 @@ class ConeView(NamedTuple):
 
     def wall_point(self, at_px: np.ndarray) -> np.ndarray:
         """What the pinhole sees at image points, (n, 2) px from the principal point: (n, 3)."""
-        import optics
+        from eyespot import optics
 
         seen: Any = {
             "right_px": at_px[:, 0],

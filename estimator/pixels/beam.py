@@ -14,12 +14,12 @@ from jaxtyping import Bool, Float
 from scipy.fft import dct
 from scipy.special import j1
 
-from estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
-from formats.camera import USUAL_CUT
-from formats.microscope import MicroscopeFile
-from optics.instrument import BareFibre
-from optics.wall_light.cells import Lattice, pixels_see, square_lattice
-from optics.wall_light.pose_light import (
+from eyespot.estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
+from eyespot.formats.camera import USUAL_CUT
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.optics.instrument import BareFibre
+from eyespot.optics.wall_light.cells import Lattice, pixels_see, square_lattice
+from eyespot.optics.wall_light.pose_light import (
     BeamFrame,
     Steps,
     beam_at_wall,

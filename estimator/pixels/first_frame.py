@@ -15,10 +15,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from estimator.pixels.beam import BeamLight, Sweep
-from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
-from estimator.pixels.frame_fit import STEPS, fit_wherever, moved, outliers, remodelled, robust_fit
-from estimator.pixels.frame_model import (
+from eyespot.estimator.pixels.beam import BeamLight, Sweep
+from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
+from eyespot.estimator.pixels.frame_fit import (
+    STEPS,
+    fit_wherever,
+    moved,
+    outliers,
+    remodelled,
+    robust_fit,
+)
+from eyespot.estimator.pixels.frame_model import (
     SHIFT,
     Direction,
     FrameState,
@@ -28,11 +35,11 @@ from estimator.pixels.frame_model import (
     lit,
     texture_of,
 )
-from estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
-from estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
-from formats.camera import CameraNoise
-from formats.spots import Outline
-from optics.wall_light.pose_light import BeamFrame
+from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
+from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
+from eyespot.formats.camera import CameraNoise
+from eyespot.formats.spots import Outline
+from eyespot.optics.wall_light.pose_light import BeamFrame
 
 REACH = (2.0, 1.2)
 """Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out

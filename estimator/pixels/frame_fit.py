@@ -21,9 +21,17 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from estimator.pixels.cells import COUNT, SIDES, STILL, CellLight, CellWindow, WallMotion, rolled
-from estimator.pixels.frame_model import FrameState, Linear, share
-from estimator.pixels.solver import Kept, PoseSolution, PoseSolver
+from eyespot.estimator.pixels.cells import (
+    COUNT,
+    SIDES,
+    STILL,
+    CellLight,
+    CellWindow,
+    WallMotion,
+    rolled,
+)
+from eyespot.estimator.pixels.frame_model import FrameState, Linear, share
+from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver
 
 FARTHEST = 6
 """Cells, the longest shift that is searched for; 1 mm/s is two or three from frame to frame."""

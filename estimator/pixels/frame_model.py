@@ -33,10 +33,10 @@ from scipy.optimize import minimize
 from scipy.spatial.transform import Rotation
 from scipy.special import logsumexp
 
-from estimator.pixels.beam import BeamLight, Sweep, blurred
-from estimator.pixels.cells import COUNT, SHADES, CellLight, CellWindow, rolled
-from optics.wall_light.pose_light import POSE, BeamFrame
-from optics.wall_light.unknown_wall import CONTRASTS, LENGTHS_MM, WITHIN
+from eyespot.estimator.pixels.beam import BeamLight, Sweep, blurred
+from eyespot.estimator.pixels.cells import COUNT, SHADES, CellLight, CellWindow, rolled
+from eyespot.optics.wall_light.pose_light import POSE, BeamFrame
+from eyespot.optics.wall_light.unknown_wall import CONTRASTS, LENGTHS_MM, WITHIN
 
 _TURNED = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""

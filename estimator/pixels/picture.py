@@ -20,12 +20,12 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from estimator.image import clip_level
-from estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
-from estimator.pixels.solver import PoseSolution
-from formats.camera import GREY_WEIGHTS, CameraNoise
-from formats.inputs import InputError
-from formats.spots import Outline
+from eyespot.estimator.image import clip_level
+from eyespot.estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
+from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.formats.camera import GREY_WEIGHTS, CameraNoise
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import Outline
 
 _LEAST = 1e-4  # full wells, of a channel
 _LIT = 0.25  # of the brightest cell; darker ones show the ambient light

@@ -21,9 +21,9 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
-from estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
-from estimator.pixels.cells import COUNT, CellWindow
-from estimator.pixels.frame_model import (
+from eyespot.estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
+from eyespot.estimator.pixels.cells import COUNT, CellWindow
+from eyespot.estimator.pixels.frame_model import (
     AMBIENT,
     BLUR,
     GAIN,
@@ -40,7 +40,7 @@ from estimator.pixels.frame_model import (
     prior_cost,
     prior_of,
 )
-from optics.wall_light.pose_light import POSE
+from eyespot.optics.wall_light.pose_light import POSE
 
 Kept = list[tuple[FrameState, Linear]]
 """Earlier frames with their models, which are fitted again with each new one."""

@@ -14,29 +14,29 @@ from typing import Any
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
-import optics
-from estimator.distance.cone import calibrated_view
-from estimator.distance.range import Range, WallMemory
-from estimator.pixels.beam import BeamLight, Sweep
-from estimator.pixels.first_frame import (
+from eyespot import optics
+from eyespot.estimator.distance.cone import calibrated_view
+from eyespot.estimator.distance.range import Range, WallMemory
+from eyespot.estimator.pixels.beam import BeamLight, Sweep
+from eyespot.estimator.pixels.first_frame import (
     Hypothesis,
     Observation,
     distinct,
     explained_alone,
     explained_with,
 )
-from estimator.pixels.frame_fit import FARTHEST
-from estimator.pixels.frame_model import Direction, RobotPose
-from estimator.pixels.picture import FramePixels, Mix, Reference
-from estimator.pixels.verdict import flag_of, range_of, shake_covariance
-from formats.calibration import LENS_PARAMETERS, Calibration
-from formats.inputs import InputError
-from formats.microscope import MicroscopeFile
-from formats.spots import Outline, Reason
-from formats.stated import USUAL_SHAKE_PX
-from formats.whole_files import cache_file, kept_arrays
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import (
+from eyespot.estimator.pixels.frame_fit import FARTHEST
+from eyespot.estimator.pixels.frame_model import Direction, RobotPose
+from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference
+from eyespot.estimator.pixels.verdict import flag_of, range_of, shake_covariance
+from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import Outline, Reason
+from eyespot.formats.stated import USUAL_SHAKE_PX
+from eyespot.formats.whole_files import cache_file, kept_arrays
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.lens import (
     FLATTEST,
     PARAMETERS,
     LensTable,
@@ -44,7 +44,7 @@ from optics.wall_light.lens import (
     lens_parameters,
     lens_samples,
 )
-from optics.wall_light.pose_light import POSE
+from eyespot.optics.wall_light.pose_light import POSE
 
 _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
 

@@ -28,13 +28,20 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from estimator.distance.range import Range, TipPose, WallMemory
-from estimator.pixels.cells import COUNT, SIDES, WallMotion
-from estimator.pixels.first_frame import Hypothesis
-from estimator.pixels.frame_model import BLOOM_SIGMA_PX, BLUR, TextureVariances, contrast, halo, lit
-from estimator.pixels.solver import PoseSolution
-from formats.spots import Outline, Reason
-from optics.wall_light.pose_light import POSE
+from eyespot.estimator.distance.range import Range, TipPose, WallMemory
+from eyespot.estimator.pixels.cells import COUNT, SIDES, WallMotion
+from eyespot.estimator.pixels.first_frame import Hypothesis
+from eyespot.estimator.pixels.frame_model import (
+    BLOOM_SIGMA_PX,
+    BLUR,
+    TextureVariances,
+    contrast,
+    halo,
+    lit,
+)
+from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.formats.spots import Outline, Reason
+from eyespot.optics.wall_light.pose_light import POSE
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(

@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from estimator.distance.range import TipPose
-from estimator.rig.rig import RigOutput
-from formats.poses import Pose
+from eyespot.estimator.distance.range import TipPose
+from eyespot.estimator.rig.rig import RigOutput
+from eyespot.formats.poses import Pose
 
 PERIOD_S = 1.0  # how often a node should look
 _LIMIT_S = 2.0  # a rig's camera takes 20 images in this time

@@ -1,22 +1,29 @@
 """The rig's node: microscope images in, the spot, its axes and its distance out.
 
-    python -m estimator.rig.node _microscope:=/data/microscope.json            # ROS 1
-    python -m estimator.rig.node --ros-args -p microscope:=/data/microscope.json   # ROS 2
+    eyespot node _microscope:=/data/microscope.json                   # ROS 1
+    eyespot node --ros-args -p microscope:=/data/microscope.json      # ROS 2
 
 `rig` measures; `ros1` and `ros2` connect it to topics. docs/rig.md lists topics and parameters.
 """
 
 import importlib.util
 import os
-import sys
 import time
-from typing import Any
+from typing import Annotated, Any
 
-from estimator.rig.messages import Silence, image_type, message_types, messages_of, status_message
-from estimator.rig.rig import Parameters, Rig, opened_rig
-from estimator.rig.ros1 import Ros1
-from estimator.rig.ros2 import Ros2
-from formats.inputs import InputError
+from cyclopts import Parameter
+
+from eyespot.estimator.rig.messages import (
+    Silence,
+    image_type,
+    message_types,
+    messages_of,
+    status_message,
+)
+from eyespot.estimator.rig.rig import Parameters, Rig, opened_rig
+from eyespot.estimator.rig.ros1 import Ros1
+from eyespot.estimator.rig.ros2 import Ros2
+from eyespot.formats.inputs import InputError
 
 
 def ros_here() -> type[Ros1] | type[Ros2]:
@@ -77,17 +84,14 @@ class Connection:
             self._ros.say(fault, is_fault=True)
 
 
-def main() -> None:
-    """Run the node under the ROS that was found until that ROS shuts down."""
-    try:
-        with ros_here().running("eyespot") as ros:
-            parameters = ros.parameters()
-            with opened_rig(parameters) as rig:
-                ros.spin(Connection(ros, rig, parameters).watch)
-    except (InputError, OSError) as error:
-        print(f"eyespot: {error}", file=sys.stderr)
-        sys.exit(2)
+def node(*arguments: Annotated[str, Parameter(allow_leading_hyphen=True)]) -> None:
+    """Measure a microscope's images under the ROS that is found, until that ROS shuts down.
 
-
-if __name__ == "__main__":
-    main()
+    Args:
+        arguments: Those of ROS: `_NAME:=VALUE` (ROS 1), `--ros-args -p NAME:=VALUE` (ROS 2).
+    """
+    del arguments  # ROS reads them itself, from sys.argv
+    with ros_here().running("eyespot") as ros:
+        parameters = ros.parameters()
+        with opened_rig(parameters) as rig:
+            ros.spin(Connection(ros, rig, parameters).watch)

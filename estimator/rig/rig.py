@@ -10,16 +10,16 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from estimator.distance.range import TipPose, WallMemory
-from estimator.run import exit_codes
-from estimator.run.options import Options
-from estimator.run.reader import Reading
-from estimator.sources.ros import IMAGE_TOPIC, frame_of_message
-from estimator.sources.source import Frame
-from estimator.viewer import recording_of
-from formats.inputs import InputError
-from formats.poses import POSE_TOPIC, Pose, PoseTrack, pose_of_message
-from formats.spots import NoSpot, Reason, Spot
+from eyespot.estimator.distance.range import TipPose, WallMemory
+from eyespot.estimator.run import exit_codes
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.reader import Reading
+from eyespot.estimator.sources.ros import IMAGE_TOPIC, frame_of_message
+from eyespot.estimator.sources.source import Frame
+from eyespot.estimator.viewer import recording_of
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, pose_of_message
+from eyespot.formats.spots import NoSpot, Reason, Spot
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 

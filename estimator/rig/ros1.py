@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Self
 
-from estimator.rig.messages import PERIOD_S
-from estimator.rig.rig import POSES_KEPT, Parameters
-from formats.inputs import InputError
+from eyespot.estimator.rig.messages import PERIOD_S
+from eyespot.estimator.rig.rig import POSES_KEPT, Parameters
+from eyespot.formats.inputs import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments
 # Larger than an uncompressed 1920x1080 RGB image (6.2 MB). In a smaller buffer old images wait, so

@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Self
 
-from estimator.rig.messages import PERIOD_S
-from estimator.rig.rig import POSES_KEPT, Parameters
-from formats.inputs import InputError
-from formats.ros_bags import stamp_s
+from eyespot.estimator.rig.messages import PERIOD_S
+from eyespot.estimator.rig.rig import POSES_KEPT, Parameters
+from eyespot.formats.inputs import InputError
+from eyespot.formats.ros_bags import stamp_s
 
 _OF_ROS = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 """Parameters that each node has, or how their names begin."""

@@ -5,13 +5,13 @@ from contextlib import suppress
 from queue import Empty, Full, Queue
 from typing import Any
 
-from estimator.rig.messages import PERIOD_S, Silence, image_type
-from estimator.rig.node import ros_here
-from estimator.rig.rig import RecentPoses
-from estimator.sources.ros import decoded_frame
-from estimator.sources.source import Frame, Source
-from formats.inputs import InputError
-from formats.poses import POSE_TOPIC
+from eyespot.estimator.rig.messages import PERIOD_S, Silence, image_type
+from eyespot.estimator.rig.node import ros_here
+from eyespot.estimator.rig.rig import RecentPoses
+from eyespot.estimator.sources.ros import decoded_frame
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import POSE_TOPIC
 
 
 def open_topic(topic: str, *, poses: RecentPoses, pose_topic: str = POSE_TOPIC) -> Source:

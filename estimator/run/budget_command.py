@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 from pydantic import TypeAdapter
 
-from estimator.run.options import OUTPUT, Options, RecordingOptions
-from estimator.run.progress_bar import progress
-from formats.inputs import InputError
+from eyespot.estimator.run.options import OUTPUT, Options, RecordingOptions
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.inputs import InputError
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from estimator.distance.budget import Budget
-    from estimator.run.reader import Reading
-    from estimator.sources.source import Frame
+    from eyespot.estimator.distance.budget import Budget
+    from eyespot.estimator.run.reader import Reading
+    from eyespot.estimator.sources.source import Frame
 
 
 def budget(
@@ -42,7 +42,7 @@ def budget(
     """
     from rich.console import Console
 
-    from estimator.run.offline import track_source
+    from eyespot.estimator.run.offline import track_source
 
     if options.calibration is None:
         raise InputError(

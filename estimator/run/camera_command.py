@@ -7,8 +7,8 @@ from typing import Annotated
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from estimator.run.options import OUT
-from formats.inputs import InputError
+from eyespot.estimator.run.options import OUT
+from eyespot.formats.inputs import InputError
 
 
 def camera(
@@ -33,11 +33,11 @@ def camera(
         bit_depth: Bits that the camera uses per channel, 8 to 16.
         bayer: Colours are interpolated behind a Bayer filter.
     """
-    from estimator.photon_transfer import measured_noise
-    from estimator.sources.files import open_images
-    from formats.inputs import in_file, object_in, read_text
-    from formats.microscope import read_microscope
-    from formats.whole_files import refuse_existing, write_text
+    from eyespot.estimator.photon_transfer import measured_noise
+    from eyespot.estimator.sources.files import open_images
+    from eyespot.formats.inputs import in_file, object_in, read_text
+    from eyespot.formats.microscope import read_microscope
+    from eyespot.formats.whole_files import refuse_existing, write_text
 
     refuse_existing(out)
     if read_microscope(microscope).response.curve != "linear":

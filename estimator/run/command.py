@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from estimator.run.options import OUT, OUTPUT, Options, RecordingOptions, Rerun
-from estimator.run.progress_bar import progress
-from formats.inputs import InputError
+from eyespot.estimator.run.options import OUT, OUTPUT, Options, RecordingOptions, Rerun
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.inputs import InputError
 
 if TYPE_CHECKING:
-    from estimator.run.offline import Tracking
-    from estimator.run.overlay import Draw
-    from estimator.run.reader import Reader, Reading
-    from estimator.sources.source import Frame, Source
-    from formats.poses import PoseTrack
-    from formats.spots import SpotRecord
+    from eyespot.estimator.run.offline import Tracking
+    from eyespot.estimator.run.overlay import Draw
+    from eyespot.estimator.run.reader import Reader, Reading
+    from eyespot.estimator.sources.source import Frame, Source
+    from eyespot.formats.poses import PoseTrack
+    from eyespot.formats.spots import SpotRecord
 
 _LEAST_LINE_BYTES = 60
 """Of a spots file's line for a frame without a spot; one with a spot is seven times as long."""
@@ -60,9 +60,9 @@ def track(
     """
     from rich.console import Console
 
-    from estimator.run.offline import summary_of, table_of
-    from formats.spots import spots_stream
-    from formats.whole_files import require_space
+    from eyespot.estimator.run.offline import summary_of, table_of
+    from eyespot.formats.spots import spots_stream
+    from eyespot.formats.whole_files import require_space
 
     _check_results(out, overlay, rerun, overwrite=overwrite)
     frames, options, poses = recorded.opened(source, options, unrelated=unrelated)
@@ -108,8 +108,8 @@ def tracked(
 
     As `track_source`, with a progress bar.
     """
-    from estimator.run.offline import track_source
-    from estimator.run.overlay import RIG_RATE_HZ, overlay_writer
+    from eyespot.estimator.run.offline import track_source
+    from eyespot.estimator.run.overlay import RIG_RATE_HZ, overlay_writer
 
     tracking, spots, settings = None, 0, reader.settings
     drawing: AbstractContextManager[Draw | None] = nullcontext()
@@ -141,12 +141,12 @@ def tracked(
 
 def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwrite: bool) -> None:
     """Find out before the run what would fail after it."""
-    from estimator.run.overlay import check_overlay_path
-    from formats.inputs import in_utf8
-    from formats.whole_files import refuse_existing
+    from eyespot.estimator.run.overlay import check_overlay_path
+    from eyespot.formats.inputs import in_utf8
+    from eyespot.formats.whole_files import refuse_existing
 
     if rerun is not None:
-        from estimator.viewer import check_recording_path
+        from eyespot.estimator.viewer import check_recording_path
 
         check_recording_path(rerun)
     if out.suffix.lower() not in (".csv", ".parquet"):
@@ -173,8 +173,8 @@ def _shown(
     if target is None:
         yield None
         return
-    from estimator.viewer import recording_of
-    from formats.stack import read_stack
+    from eyespot.estimator.viewer import recording_of
+    from eyespot.formats.stack import read_stack
 
     folder = Path(frames.name)
     labelled = read_stack(folder).labels if (folder / "stack.toml").is_file() else ()
@@ -191,7 +191,7 @@ def _shown(
 
 
 def _report_early_end(tracking: Tracking, source: Source, out: Path, overlay: Path | None) -> None:
-    from estimator.run.offline import Ended
+    from eyespot.estimator.run.offline import Ended
 
     kept = f"{out} holds the {tracking.frames} frames"
     if tracking.ended is Ended.INTERRUPTED:

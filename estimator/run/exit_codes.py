@@ -165,8 +165,6 @@ _REMEDIES = {
 }
 """What to do about an error of the operating system."""
 
-_OURS = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
-
 
 def run_command(app: Callable[[], object]) -> None:
     """Run the command line and end the process. Only here it is decided what an error looks like.
@@ -220,7 +218,7 @@ def _reported_bugs() -> bool:
 def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
-    modules = ("pydantic", "scenes.machine.variant", "formats.inputs")
+    modules = ("pydantic", "eyespot.scenes.machine.variant", "eyespot.formats.inputs")
     pydantic, variant, inputs = map(sys.modules.get, modules)
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
@@ -237,7 +235,7 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
         return str(error)
     if isinstance(error, ImportError) and isinstance(error.__cause__, ImportError):
         return message_of(error.__cause__)  # of a command's module, loaded by its name
-    if isinstance(error, ModuleNotFoundError) and error.name not in _OURS:
+    if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] != "eyespot":
         return f"the Python package {error.name} is not installed. Run `make setup` again."
     if isinstance(error, OSError) and error.filename:
         remedy = _REMEDIES.get(error.errno or 0, "")

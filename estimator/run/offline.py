@@ -14,17 +14,17 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from estimator.distance.range import WallMemory
-from estimator.run.exit_codes import finish_first
-from estimator.run.progress_bar import say
-from estimator.run.reader import Reader, Reading
-from estimator.sources.source import Frame, Source
-from formats.inputs import InputError
-from formats.poses import PoseTrack
-from formats.spots import NoSpot, Reason, RecordedPose, SpotRecord
+from eyespot.estimator.distance.range import WallMemory
+from eyespot.estimator.run.exit_codes import finish_first
+from eyespot.estimator.run.progress_bar import say
+from eyespot.estimator.run.reader import Reader, Reading
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import PoseTrack
+from eyespot.formats.spots import NoSpot, Reason, RecordedPose, SpotRecord
 
 if TYPE_CHECKING:
-    from estimator.run.overlay import Draw
+    from eyespot.estimator.run.overlay import Draw
 
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

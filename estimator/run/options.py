@@ -19,20 +19,20 @@ from pydantic import (
     ValidationError,
 )
 
-from estimator.run.exit_codes import option
-from estimator.run.progress_bar import say
-from formats.inputs import InputError, shortened
-from formats.poses import Quaternion, unit_quaternion
+from eyespot.estimator.run.exit_codes import option
+from eyespot.estimator.run.progress_bar import say
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.poses import Quaternion, unit_quaternion
 
 if TYPE_CHECKING:
-    from estimator.detector.literal import LiteralSettings
-    from estimator.detector.settings import SubpixelSettings
-    from estimator.run.reader import Reader
-    from estimator.sources.source import Source
-    from formats.calibration import Calibration
-    from formats.microscope import MicroscopeFile
-    from formats.poses import PoseTrack
-    from formats.stated import Stated
+    from eyespot.estimator.detector.literal import LiteralSettings
+    from eyespot.estimator.detector.settings import SubpixelSettings
+    from eyespot.estimator.run.reader import Reader
+    from eyespot.estimator.sources.source import Source
+    from eyespot.formats.calibration import Calibration
+    from eyespot.formats.microscope import MicroscopeFile
+    from eyespot.formats.poses import PoseTrack
+    from eyespot.formats.stated import Stated
 
 _NEEDS = {
     **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
@@ -176,10 +176,10 @@ class Options(Given):
             InputError: options or files are wrong, alone or together.
             OSError: a file cannot be read.
         """
-        from estimator.detector.literal import LiteralSettings
-        from estimator.distance.ranger import Ranger
-        from estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
-        from formats.calibration import read_calibration
+        from eyespot.estimator.detector.literal import LiteralSettings
+        from eyespot.estimator.distance.ranger import Ranger
+        from eyespot.estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
+        from eyespot.formats.calibration import read_calibration
 
         for name, other in _NEEDS.items():
             if getattr(self, name) is not None and getattr(self, other) is None:
@@ -209,7 +209,7 @@ class Options(Given):
             "exposure_s": self.exposure_s,
         }
         if not isinstance(settings, LiteralSettings) and mode == "pixels":
-            from estimator.pixels.tracker import PixelRanger
+            from eyespot.estimator.pixels.tracker import PixelRanger
 
             stated = self._stated(None)
             unused = stated.model_fields_set - {"axis_sigma_deg", "clock_sigma_s", "shake_px"}
@@ -244,7 +244,7 @@ class Options(Given):
         return SubpixelMode(settings, ranger, stated=stated, **more)
 
     def _stated(self, calibration: Calibration | None) -> Stated:
-        from formats.stated import Stated, read_stated
+        from eyespot.formats.stated import Stated, read_stated
 
         if self.stated is None:
             return Stated()
@@ -260,7 +260,7 @@ class Options(Given):
         return stated
 
     def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
-        from estimator.sources.opening import open_source
+        from eyespot.estimator.sources.opening import open_source
 
         if self.reference is None:
             return None
@@ -281,7 +281,7 @@ class Options(Given):
             InputError: it is wrong, or lacks a number that no option gives.
             OSError: it cannot be read.
         """
-        from formats.microscope import read_microscope
+        from eyespot.formats.microscope import read_microscope
 
         if self.microscope is None:
             return None
@@ -295,9 +295,9 @@ class Options(Given):
     def _settings(
         self, mode: str, microscope: MicroscopeFile | None
     ) -> LiteralSettings | SubpixelSettings:
-        from estimator.detector.literal import LiteralSettings
-        from estimator.detector.settings import SubpixelSettings
-        from formats.camera import Response
+        from eyespot.estimator.detector.literal import LiteralSettings
+        from eyespot.estimator.detector.settings import SubpixelSettings
+        from eyespot.formats.camera import Response
 
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera"}:
@@ -335,7 +335,7 @@ class RecordingOptions:
 
     def source(self, name: str) -> Source:
         """Open a recording, as `open_source`."""
-        from estimator.sources.opening import open_source
+        from eyespot.estimator.sources.opening import open_source
 
         return open_source(name, exposure=self.exposure, image_topic=self.image_topic)
 
@@ -347,9 +347,9 @@ class RecordingOptions:
         Args:
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
-        from formats.calibration import read_calibration
-        from formats.microscope import read_microscope
-        from formats.stated import read_stated
+        from eyespot.formats.calibration import read_calibration
+        from eyespot.formats.microscope import read_microscope
+        from eyespot.formats.stated import read_stated
 
         poses, frames = self.pose_track(options), self.source(name)
         if poses is None and options.stated and read_stated(options.stated).clock_sigma_s:
@@ -382,7 +382,7 @@ class RecordingOptions:
             InputError: an option has no effect without poses, or they are wrong.
             OSError: they cannot be read.
         """
-        from formats.poses import read_poses
+        from eyespot.formats.poses import read_poses
 
         if self.poses is not None:
             return read_poses(self.poses, topic=self.pose_topic)

@@ -11,12 +11,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from estimator.image import outline_px, rgb_8bit
-from estimator.sources.source import Frame
-from formats.camera import LensDistortion, Response
-from formats.inputs import InputError
-from formats.spots import NoSpot, SpotRecord
-from formats.whole_files import errors_named, written_whole
+from eyespot.estimator.image import outline_px, rgb_8bit
+from eyespot.estimator.sources.source import Frame
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, SpotRecord
+from eyespot.formats.whole_files import errors_named, written_whole
 
 RIG_RATE_HZ = 10.0
 """Frame rate of the rig's camera, and of a source whose rate is unknown."""

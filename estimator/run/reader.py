@@ -11,23 +11,23 @@ from typing import TYPE_CHECKING, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
-from estimator.detector.literal import LiteralSettings
-from estimator.detector.settings import SubpixelSettings
-from estimator.detector.tracking import TrackState, measure, outlines_of
-from estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
-from estimator.distance.range import Range
-from estimator.distance.ranger import Ranger
-from estimator.run import exit_codes
-from estimator.sources.source import Frame
-from formats.inputs import InputError
-from formats.poses import Pose, PoseTrack, Quaternion, turned
-from formats.spots import NoSpot, Reason, Spot
-from formats.stated import Stated
+from eyespot.estimator.detector.literal import LiteralSettings
+from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.tracking import TrackState, measure, outlines_of
+from eyespot.estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
+from eyespot.estimator.distance.range import Range
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.run import exit_codes
+from eyespot.estimator.sources.source import Frame
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import Pose, PoseTrack, Quaternion, turned
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.stated import Stated
 
 if TYPE_CHECKING:
-    from estimator.pixels.tracker import PixelRanger
-    from formats.calibration import Calibration
-    from formats.microscope import MicroscopeFile
+    from eyespot.estimator.pixels.tracker import PixelRanger
+    from eyespot.formats.calibration import Calibration
+    from eyespot.formats.microscope import MicroscopeFile
 
 _NO_POSES = PoseTrack(())
 _SPAN_S = 0.05  # of the poses that a velocity is taken from: ten of the rig's, half of a frame
@@ -279,8 +279,8 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
             self._ranger.forget()
 
     def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
-        from estimator.pixels.beam import NODES, Sweep
-        from estimator.pixels.frame_model import Direction, RobotPose
+        from eyespot.estimator.pixels.beam import NODES, Sweep
+        from eyespot.estimator.pixels.frame_model import Direction, RobotPose
 
         direction = sweep = robot = None
         pose, _ = _pose_at(frame.time_s, poses)

@@ -12,10 +12,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from estimator.sources.source import AGAIN, Frame, Source, note_of_turn
-from formats.images import check_pixels, image_of_page, opened_tiff, pages_of_frames, read_image
-from formats.inputs import InputError, in_utf8, shortened
-from formats.whole_files import damage_reported
+from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from eyespot.formats.images import (
+    check_pixels,
+    image_of_page,
+    opened_tiff,
+    pages_of_frames,
+    read_image,
+)
+from eyespot.formats.inputs import InputError, in_utf8, shortened
+from eyespot.formats.whole_files import damage_reported
 
 TIFF = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2", *TIFF)

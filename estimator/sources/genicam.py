@@ -12,10 +12,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from estimator.sources.ros import frame_of_message
-from estimator.sources.source import Frame, Source
-from formats.inputs import InputError, shortened
-from formats.whole_files import damage_reported
+from eyespot.estimator.sources.ros import frame_of_message
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.whole_files import damage_reported
 
 GENICAM = "genicam:"
 """What the name of such a source begins with."""

@@ -6,14 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.sources.files import IMAGES, TIFF, open_camera, open_images, open_tiff, open_video
-from estimator.sources.genicam import GENICAM, open_genicam
-from estimator.sources.ros import open_bag
-from estimator.sources.source import Frame, Source
-from formats.camera import checked_frame
-from formats.inputs import InputError, shortened
-from formats.ros_bags import is_bag
-from formats.stack import read_stack
+from eyespot.estimator.sources.files import (
+    IMAGES,
+    TIFF,
+    open_camera,
+    open_images,
+    open_tiff,
+    open_video,
+)
+from eyespot.estimator.sources.genicam import GENICAM, open_genicam
+from eyespot.estimator.sources.ros import open_bag
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.camera import checked_frame
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.ros_bags import is_bag
+from eyespot.formats.stack import read_stack
 
 _USUAL = "metered"
 

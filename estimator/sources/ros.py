@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import cv2
 import numpy as np
 
-from estimator.sources.source import Frame, Source
-from formats.camera import checked_frame
-from formats.images import decoded_image
-from formats.inputs import InputError, in_file, shortened
-from formats.poses import POSE_MESSAGES, POSE_TOPIC, Pose
-from formats.ros_bags import messages_of, opened_bag, stamp_s, topic_in
-from formats.whole_files import written_whole
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.camera import checked_frame
+from eyespot.formats.images import decoded_image
+from eyespot.formats.inputs import InputError, in_file, shortened
+from eyespot.formats.poses import POSE_MESSAGES, POSE_TOPIC, Pose
+from eyespot.formats.ros_bags import messages_of, opened_bag, stamp_s, topic_in
+from eyespot.formats.whole_files import written_whole
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore

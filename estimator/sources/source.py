@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from formats.inputs import InputError
+from eyespot.formats.inputs import InputError
 
 AGAIN = "Record, copy or convert it again."
 """What to do about a damaged recording."""

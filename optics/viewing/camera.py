@@ -11,10 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
-from formats.inputs import InputError
-from optics import Camera, Surface, components
-from optics.surface import bisected
-from optics.viewing.path import (
+from eyespot.formats.inputs import InputError
+from eyespot.optics import Camera, Surface, components
+from eyespot.optics.surface import bisected
+from eyespot.optics.viewing.path import (
     SCANNED_MM,
     ViewingPath,
     check_finite,
@@ -25,7 +25,7 @@ from optics.viewing.path import (
     series_and_slope,
     skew_lines,
 )
-from optics.viewing.trace import SEEN, VIGNETTED, TracedRays
+from eyespot.optics.viewing.trace import SEEN, VIGNETTED, TracedRays
 
 _NEWTON_STEPS = 8
 _BISECTIONS = 30

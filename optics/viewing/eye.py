@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
-from formats.inputs import InputError, Strict, check_schema, in_file, shortened, validated
-from optics.lens import names_in, read_named
-from optics.viewing.trace import Conic, Element, Medium, Refracting, ThinLens
+from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, shortened, validated
+from eyespot.optics.lens import names_in, read_named
+from eyespot.optics.viewing.trace import Conic, Element, Medium, Refracting, ThinLens
 
 _HISTORY = {1: "the first format"}
 _HERE = Path(__file__).parent

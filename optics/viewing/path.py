@@ -12,9 +12,9 @@ import numpy as np
 import optimistix as optx
 from jaxtyping import Array, Float, Int, ScalarLike
 
-from formats.inputs import InputError
-from optics.viewing.eye import Eye
-from optics.viewing.trace import Conic, Element, Iris, Medium, Refracting, TracedRays, trace
+from eyespot.formats.inputs import InputError
+from eyespot.optics.viewing.eye import Eye
+from eyespot.optics.viewing.trace import Conic, Element, Iris, Medium, Refracting, TracedRays, trace
 
 TERMS = 28  # of a series in the squared distance t² from the axis, up to the widest t
 SCANNED_MM = 14.0 / 400 * (1.0 + np.arange(400))

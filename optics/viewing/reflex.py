@@ -6,8 +6,8 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from optics import refract
-from optics.viewing.path import (
+from eyespot.optics import refract
+from eyespot.optics.viewing.path import (
     SCANNED_MM,
     ViewingPath,
     before_path,
@@ -17,7 +17,7 @@ from optics.viewing.path import (
     radial_place,
     series,
 )
-from optics.viewing.trace import SEEN, Element, Refracting, trace
+from eyespot.optics.viewing.trace import SEEN, Element, Refracting, trace
 
 _STEEPEST = 1.0
 """Largest slope of returning light: steeper lines go far past every lamp."""

@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, ScalarLike
 
-from optics import components, refract
+from eyespot.optics import components, refract
 
 
 class Conic(eqx.Module):

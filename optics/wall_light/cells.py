@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-import optics
+from eyespot import optics
 
 
 def off_axis_part(offset: Array, axis: Array) -> Array:

@@ -18,8 +18,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from optics import dot
-from optics.wall_light.cells import Sides, off_axis_part
+from eyespot.optics import dot
+from eyespot.optics.wall_light.cells import Sides, off_axis_part
 
 
 class UniformCone(eqx.Module):

@@ -30,10 +30,10 @@ from jaxtyping import Array, Bool, Float, ScalarLike
 from scipy.interpolate import make_interp_spline
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 
-import optics
-from formats.inputs import InputError
-from optics.irradiance import values_at
-from optics.wall_light.cells import Sides, off_axis_part
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.optics.irradiance import values_at
+from eyespot.optics.wall_light.cells import Sides, off_axis_part
 
 PARAMETERS = (
     "core_radius",

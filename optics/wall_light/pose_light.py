@@ -8,8 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-import optics
-from optics.wall_light.cells import Lattice, lattice_irradiance
+from eyespot import optics
+from eyespot.optics.wall_light.cells import Lattice, lattice_irradiance
 
 POSE = 5
 """Numbers of a pose's change: two shifts of the spot along the wall, mm; a growth of the distance,

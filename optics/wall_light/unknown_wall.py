@@ -19,10 +19,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float, ScalarLike
 
-import optics
-from optics.wall_light.cells import CellBeam, square_lattice
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.pose_light import beam_at_wall, irradiance_and_slopes
+from eyespot import optics
+from eyespot.optics.wall_light.cells import CellBeam, square_lattice
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.pose_light import beam_at_wall, irradiance_and_slopes
 
 COUNT, REACH, BESIDE_PX = 26, 2.0, 6.0
 """Cells along a side of the window; half of its side over the half-maximum ellipse's, and beside

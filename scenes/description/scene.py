@@ -10,8 +10,8 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
-from formats.inputs import InputError
-from scenes.description.settings import (
+from eyespot.formats.inputs import InputError
+from eyespot.scenes.description.settings import (
     REAL_PINHOLE_HEIGHT_MM,
     CameraSettings,
     Clocks,

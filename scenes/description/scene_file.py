@@ -8,7 +8,7 @@ from typing import Any, get_args
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
-from formats.inputs import (
+from eyespot.formats.inputs import (
     InputError,
     at_most_three,
     check_schema,
@@ -17,8 +17,8 @@ from formats.inputs import (
     shortened,
     toml_in,
 )
-from scenes.description.scene import Scene
-from scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
 
 HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
 """What changed with each version of the format that is read."""

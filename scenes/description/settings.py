@@ -4,7 +4,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 
-from formats.inputs import InputError, shortened
+from eyespot.formats.inputs import InputError, shortened
 
 MOST_FRAMES = 100_000
 """Most frames of a scene. Their labels take a minute and 1 GB, their images days."""
@@ -302,7 +302,7 @@ def retina_of(content: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: no such eye, or a wrong eye file.
     """
-    from optics.viewing.eye import load_eye
+    from eyespot.optics.viewing.eye import load_eye
 
     given = {key: content.get(key, Viewing.model_fields[key].default) for key in _OF_THE_EYE}
     green = given["wavelengths_nm"][1]

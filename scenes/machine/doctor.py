@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from scenes.machine.llvm import find_llvm
+from eyespot.scenes.machine.llvm import find_llvm
 
 GIB = 2**30
 MEMORY_NEEDED = 4 * GIB
@@ -128,7 +128,7 @@ def llvm_findings() -> Iterator[Finding]:
 
 def _variant(variant: str, state_of_failure: State, remedy: str) -> Finding:
     # In its own process, because a variant that fails may abort it.
-    command = [sys.executable, "-m", "scenes.machine.variant", variant]
+    command = [sys.executable, "-m", "eyespot.scenes.machine.variant", variant]
     child = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
     what = f"Mitsuba {variant}"
     if child.returncode == 0:

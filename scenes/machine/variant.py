@@ -10,8 +10,8 @@ from types import ModuleType
 
 import numpy as np
 
-from formats.inputs import InputError
-from scenes.machine.llvm import (
+from eyespot.formats.inputs import InputError
+from eyespot.scenes.machine.llvm import (
     DEBIAN_COMMAND,
     ENVIRONMENT_VARIABLE,
     OLDEST_USABLE,

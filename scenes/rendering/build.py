@@ -14,15 +14,15 @@ import mitsuba as mi
 import numpy as np
 from jaxtyping import ArrayLike
 
-import optics
-import scenes.rendering.plugins  # noqa: F401
-from formats.inputs import InputError
-from optics.viewing.camera import PathCamera, coaxial_falloff
-from scenes.description.scene import Scene
-from scenes.description.settings import GAUGE_DIAMETER_MM, Phantom
-from scenes.rendering.loaded_scene import rigid_transform
-from scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
-from scenes.world.world import World
+import eyespot.scenes.rendering.plugins  # noqa: F401
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.optics.viewing.camera import PathCamera, coaxial_falloff
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import GAUGE_DIAMETER_MM, Phantom
+from eyespot.scenes.rendering.loaded_scene import rigid_transform
+from eyespot.scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
+from eyespot.scenes.world.world import World
 
 _RINGS, _SECTORS = 400, 800
 """Facets of 0.1 mm lie within 0.1^2 / (8 r) = 1e-4 mm of the wall for r = 12 mm, which moves a

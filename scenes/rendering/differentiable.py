@@ -22,12 +22,12 @@ import mitsuba as mi
 import numpy as np
 from scipy.stats import qmc
 
-import optics
-from formats.inputs import InputError
-from scenes.description.scene import Scene
-from scenes.description.settings import SceneError
-from scenes.rendering import build
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.rendering import build
+from eyespot.scenes.world.world import World
 
 # Mitsuba's stubs lack the types of the variants.
 # mypy: no-check-untyped-defs

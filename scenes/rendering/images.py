@@ -5,10 +5,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from scenes.description.settings import SceneError
-from scenes.machine.variant import load_mitsuba
-from scenes.world.labels import uniform_irradiance
-from scenes.world.world import Moment, World
+from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.machine.variant import load_mitsuba
+from eyespot.scenes.world.labels import uniform_irradiance
+from eyespot.scenes.world.world import Moment, World
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
 PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
@@ -38,7 +38,7 @@ class Images:
                 "needs."
             )
         self._mi = load_mitsuba(variant)
-        from scenes.rendering import build, reach  # Mitsuba's plugins need the variant
+        from eyespot.scenes.rendering import build, reach  # Mitsuba's plugins need the variant
 
         self.world = world
         uniform = uniform_irradiance(world)
@@ -104,7 +104,7 @@ class Images:
         return self.world.reflections.image(view_px)[..., None].astype(np.float32)
 
     def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from scenes.rendering.loaded_scene import pixel_means
+        from eyespot.scenes.rendering.loaded_scene import pixel_means
 
         # A cone has a sharp edge, and each sample of it the mean over a square.
         smooth = self.world.scene.source.kind == "lens"
@@ -119,7 +119,7 @@ class Images:
             return radiance.reshape(*shape, 3), seen.reshape(shape)
         image = np.array(self._mi.render(self.mitsuba_scene, seed=seed))
         if self.world.scene.source.kind == "photons":
-            from scenes.rendering.photons import photon_image
+            from eyespot.scenes.rendering.photons import photon_image
 
             image[..., :3] += photon_image(
                 self.mitsuba_scene,

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-import optics
+from eyespot import optics
 
 
 def rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-import optics
+from eyespot import optics
 
 # Rays start this far behind the plane of the rim, so that they can hit a flat end.
 _RUN_UP_MM = 1e-3

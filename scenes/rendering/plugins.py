@@ -11,9 +11,9 @@ import math
 import drjit as dr
 import mitsuba as mi
 
-import optics
-from scenes.rendering.loaded_scene import wall_shape
-from scenes.rendering.photons import Glass
+from eyespot import optics
+from eyespot.scenes.rendering.loaded_scene import wall_shape
+from eyespot.scenes.rendering.photons import Glass
 
 # float32 does not resolve the direction between two wall points nearer than this. Ignoring such
 # pairs loses 0.2 % of the first reflection of the smallest spot (0.25 mm) onto itself.

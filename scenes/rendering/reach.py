@@ -13,9 +13,9 @@ import mitsuba as mi
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from scenes.description.settings import GAUGE_DIAMETER_MM
-from scenes.rendering.loaded_scene import wall_shape
-from scenes.world.world import Moment, World
+from eyespot.scenes.description.settings import GAUGE_DIAMETER_MM
+from eyespot.scenes.rendering.loaded_scene import wall_shape
+from eyespot.scenes.world.world import Moment, World
 
 
 def unsettler(world: World, mitsuba_scene: Any, *, uniform: np.ndarray) -> Callable[[Moment], None]:

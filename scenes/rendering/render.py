@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenes.description.scene import Scene
-from scenes.rendering.images import DOWN, PARKED_MM, images_of
-from scenes.world.world import Moment, World
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.rendering.images import DOWN, PARKED_MM, images_of
+from eyespot.scenes.world.world import Moment, World
 
 _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
 _ALL_SIDES = np.pi  # irradiance with which radiance equals reflectance
@@ -229,7 +229,7 @@ class Renderer:
         added: float = 0.0,
     ) -> np.ndarray:
         """Radiance within pixels, with more even light; NaN where no wall is seen."""
-        from scenes.rendering import loaded_scene as loaded  # needs Mitsuba's variant
+        from eyespot.scenes.rendering import loaded_scene as loaded  # needs Mitsuba's variant
 
         tip, axis, moment = pose
         colours = []

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import optics
-from scenes.camera import light_information
-from scenes.description.settings import SceneError
-from scenes.rendering.render import Exposed, FineWall, ImageWindow, Renderer
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.scenes.camera import light_information
+from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.rendering.render import Exposed, FineWall, ImageWindow, Renderer
+from eyespot.scenes.world.world import World
 
 
 class Affine(NamedTuple):

@@ -10,21 +10,21 @@ from typing import Any
 import cv2
 import numpy as np
 
-import optics
-from formats.camera import CameraSheet
-from formats.inputs import InputError
-from formats.manifest import fingerprint
-from formats.stack import FrameLabels, Stack, StackWriter, read_stack
-from formats.whole_files import require_space, written_whole
-from optics.viewing.camera import PathCamera
-from scenes.camera import CameraSensor
-from scenes.description.scene import Scene
-from scenes.rendering.images import images_of
-from scenes.rendering.render import Renderer
-from scenes.stacks.bound import Bounds
-from scenes.world.labels import paper_exposure, spot_labels
-from scenes.world.motion import frame_count, kinematics, longest_exposure
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.formats.camera import CameraSheet
+from eyespot.formats.inputs import InputError
+from eyespot.formats.manifest import fingerprint
+from eyespot.formats.stack import FrameLabels, Stack, StackWriter, read_stack
+from eyespot.formats.whole_files import require_space, written_whole
+from eyespot.optics.viewing.camera import PathCamera
+from eyespot.scenes.camera import CameraSensor
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.rendering.images import images_of
+from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.stacks.bound import Bounds
+from eyespot.scenes.world.labels import paper_exposure, spot_labels
+from eyespot.scenes.world.motion import frame_count, kinematics, longest_exposure
+from eyespot.scenes.world.world import World
 
 
 def metered_time(scene: Scene, camera: CameraSensor, light: np.ndarray, mask: np.ndarray) -> float:

@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from formats.camera import light_of_srgb, srgb_of_light
-from formats.images import read_image
-from formats.inputs import InputError, shortened
-from optics.wall_light.unknown_wall import texture
-from scenes.description.settings import Phantom, SceneError
-from scenes.walls.fundus import fundus
+from eyespot.formats.camera import light_of_srgb, srgb_of_light
+from eyespot.formats.images import read_image
+from eyespot.formats.inputs import InputError, shortened
+from eyespot.optics.wall_light.unknown_wall import texture
+from eyespot.scenes.description.settings import Phantom, SceneError
+from eyespot.scenes.walls.fundus import fundus
 
 
 def wall_image(

@@ -9,15 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-import optics
-from optics.beam import directions_across, generator_angles
-from optics.viewing.camera import PathCamera, path_camera
-from optics.viewing.eye import load_eye, load_viewing_lens
-from optics.viewing.path import ViewingPath, viewing_path
-from optics.viewing.pencil import Pencils, focal_depth, pencils
-from optics.viewing.reflex import Reflex, reflexes
-from scenes.description.scene import Scene
-from scenes.description.settings import SceneError
+from eyespot import optics
+from eyespot.optics.beam import directions_across, generator_angles
+from eyespot.optics.viewing.camera import PathCamera, path_camera
+from eyespot.optics.viewing.eye import load_eye, load_viewing_lens
+from eyespot.optics.viewing.path import ViewingPath, viewing_path
+from eyespot.optics.viewing.pencil import Pencils, focal_depth, pencils
+from eyespot.optics.viewing.reflex import Reflex, reflexes
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import SceneError
 
 _PLACES = 400
 

@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-import optics
-from formats.calibration import LENS_PARAMETERS, Calibration
-from formats.camera import GREY_WEIGHTS
-from scenes.description.scene import Scene
-from scenes.description.settings import SceneError
-from scenes.world.motion import longest_exposure
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
+from eyespot.formats.camera import GREY_WEIGHTS
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.world.motion import longest_exposure
+from eyespot.scenes.world.world import World
 
 
 def spot_labels(world: World, frame: int) -> dict[str, Any]:

@@ -8,12 +8,19 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-import optics
-from formats.inputs import in_file
-from formats.poses import read_poses
-from scenes.description.scene import Scene
-from scenes.description.settings import MOST_FRAMES, Hand, Recorded, Scan, SceneError, Withdrawal
-from scenes.world.geometry import SceneGeometry
+from eyespot import optics
+from eyespot.formats.inputs import in_file
+from eyespot.formats.poses import read_poses
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import (
+    MOST_FRAMES,
+    Hand,
+    Recorded,
+    Scan,
+    SceneError,
+    Withdrawal,
+)
+from eyespot.scenes.world.geometry import SceneGeometry
 
 _TREMOR_HZ = (8.0, 12.0)
 """Band of physiological tremor in microsurgery (Wells et al. 2013)."""

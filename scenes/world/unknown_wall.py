@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import optics
-from optics.wall_light.cells import CellBeam
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import lens_samples
-from optics.wall_light.unknown_wall import SpotCells, distance_sigmas, spot_cells
-from scenes.description.scene import Scene
-from scenes.world.world import World
+from eyespot import optics
+from eyespot.optics.wall_light.cells import CellBeam
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.lens import lens_samples
+from eyespot.optics.wall_light.unknown_wall import SpotCells, distance_sigmas, spot_cells
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.world.world import World
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0  # of a table of light
 _FINENESS = {True: (3, 0.05), False: (5, 0.01)}

@@ -11,20 +11,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-import optics
-from formats.whole_files import cache_file, kept_arrays
-from optics.viewing.camera import PathCamera
-from scenes.description.scene import Scene
-from scenes.description.settings import SceneError
-from scenes.walls.picture import wall_colour, wall_spread
-from scenes.world.geometry import (
+from eyespot import optics
+from eyespot.formats.whole_files import cache_file, kept_arrays
+from eyespot.optics.viewing.camera import PathCamera
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.walls.picture import wall_colour, wall_spread
+from eyespot.scenes.world.geometry import (
     SceneGeometry,
     circle_across,
     colour_cameras,
     scene_pencils,
     scene_reflections,
 )
-from scenes.world.motion import Poses, Trajectory, frame_times, trajectory
+from eyespot.scenes.world.motion import Poses, Trajectory, frame_times, trajectory
 
 _LEAST_POWER = 1e-3
 """Of the mean: a swing of the power does not switch the source off."""

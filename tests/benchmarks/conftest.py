@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.drawn_sets import write_set
+from tests.support.drawn.drawn_sets import write_set
 
 
 @pytest.fixture(scope="session")

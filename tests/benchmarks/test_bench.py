@@ -1,13 +1,13 @@
-"""The command `python -m benchmarks.bench` and what its benchmarks compute."""
+"""The command `python -m eyespot.benchmarks.bench` and what its benchmarks compute."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.bench import __main__ as bench
-from benchmarks.bench.pixels import doubt_of_pose, share_a_radius
-from estimator import Range, Reading
-from formats.spots import NoSpot, Reason
+from eyespot.benchmarks.bench import __main__ as bench
+from eyespot.benchmarks.bench.pixels import doubt_of_pose, share_a_radius
+from eyespot.estimator import Range, Reading
+from eyespot.formats.spots import NoSpot, Reason
 
 
 def test_every_file_has_benchmarks_and_those_named_long_exist():

@@ -14,14 +14,14 @@ from pathlib import Path
 import pytest
 from distributed import Client
 
-from benchmarks.sets import make
-from benchmarks.sets.make import estimate, make_set
-from benchmarks.sets.read import SetError, read_set, verify_set
-from benchmarks.sets.spec import load_spec, plan
-from benchmarks.sets.workers import local_workers, running_scheduler
-from scenes import SceneError, check_scene
-from tests.command_line import EYESPOT
-from tests.drawn_sets import digests
+from eyespot.benchmarks.sets import make
+from eyespot.benchmarks.sets.make import estimate, make_set
+from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
+from eyespot.benchmarks.sets.spec import load_spec, plan
+from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
+from eyespot.scenes import SceneError, check_scene
+from tests.support.command_line import EYESPOT
+from tests.support.drawn.drawn_sets import digests
 
 SPEC = """\
 name = "tiny"

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
-from scenes import Scene, SceneError, changed, check_scene, scene_toml
+from eyespot.benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
+from eyespot.scenes import Scene, SceneError, changed, check_scene, scene_toml
 
 PLAIN = """\
 name = "plain"

@@ -20,17 +20,25 @@ from PIL import Image
 from pycocotools.coco import COCO
 from rosbags.highlevel import AnyReader
 
-from benchmarks.sets.formats import webdataset as webdataset_format
-from benchmarks.sets.formats.bags import START_S
-from benchmarks.sets.formats.export import Format, export
-from benchmarks.sets.read import stacks_of
-from estimator import open_source
-from formats.inputs import InputError
-from formats.manifest import write_manifest
-from formats.poses import read_poses
-from formats.stack import FrameLabels, read_stack
-from tests.command_line import printed
-from tests.drawn_sets import MICROSCOPE, SHAPE, STACKS, digests, labels_of, write_set, write_stack
+from eyespot.benchmarks.sets.formats import webdataset as webdataset_format
+from eyespot.benchmarks.sets.formats.bags import START_S
+from eyespot.benchmarks.sets.formats.export import Format, export
+from eyespot.benchmarks.sets.read import stacks_of
+from eyespot.estimator import open_source
+from eyespot.formats.inputs import InputError
+from eyespot.formats.manifest import write_manifest
+from eyespot.formats.poses import read_poses
+from eyespot.formats.stack import FrameLabels, read_stack
+from tests.support.command_line import printed
+from tests.support.drawn.drawn_sets import (
+    MICROSCOPE,
+    SHAPE,
+    STACKS,
+    digests,
+    labels_of,
+    write_set,
+    write_stack,
+)
 
 NAMES = [f"{split}/{name}" for split, names in STACKS.items() for name in names]
 FORMATS: list[Format] = ["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
@@ -251,7 +259,7 @@ def test_a_failure_leaves_nothing(drawn, tmp_path, to, monkeypatch):
 
     stopped = MagicMock()
     stopped.return_value.__enter__.return_value.side_effect = KeyboardInterrupt
-    monkeypatch.setattr("benchmarks.sets.formats.export.progress", stopped)
+    monkeypatch.setattr("eyespot.benchmarks.sets.formats.export.progress", stopped)
     with pytest.raises(KeyboardInterrupt):
         export(drawn, to=to, out=tmp_path / "out")
     assert [path.name for path in tmp_path.iterdir()] == ["broken"]
@@ -294,7 +302,7 @@ def test_a_folder_that_is_no_set_or_not_whole_is_refused(drawn, tmp_path):
 
 
 def test_a_missing_library_names_the_extra(drawn, tmp_path, monkeypatch):
-    for name in ("benchmarks.sets.formats.hdf5", "benchmarks.sets.formats"):
+    for name in ("eyespot.benchmarks.sets.formats.hdf5", "eyespot.benchmarks.sets.formats"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "h5py", None)  # stands in for a machine without it
     with pytest.raises(ValueError, match=r"hdf5 needs the package h5py: .*eyespot\[export\]"):

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.predictions import SURE, Judgement, Plan, judged, predicted, read_plan
-from formats.calibration import write_calibration
-from formats.inputs import InputError
-from scenes import changed, load_scene, render_stack, scene_toml
-from scenes.world.labels import true_calibration
-from tests.command_line import printed
+from eyespot.benchmarks.predictions import SURE, Judgement, Plan, judged, predicted, read_plan
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.scenes import changed, load_scene, render_stack, scene_toml
+from eyespot.scenes.world.labels import true_calibration
+from tests.support.command_line import printed
 
 UNCERTAIN = {
     "phantom.radius_mm": 0.3,

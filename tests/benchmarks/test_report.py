@@ -16,8 +16,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.model_error import CHOSEN_DISTANCES_MM, COMPARED
-from benchmarks.paper import (
+from eyespot.benchmarks.model_error import CHOSEN_DISTANCES_MM, COMPARED
+from eyespot.benchmarks.paper import (
     LITERAL,
     LITERAL_METERED,
     SUBPIXEL,
@@ -29,16 +29,16 @@ from benchmarks.paper import (
     paper_trials,
     spots_of,
 )
-from benchmarks.reporting import Claim, Picture, Report, Table, number, rows_of
-from benchmarks.sets.read import plain_spot
-from benchmarks.studies import validate
-from benchmarks.studies.validate import ValidateFindings, claims, report
-from benchmarks.study import Study
-from formats.inputs import InputError
-from formats.spots import NoSpot, Reason, Spot
-from formats.stack import FrameLabels, StackWriter
-from scenes.description.settings import Withdrawal
-from tests.drawn_sets import labels_of
+from eyespot.benchmarks.reporting import Claim, Picture, Report, Table, number, rows_of
+from eyespot.benchmarks.sets.read import plain_spot
+from eyespot.benchmarks.studies import validate
+from eyespot.benchmarks.studies.validate import ValidateFindings, claims, report
+from eyespot.benchmarks.study import Study
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.stack import FrameLabels, StackWriter
+from eyespot.scenes.description.settings import Withdrawal
+from tests.support.drawn.drawn_sets import labels_of
 
 K, B, SCALE = 19.7, -5.1, 0.0067
 CONTACT_MM = 0.144

@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.rivals import running
-from benchmarks.rivals.entries import KINDS, Entry
-from benchmarks.rivals.learned.network import WEIGHTS
-from benchmarks.rivals.pupil import why_unavailable
-from benchmarks.rivals.running import read_constants, run, tune
-from benchmarks.sets.read import plain_spot, stacks_of
-from benchmarks.sets.score.judging import images_of
-from benchmarks.sets.score.spots import read_set_spots
-from estimator import Frame
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from formats.spots import NoSpot, Spot
-from scenes import Scene
-from scenes.drawn import Drawing, Truth, frame_of
-from scenes.world.labels import true_calibration
+from eyespot.benchmarks.rivals import running
+from eyespot.benchmarks.rivals.entries import KINDS, Entry
+from eyespot.benchmarks.rivals.learned.network import WEIGHTS
+from eyespot.benchmarks.rivals.pupil import why_unavailable
+from eyespot.benchmarks.rivals.running import read_constants, run, tune
+from eyespot.benchmarks.sets.read import plain_spot, stacks_of
+from eyespot.benchmarks.sets.score.judging import images_of
+from eyespot.benchmarks.sets.score.spots import read_set_spots
+from eyespot.estimator import Frame
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import NoSpot, Spot
+from eyespot.scenes import Scene
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from eyespot.scenes.world.labels import true_calibration
 from tests.benchmarks.test_dataset import here
 
 WRITTEN = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"

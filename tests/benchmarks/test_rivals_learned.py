@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from benchmarks.rivals.learned.network import (
+from eyespot.benchmarks.rivals.learned.network import (
     CELLS,
     WEIGHTS,
     Guess,
@@ -24,11 +24,11 @@ from benchmarks.rivals.learned.network import (
     ellipse_of,
     targets_of,
 )
-from benchmarks.rivals.learned.training import WINDOWS, Samples, read_curve, trained
-from benchmarks.sets.spec import load_spec, named_specs, plan
-from formats.microscope import read_microscope
-from scenes import Scene, render_stack
-from tests.drawn_sets import labels_of
+from eyespot.benchmarks.rivals.learned.training import WINDOWS, Samples, read_curve, trained
+from eyespot.benchmarks.sets.spec import load_spec, named_specs, plan
+from eyespot.formats.microscope import read_microscope
+from eyespot.scenes import Scene, render_stack
+from tests.support.drawn.drawn_sets import labels_of
 
 _SPEC = WEIGHTS.with_name("training.toml")
 

@@ -14,17 +14,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.reporting import Picture, rows_of, where
-from benchmarks.sets.read import stacks_of
-from benchmarks.sets.score import spots as spots_of_set
-from benchmarks.sets.score.judging import Score, images_of, score, with_derived
-from benchmarks.sets.score.pages import leaderboard, tables
-from benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
-from estimator import Source, track_whole_source
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
-from tests.command_line import call, printed
-from tests.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
-from tests.made_up import a_spot
+from eyespot.benchmarks.reporting import Picture, rows_of, where
+from eyespot.benchmarks.sets.read import stacks_of
+from eyespot.benchmarks.sets.score import spots as spots_of_set
+from eyespot.benchmarks.sets.score.judging import Score, images_of, score, with_derived
+from eyespot.benchmarks.sets.score.pages import leaderboard, tables
+from eyespot.benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
+from eyespot.estimator import Source, track_whole_source
+from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
+from tests.support.command_line import call, printed
+from tests.support.drawn.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
+from tests.support.drawn.made_up import a_spot
 
 SVG = "{http://www.w3.org/2000/svg}"
 

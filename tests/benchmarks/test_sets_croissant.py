@@ -6,11 +6,11 @@ import datasets
 import numpy as np
 import pytest
 
-from benchmarks.sets.card import write_card
-from benchmarks.sets.croissant import meaning
-from benchmarks.sets.read import read_set, rows
-from tests.command_line import run_python
-from tests.drawn_sets import write_set
+from eyespot.benchmarks.sets.card import write_card
+from eyespot.benchmarks.sets.croissant import meaning
+from eyespot.benchmarks.sets.read import read_set, rows
+from tests.support.command_line import run_python
+from tests.support.drawn.drawn_sets import write_set
 
 READ = """
 import json

@@ -10,13 +10,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.reporting import rows_of
-from benchmarks.sets.read import stacks_of
-from benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
-from benchmarks.sets.score.spots import entries_in, read_any_spots
-from formats.inputs import InputError
-from tests.command_line import call, printed
-from tests.drawn_sets import image_row, labels_of
+from eyespot.benchmarks.reporting import rows_of
+from eyespot.benchmarks.sets.read import stacks_of
+from eyespot.benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
+from eyespot.benchmarks.sets.score.spots import entries_in, read_any_spots
+from eyespot.formats.inputs import InputError
+from tests.support.command_line import call, printed
+from tests.support.drawn.drawn_sets import image_row, labels_of
 
 E1 = "semi_minor_px"
 

@@ -12,11 +12,11 @@ from typing import Any
 import huggingface_hub.constants
 import pytest
 
-from benchmarks.sets.make import push
-from benchmarks.sets.read import SetError, verify_set
-from benchmarks.sets.score.spots import sample_folder
-from formats.inputs import InputError
-from tests.command_line import printed
+from eyespot.benchmarks.sets.make import push
+from eyespot.benchmarks.sets.read import SetError, verify_set
+from eyespot.benchmarks.sets.score.spots import sample_folder
+from eyespot.formats.inputs import InputError
+from tests.support.command_line import printed
 
 TOKEN = "stand-in"
 

@@ -9,11 +9,11 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
-from benchmarks.sets.score.judging import images_of
-from benchmarks.sets.score.spots import NAME, sample_folder
-from benchmarks.sets.spec import load_spec, plan
-from tests.command_line import call, printed
+from eyespot.benchmarks.sets.read import read_set, rows, stacks_of, verify_set
+from eyespot.benchmarks.sets.score.judging import images_of
+from eyespot.benchmarks.sets.score.spots import NAME, sample_folder
+from eyespot.benchmarks.sets.spec import load_spec, plan
+from tests.support.command_line import call, printed
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 

@@ -8,11 +8,11 @@ import pandas as pd
 import pytest
 from matplotlib.figure import Figure
 
-import scenes
-from benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
-from benchmarks.studies import dynamic, eccentricity, medium, pose, static, table_one
-from benchmarks.study import Study
-from formats.inputs import InputError
+from eyespot import scenes
+from eyespot.benchmarks.reporting import Claim, Column, Picture, Report, Section, Table
+from eyespot.benchmarks.studies import dynamic, eccentricity, medium, pose, static, table_one
+from eyespot.benchmarks.study import Study
+from eyespot.formats.inputs import InputError
 
 LIMIT = pd.DataFrame({"model": ["exact"], "c_mm": [math.nan]})
 

@@ -5,14 +5,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import optics
-import scenes
-from benchmarks.studies import design
-from benchmarks.studies.design import LIMITS, DropSearch, limits_in
-from formats.inputs import InputError
-from optics.wall_light.unknown_wall import lit_radii, texture
-from scenes.walls.picture import wall_picture, write_random_wall
-from scenes.world.unknown_wall import UnknownWallScene
+from eyespot import optics, scenes
+from eyespot.benchmarks.studies import design
+from eyespot.benchmarks.studies.design import LIMITS, DropSearch, limits_in
+from eyespot.formats.inputs import InputError
+from eyespot.optics.wall_light.unknown_wall import lit_radii, texture
+from eyespot.scenes.walls.picture import wall_picture, write_random_wall
+from eyespot.scenes.world.unknown_wall import UnknownWallScene
 
 DISTANCES = [1.0, 3.0]
 SCENE = scenes.load_scene(None, ("source.medium=vitreous",))

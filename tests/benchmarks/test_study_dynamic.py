@@ -9,15 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import optics
-import scenes
-from benchmarks.paper import LITERAL, SUBPIXEL
-from benchmarks.reporting import Claim, rows_of
-from benchmarks.studies import dynamic
-from benchmarks.studies.dynamic import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
-from formats.poses import Pose, PoseTrack
-from scenes.world.world import World
-from tests.made_up import a_microscope
+from eyespot import optics, scenes
+from eyespot.benchmarks.paper import LITERAL, SUBPIXEL
+from eyespot.benchmarks.reporting import Claim, rows_of
+from eyespot.benchmarks.studies import dynamic
+from eyespot.benchmarks.studies.dynamic import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
+from eyespot.formats.poses import Pose, PoseTrack
+from eyespot.scenes.world.world import World
+from tests.support.drawn.made_up import a_microscope
 
 R = 11.5
 SPHERE = optics.Sphere(R)

@@ -9,14 +9,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import optics
-import scenes
-from benchmarks import model_error
-from benchmarks.model_error import MODEL_ERROR, Geometry
-from benchmarks.paper import coalitions, shapley_values
-from benchmarks.studies import eccentricity, error_causes
-from benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
-from benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
+from eyespot import optics, scenes
+from eyespot.benchmarks import model_error
+from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry
+from eyespot.benchmarks.paper import coalitions, shapley_values
+from eyespot.benchmarks.studies import eccentricity, error_causes
+from eyespot.benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
+from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

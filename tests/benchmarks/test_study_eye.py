@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from benchmarks.studies import eye, eye_paths
-from benchmarks.studies.eye import crossing
-from benchmarks.studies.eye_paths import (
+from eyespot.benchmarks.studies import eye, eye_paths
+from eyespot.benchmarks.studies.eye import crossing
+from eyespot.benchmarks.studies.eye_paths import (
     NOMINAL_RADIUS_MM,
     SCALE_MM_PX,
     Pinhole,
@@ -18,9 +18,9 @@ from benchmarks.studies.eye_paths import (
     image,
     spots_through,
 )
-from calibration.spots.cone_trials import RETINA
-from optics.irradiance import in_batches
-from optics.viewing import load_eye
+from eyespot.calibration.spots.cone_trials import RETINA
+from eyespot.optics.irradiance import in_batches
+from eyespot.optics.viewing import load_eye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm, solve_discrete_lyapunov
 
-import scenes
-from benchmarks.studies import loop
-from benchmarks.studies.loop import LAG_S, TICK_S, Course, LoopRun, perfect, simulated
+from eyespot import scenes
+from eyespot.benchmarks.studies import loop
+from eyespot.benchmarks.studies.loop import LAG_S, TICK_S, Course, LoopRun, perfect, simulated
 
 DEPTH_MM, SET_MM = 20.0, 2.0
 STILL = LoopRun(tremor_mm=0.0, foreknown=0.0, rate_hz=20.0, latency_s=0.05)

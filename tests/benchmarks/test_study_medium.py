@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.reporting import rows_of
-from benchmarks.studies import medium
-from benchmarks.studies.medium import AIR, VITREOUS, Curve, Method, Regression
-from scenes.world.world import Cone
+from eyespot.benchmarks.reporting import rows_of
+from eyespot.benchmarks.studies import medium
+from eyespot.benchmarks.studies.medium import AIR, VITREOUS, Curve, Method, Regression
+from eyespot.scenes.world.world import Cone
 
 DISTANCE = np.linspace(0.05, 8.0, 1600)
 ASKED = np.linspace(0.5, 6.0, 12)

@@ -9,13 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import optics
-import scenes
-from benchmarks.paper import rms
-from benchmarks.reporting import where
-from benchmarks.studies import pose
-from benchmarks.studies.pose import AxisPrior, scatter, tools_of
-from calibration.spots.tool_pose import (
+from eyespot import optics, scenes
+from eyespot.benchmarks.paper import rms
+from eyespot.benchmarks.reporting import where
+from eyespot.benchmarks.studies import pose
+from eyespot.benchmarks.studies.pose import AxisPrior, scatter, tools_of
+from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,
     contour_mismatch_covariance,
@@ -23,7 +22,7 @@ from calibration.spots.tool_pose import (
     tool_contours,
     tool_pose_bound,
 )
-from scenes.world.world import Cone, World
+from eyespot.scenes.world.world import Cone, World
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-import optics
-from benchmarks.reporting import where
-from benchmarks.studies import sensor_views, sensors
-from benchmarks.studies.sensor_views import (
+from eyespot import optics
+from eyespot.benchmarks.reporting import where
+from eyespot.benchmarks.studies import sensor_views, sensors
+from eyespot.benchmarks.studies.sensor_views import (
     CONVERGENCE_DEG,
     PINHOLE_HEIGHT_MM,
     RADIUS_MM,

@@ -7,15 +7,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-import optics
-import scenes
-from benchmarks.paper import TABLE_I, PlaneRow, paper_trials
-from benchmarks.reporting import rows_of, where
-from benchmarks.studies import static, table_one
-from benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
-from benchmarks.studies.table_one import AT_SCALE, Family, Isophotes
-from calibration.spots.paper import fit_lines
-from scenes.world.world import World
+from eyespot import optics, scenes
+from eyespot.benchmarks.paper import TABLE_I, PlaneRow, paper_trials
+from eyespot.benchmarks.reporting import rows_of, where
+from eyespot.benchmarks.studies import static, table_one
+from eyespot.benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
+from eyespot.benchmarks.studies.table_one import AT_SCALE, Family, Isophotes
+from eyespot.calibration.spots.paper import fit_lines
+from eyespot.scenes.world.world import World
 
 K, B = 20.0, -5.117
 PLANE = scenes.changed(scenes.load_scene(None, ()), {"phantom.kind": "plane"})

@@ -5,9 +5,9 @@ import json
 import pandas as pd
 import pytest
 
-import scenes
-from benchmarks.paper import SUBPIXEL
-from benchmarks.studies import validate
+from eyespot import scenes
+from eyespot.benchmarks.paper import SUBPIXEL
+from eyespot.benchmarks.studies import validate
 
 FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
 

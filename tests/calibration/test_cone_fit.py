@@ -9,8 +9,7 @@ import pytest
 from scipy import stats
 from skimage.measure import EllipseModel
 
-import calibration
-import optics
+from eyespot import calibration, optics
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

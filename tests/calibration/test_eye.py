@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.command.choices import Choices
-from calibration.command.models import fit_eye
-from estimator.distance.ranger import Ranger
-from formats.calibration import read_calibration, write_calibration
-from formats.inputs import InputError
-from optics import viewing
-from tests import eye_fits
-from tests.command_line import call, printed
-from tests.fit_files import a_recording
-from tests.made_up import DOME, a_microscope_file, a_spot
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.models import fit_eye
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import read_calibration, write_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.optics import viewing
+from tests.support.command_line import call, printed
+from tests.support.coverage import eye_fits
+from tests.support.drawn.made_up import DOME, a_microscope_file, a_spot
+from tests.support.files.fit_files import a_recording
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

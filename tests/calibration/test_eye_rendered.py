@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import scenes
-from estimator import SubpixelSettings, TrackState, measure
-from estimator.distance.ranger import Ranger
-from formats.calibration import read_calibration, write_calibration
-from formats.microscope import read_microscope
-from formats.spots import Spot
-from formats.stack import Stack
-from scenes.world.labels import true_calibration
-from tests.command_line import printed
+from eyespot import scenes
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import read_calibration, write_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import Spot
+from eyespot.formats.stack import Stack
+from eyespot.scenes.world.labels import true_calibration
+from tests.support.command_line import printed
 
 pytestmark = pytest.mark.slow
 

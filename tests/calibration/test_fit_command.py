@@ -11,19 +11,18 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-import optics
-import scenes
-from calibration import Prior, fit_cone
-from calibration.recordings import LogBook, read_recording
-from estimator import open_source
-from estimator.sources.ros import write_bag
-from formats.calibration import read_calibration
-from formats.poses import read_poses
-from formats.spots import Spot
-from tests.command_line import call, printed
-from tests.fit_files import a_recording, assert_within
-from tests.made_up import a_microscope_file, a_spot
-from tests.scene_tables import scene_of
+from eyespot import optics, scenes
+from eyespot.calibration import Prior, fit_cone
+from eyespot.calibration.recordings import LogBook, read_recording
+from eyespot.estimator import open_source
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.poses import read_poses
+from eyespot.formats.spots import Spot
+from tests.support.command_line import call, printed
+from tests.support.drawn.made_up import a_microscope_file, a_spot
+from tests.support.drawn.scene_tables import scene_of
+from tests.support.files.fit_files import a_recording, assert_within
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067

@@ -8,20 +8,19 @@ import numpy as np
 import pytest
 import tomli_w
 
-import optics
-import scenes
-from calibration.command.pixel_models import pixel_residuals
-from calibration.pixels.data import read_footage
-from calibration.pixels.fit import fit_image
-from calibration.solvers import covariance_and_lost, propagated
-from estimator.distance.ranger import Ranger
-from formats.calibration import read_calibration
-from formats.microscope import read_microscope
-from optics.wall_light.lens import lens_parameters
-from tests.command_line import printed
-from tests.fit_files import assert_within
-from tests.made_up import DOME, a_spot
-from tests.scene_tables import scene_of
+from eyespot import optics, scenes
+from eyespot.calibration.command.pixel_models import pixel_residuals
+from eyespot.calibration.pixels.data import read_footage
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.calibration.solvers import covariance_and_lost, propagated
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.optics.wall_light.lens import lens_parameters
+from tests.support.command_line import printed
+from tests.support.drawn.made_up import DOME, a_spot
+from tests.support.drawn.scene_tables import scene_of
+from tests.support.files.fit_files import assert_within
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 HALF_ANGLE, B = math.atan(1 / 20), -5.117

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calibration.command.fitting import MODELS
-from calibration.command.verdict import (
+from eyespot.calibration.command.fitting import MODELS
+from eyespot.calibration.command.verdict import (
     Fault,
     Fitted,
     PixelResiduals,
@@ -19,8 +19,8 @@ from calibration.command.verdict import (
     remedy,
     verdict,
 )
-from calibration.pixels.misfit import Misfit
-from calibration.solvers import slow_power
+from eyespot.calibration.pixels.misfit import Misfit
+from eyespot.calibration.solvers import slow_power
 
 BEND = np.linspace(-1, 1, 40) ** 2
 

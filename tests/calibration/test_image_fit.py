@@ -14,19 +14,18 @@ import numpy as np
 import pytest
 from scipy import integrate, ndimage, stats
 
-import calibration
-import optics
-from calibration.pixels.data import BareFibre, Footage, check_names, noise_of, read_footage
-from calibration.pixels.fit import fit_image
-from calibration.pixels.light import STATES, Cells, Light, LinearLensLight
-from calibration.recordings import withdrawal
-from calibration.spots.cone_trials import JointPrior
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.stack import Stack, read_stack
-from optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.lens import (
+from eyespot import calibration, optics
+from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, noise_of, read_footage
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.calibration.pixels.light import STATES, Cells, Light, LinearLensLight
+from eyespot.calibration.recordings import withdrawal
+from eyespot.calibration.spots.cone_trials import JointPrior
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import Stack, read_stack
+from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.lens import (
     TABLE_ERROR,
     Grid,
     _Field,
@@ -34,17 +33,17 @@ from optics.wall_light.lens import (
     lens_parameters,
     lens_samples,
 )
-from scenes import Renderer, Scene, render_stack
-from scenes.camera import expose
-from scenes.description.settings import CameraSettings
-from scenes.world.world import World
-from tests.drawn_sets import with_false_labels
-from tests.fit_files import assert_within
-from tests.made_up import a_footage, a_lens_table, a_microscope
-from tests.photon_frames import View
-from tests.photon_stacks import Recording, steady_light
-from tests.photons import Drop
-from tests.scene_tables import scene_of
+from eyespot.scenes import Renderer, Scene, render_stack
+from eyespot.scenes.camera import expose
+from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.world.world import World
+from tests.support.drawn.drawn_sets import with_false_labels
+from tests.support.drawn.made_up import a_footage, a_lens_table, a_microscope
+from tests.support.drawn.scene_tables import scene_of
+from tests.support.files.fit_files import assert_within
+from tests.support.light.photon_frames import View
+from tests.support.light.photon_stacks import Recording, steady_light
+from tests.support.light.photons import Drop
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 START = {"half_angle": 1.3 * HALF_ANGLE, "b": 0.7 * B}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage, optimize, stats
 
-from calibration.pixels.misfit import Pixels, found_misfit
-from calibration.solvers import accepted_range, excess_variance
+from eyespot.calibration.pixels.misfit import Pixels, found_misfit
+from eyespot.calibration.solvers import accepted_range, excess_variance
 
 FRAMES, SIDE = 8, 40
 V, U = (x.ravel() - 19.5 for x in np.mgrid[:SIDE, :SIDE].astype(float))

@@ -8,18 +8,17 @@ import numpy as np
 import pytest
 import tomli_w
 
-import optics
-import scenes
-from calibration.command.fitting import chosen_model
-from calibration.command.lens_guess import guessed_lenses
-from calibration.pixels.data import read_footage
-from calibration.pixels.light import cap_of, cap_shape, cap_slopes
-from calibration.recordings import read_recording
-from calibration.spots.cone_trials import Prior
-from formats.stack import read_stack
-from optics.wall_light.lens import lens_parameters
-from tests.drawn_sets import with_false_labels
-from tests.scene_tables import scene_of
+from eyespot import optics, scenes
+from eyespot.calibration.command.fitting import chosen_model
+from eyespot.calibration.command.lens_guess import guessed_lenses
+from eyespot.calibration.pixels.data import read_footage
+from eyespot.calibration.pixels.light import cap_of, cap_shape, cap_slopes
+from eyespot.calibration.recordings import read_recording
+from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.formats.stack import read_stack
+from eyespot.optics.wall_light.lens import lens_parameters
+from tests.support.drawn.drawn_sets import with_false_labels
+from tests.support.drawn.scene_tables import scene_of
 
 LENS = {"kind": "lens", "lens": "paper-candidate", "medium": "air"}
 CONE = {"kind": "cone", "cone_k": 20.0, "cone_apex_offset_mm": -5.117}

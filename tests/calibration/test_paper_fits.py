@@ -8,8 +8,8 @@ import pytest
 import scipy.optimize
 import scipy.stats
 
-import optics
-from calibration import fit_eccentricity, fit_lines, fit_plane
+from eyespot import optics
+from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
 
 PLANE: dict[str, Any] = {"delta_k": 0.134, "b": -5.117}
 EYE: dict[str, Any] = {"scale": 0.0067, "eye_radius": 11.5}

@@ -1,7 +1,7 @@
 """Standard errors of lens fits hold for light that comes from elsewhere, also if it is unusual.
 
 Hours of fits, each a line in a file of pytest's cache, so that a run that was killed goes on.
-`python -m tests.photon_fits` prints the same as tables.
+`python -m tests.support.coverage.photon_fits` prints the same as tables.
 """
 
 import hashlib
@@ -13,17 +13,16 @@ import pytest
 import tomli_w
 from scipy import ndimage, stats
 
-import calibration
-import optics
-from calibration.pixels.fit import fit_image
-from formats.calibration import read_calibration
-from tests import photon_fits
-from tests.command_line import printed
-from tests.fit_files import assert_within, pulls
-from tests.photon_fits import PARAMETERS, fitted, random_recording
-from tests.photon_frames import View, footage_of, photographed, write_photons
-from tests.photon_stacks import Recording, half_maximum, poses
-from tests.photons import Drop
+from eyespot import calibration, optics
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.formats.calibration import read_calibration
+from tests.support.command_line import printed
+from tests.support.coverage import photon_fits
+from tests.support.coverage.photon_fits import PARAMETERS, fitted, random_recording
+from tests.support.files.fit_files import assert_within, pulls
+from tests.support.light.photon_frames import View, footage_of, photographed, write_photons
+from tests.support.light.photon_stacks import Recording, half_maximum, poses
+from tests.support.light.photons import Drop
 
 
 @pytest.fixture

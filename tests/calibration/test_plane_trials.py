@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from calibration import Prior, fit_plane
-from calibration.spots.paper import PlaneTrial, fit_plane_trials
+from eyespot import optics
+from eyespot.calibration import Prior, fit_plane
+from eyespot.calibration.spots.paper import PlaneTrial, fit_plane_trials
 
 DELTA_K, B = 0.134, -5.117
 AXIS = np.linspace(38.0, 83.0, 40)

@@ -11,7 +11,7 @@ import numpy as np
 import optimistix as optx
 import pytest
 
-from calibration.bridge import render_as_jax
+from eyespot.calibration.bridge import render_as_jax
 
 SHAPE = (6, 8)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-import calibration
-from calibration.pixels.data import POSE
-from calibration.pixels.light import Cells, Light
-from calibration.spots.cone_trials import Prior
-from formats.stack import Stack
-from optics.wall_light.lens import Grid, LensTable
-from scenes import Scene, render_stack
-from tests.made_up import a_footage, a_lens_table, a_microscope
-from tests.scene_tables import scene_of
-from tests.spread_disc import lit_by_disc, radii
+from eyespot import calibration
+from eyespot.calibration.pixels.data import POSE
+from eyespot.calibration.pixels.light import Cells, Light
+from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.formats.stack import Stack
+from eyespot.optics.wall_light.lens import Grid, LensTable
+from eyespot.scenes import Scene, render_stack
+from tests.support.drawn.made_up import a_footage, a_lens_table, a_microscope
+from tests.support.drawn.scene_tables import scene_of
+from tests.support.light.spread_disc import lit_by_disc, radii
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -42,7 +42,7 @@ def test_the_change_of_an_example_works_and_keeps_the_rules(name, tmp_path):
     copy = tmp_path / "copy"
     ignored = shutil.ignore_patterns("__pycache__", "auto_gallery", "generated", "sample-v2")
     for part in PARTS:
-        shutil.copytree(HOME / part, copy / part, ignore=ignored)
+        shutil.copytree(HOME / part, copy / part, ignore=ignored, symlinks=True)
     shutil.copy(HOME / "pyproject.toml", copy)
     subprocess.run(["git", "apply", str(EXAMPLES / f"{name}.diff")], cwd=copy, check=True)
     for selection in (CHECKS[name], HOUSE):

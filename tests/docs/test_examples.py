@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 HOME = Path(__file__).resolve().parents[2]
-PACKAGES = ("eyespot", "formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 MODULES = sorted(
-    path.relative_to(HOME).with_suffix("").as_posix().replace("/", ".")
+    "eyespot." + path.relative_to(HOME).with_suffix("").as_posix().replace("/", ".")
     for package in PACKAGES
     for path in (HOME / package).rglob("*.py")
     if ">>> " in path.read_text(encoding="utf-8")
@@ -24,4 +24,6 @@ def test_examples_in_docstrings_print_what_they_say(name):
 
 
 def test_the_models_have_examples():
-    assert {"optics.models", "optics.contour", "optics.distance"} <= set(MODULES)
+    assert {"eyespot.optics.models", "eyespot.optics.contour", "eyespot.optics.distance"} <= set(
+        MODULES
+    )

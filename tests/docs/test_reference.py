@@ -12,14 +12,14 @@ import jsonschema
 import pandas as pd
 import pytest
 
-from calibration.command.verdict import Fault
 from docs.generated import write_pages
 from docs.messages import _ERRORS, PACKAGES
 from docs.schemas import KINDS, rows_of, schema_of
-from estimator.distance.budget import Cause
-from formats.spots import Reason
-from scenes import Scene
-from tests.command_line import WORDS, options_of, printed
+from eyespot.calibration.command.verdict import Fault
+from eyespot.estimator.distance.budget import Cause
+from eyespot.formats.spots import Reason
+from eyespot.scenes import Scene
+from tests.support.command_line import WORDS, options_of, printed
 
 HOME = Path(__file__).resolve().parents[2]
 SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
@@ -90,7 +90,7 @@ PAGES = {
     for path in sorted((HOME / "docs").rglob("*.md"))
     if "generated" not in path.parts
 }
-CITED = re.compile(rf"`((?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
+CITED = re.compile(rf"`(eyespot\.(?:{'|'.join(PACKAGES)})(?:\.\w+)+)`")
 
 
 def test_what_pages_cite_exists():

@@ -12,17 +12,17 @@ from rosbags import rosbag1, rosbag2
 from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
-from estimator import SubpixelSettings, track
-from estimator.run.offline import Ended, track_source
-from estimator.sources.opening import open_source
-from estimator.sources.ros import IMAGE_TOPIC, frame_of_message, write_bag
-from estimator.sources.source import Frame
-from formats.inputs import InputError
-from formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
-from formats.spots import Spot
-from scenes.drawn import Drawing, Truth, frame_of
-from tests.drawn_recording import new_reader
-from tests.ros_messages import (
+from eyespot.estimator import SubpixelSettings, track
+from eyespot.estimator.run.offline import Ended, track_source
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.ros import IMAGE_TOPIC, frame_of_message, write_bag
+from eyespot.estimator.sources.source import Frame
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
+from eyespot.formats.spots import Spot
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support.drawn.drawn_recording import new_reader
+from tests.support.rig.ros_messages import (
     EPOCH_S,
     ROS1,
     ROS2,

@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from uncertainties import correlated_values, ufloat, umath
 
-import optics
-from benchmarks.model_error import Geometry, estimates, semi_minor
-from estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
-from estimator.distance.range import Range
-from estimator.distance.ranger import Ranger
-from estimator.distance.tilted_cone import ConeView, distance_of, spot_image
-from estimator.run.reader import Reading
-from formats.calibration import write_calibration
-from formats.inputs import InputError
-from formats.spots import NoSpot, Reason, read_spots
-from formats.stack import read_stack
-from formats.stated import Stated, read_stated
-from scenes import load_scene, render_stack
-from scenes.world.labels import true_calibration
-from tests import budget_coverage
-from tests.command_line import printed, run
+from eyespot import optics
+from eyespot.benchmarks.model_error import Geometry, estimates, semi_minor
+from eyespot.estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
+from eyespot.estimator.distance.range import Range
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, spot_image
+from eyespot.estimator.run.reader import Reading
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Reason, read_spots
+from eyespot.formats.stack import read_stack
+from eyespot.formats.stated import Stated, read_stated
+from eyespot.scenes import load_scene, render_stack
+from eyespot.scenes.world.labels import true_calibration
 from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
 from tests.estimator.test_ranger import microscope as microscope_at
+from tests.support.command_line import printed, run
+from tests.support.coverage import budget_coverage
 
 HALF_ANGLE = math.atan(1 / K)
 LEANING = (0.0, 0.1, math.sqrt(0.99))  # normal of a plane wall

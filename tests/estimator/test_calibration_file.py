@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
-from formats.calibration import Calibration, read_calibration, write_calibration
-from formats.inputs import InputError
-from tests.made_up import DOME
+from eyespot.formats.calibration import Calibration, read_calibration, write_calibration
+from eyespot.formats.inputs import InputError
+from tests.support.drawn.made_up import DOME
 
 
 def calibration(**changed):

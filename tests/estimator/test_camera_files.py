@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import yaml
 
-from estimator import SubpixelSettings
-from formats.camera import LensDistortion
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from tests.drawn_spots import spot_in
+from eyespot.estimator import SubpixelSettings
+from eyespot.formats.camera import LensDistortion
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from tests.support.drawn.drawn_spots import spot_in
 
 FOCAL, CENTRE, SIZE = 800.0, np.array([162.25, 118.5]), (320, 240)
 MATRIX = np.array([[FOCAL, 0, CENTRE[0]], [0, FOCAL, CENTRE[1]], [0, 0, 1]])

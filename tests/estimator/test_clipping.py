@@ -5,19 +5,19 @@ import math
 import numpy as np
 import pytest
 
-from estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
-from estimator.detector.band import hidden_edge
-from estimator.detector.ellipse import AffineEllipse, Patch
-from estimator.detector.levels import Levels
-from estimator.detector.tuning import RAYS
-from estimator.photon_transfer import measured_noise
-from estimator.pixels.picture import FramePixels
-from estimator.run.options import Options
-from formats.camera import CameraNoise, CameraSheet, Response
-from formats.inputs import InputError
-from formats.spots import NoSpot, Reason, Spot
-from tests.drawn_spots import spot_image, spot_in
-from tests.made_up import a_microscope_file
+from eyespot.estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
+from eyespot.estimator.detector.band import hidden_edge
+from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.levels import Levels
+from eyespot.estimator.detector.tuning import RAYS
+from eyespot.estimator.photon_transfer import measured_noise
+from eyespot.estimator.pixels.picture import FramePixels
+from eyespot.estimator.run.options import Options
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from tests.support.drawn.drawn_spots import spot_image, spot_in
+from tests.support.drawn.made_up import a_microscope_file
 
 SHAPE = (240, 320)
 LEVELS = [  # bits of the camera, where it clips, shift to the upper bits

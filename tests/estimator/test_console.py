@@ -20,23 +20,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator import Frame, Source
-from estimator.console.guide import Guide, Stage, exposure_advice
-from estimator.console.session import Session, View, svg_of
-from estimator.distance.range import Range, TipPose
-from estimator.run.options import Options
-from estimator.run.reader import Reading
-from estimator.sources.opening import open_source
-from formats.calibration import read_calibration
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from formats.poses import Pose, PoseTrack, read_poses
-from formats.spots import NoSpot, Reason, Spot, read_spots
-from formats.stack import read_stack
-from tests import drawn_spots
-from tests.made_up import a_microscope_file, a_spot
-from tests.rig_recordings import HOME, calibrated, rendered_stack
+from eyespot.estimator import Frame, Source
+from eyespot.estimator.console.guide import Guide, Stage, exposure_advice
+from eyespot.estimator.console.session import Session, View, svg_of
+from eyespot.estimator.distance.range import Range, TipPose
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.reader import Reading
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import Pose, PoseTrack, read_poses
+from eyespot.formats.spots import NoSpot, Reason, Spot, read_spots
+from eyespot.formats.stack import read_stack
+from tests.support.drawn import drawn_spots
+from tests.support.drawn.made_up import a_microscope_file, a_spot
+from tests.support.rig.rig_recordings import HOME, calibrated, rendered_stack
 
 PATIENCE_S = 30.0
 
@@ -434,7 +434,7 @@ LAGS = """() => new Promise(done => {
 @pytest.mark.slow
 def test_a_camera_is_shown_at_once_and_its_loss_and_return_are_seen(browser, tmp_path):
     unplugged = tmp_path / "unplugged"
-    command = "tests.console_camera", "{port}", unplugged
+    command = "tests.support.rig.console_camera", "{port}", unplugged
     with console(*command, log=tmp_path / "log") as address:
         page, slow = browser.new_page(), browser.new_page()
         for window in (page, slow):

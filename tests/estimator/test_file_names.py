@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.sources.opening import open_source
-from formats.spots import read_spots
-from tests.command_line import run
-from tests.drawn_recording import write_video
-from tests.drawn_sets import write_set
-from tests.drawn_spots import spot_image
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.spots import read_spots
+from tests.support.command_line import run
+from tests.support.drawn.drawn_recording import write_video
+from tests.support.drawn.drawn_sets import write_set
+from tests.support.drawn.drawn_spots import spot_image
 
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
 

@@ -8,13 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from estimator.detector.shape import spot_shape
-from formats.camera import LensDistortion, Response
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import Drawing, any_truth, light_of
-from tests.drawn_spots import spot_in
-from tests.own_frames import clouds
+from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from eyespot.estimator.detector.shape import spot_shape
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import Drawing, any_truth, light_of
+from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.own_frames import clouds
 
 _MODES = (
     SubpixelSettings(),

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from estimator.sources.genicam import _message
-from estimator.sources.opening import open_source
-from estimator.sources.ros import frame_of_message
-from formats.inputs import InputError
+from eyespot.estimator.sources.genicam import _message
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.ros import frame_of_message
+from eyespot.formats.inputs import InputError
 
 
 @pytest.fixture

@@ -15,16 +15,16 @@ import tifffile
 from PIL import Image
 from tifffile import TiffWriter
 
-from estimator import SubpixelSettings, track
-from estimator.sources.opening import open_source
-from estimator.sources.source import Frame
-from formats.camera import Response
-from formats.images import decoded_image
-from formats.inputs import InputError
-from formats.spots import Spot
-from tests.bad_input import png_chunk
-from tests.drawn_recording import write_video
-from tests.drawn_spots import spot_image
+from eyespot.estimator import SubpixelSettings, track
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.source import Frame
+from eyespot.formats.camera import Response
+from eyespot.formats.images import decoded_image
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import Spot
+from tests.support.drawn.drawn_recording import write_video
+from tests.support.drawn.drawn_spots import spot_image
+from tests.support.files.bad_input import png_chunk
 
 SHAPE = (96, 128)
 TRUTH = (62.3, 47.7, 30.0, 22.0, 0.4)

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.sets.formats import hdf5
-from benchmarks.sets.formats.export import export
-from benchmarks.sets.read import SetError, read_set, stacks_of
-from benchmarks.sets.spec import SpecError, load_spec
-from estimator.sources.ros import write_bag
-from formats.inputs import InputError, inside
-from formats.poses import Pose, read_poses
-from formats.stack import read_stack
-from tests.bad_input import OLD
+from eyespot.benchmarks.sets.formats import hdf5
+from eyespot.benchmarks.sets.formats.export import export
+from eyespot.benchmarks.sets.read import SetError, read_set, stacks_of
+from eyespot.benchmarks.sets.spec import SpecError, load_spec
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.formats.inputs import InputError, inside
+from eyespot.formats.poses import Pose, read_poses
+from eyespot.formats.stack import read_stack
+from tests.support.files.bad_input import OLD
 
 
 @pytest.fixture

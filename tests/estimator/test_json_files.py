@@ -5,7 +5,7 @@ from typing import Annotated
 import pytest
 from pydantic import Field
 
-from formats.inputs import Strict, check_schema, object_in, read_text, validated
+from eyespot.formats.inputs import Strict, check_schema, object_in, read_text, validated
 
 
 class Eye(Strict):

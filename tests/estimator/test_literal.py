@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator import LiteralSettings, TrackState, measure, track
-from estimator.detector.literal import patch_check
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import Drawing, Truth, erf_edge, frame_of
-from tests.drawn_spots import spot_in
+from eyespot.estimator import LiteralSettings, TrackState, measure, track
+from eyespot.estimator.detector.literal import patch_check
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import Drawing, Truth, erf_edge, frame_of
+from tests.support.drawn.drawn_spots import spot_in
 
 _TRUTH = Truth(x=320.3, y=241.6, semi_major=66, semi_minor=60, angle=0.5)
 _SCENE = Drawing(truth=_TRUTH, amplitude=235, ambient=10, noise=1.0)

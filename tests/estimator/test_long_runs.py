@@ -16,13 +16,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, track, track_source, track_whole_source
-from estimator.run import reader as reader_module
-from estimator.sources.source import Frame, Source
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, spots_stream, write_spots
-from scenes.drawn import Drawing, Truth, frame_of
-from tests.command_line import EYESPOT, Called, printed, run
-from tests.drawn_recording import SHAPE, assert_same, new_reader, write_folder
+from eyespot.estimator import SubpixelSettings, track, track_source, track_whole_source
+from eyespot.estimator.run import reader as reader_module
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.spots import (
+    NoSpot,
+    Reason,
+    Spot,
+    SpotRecord,
+    read_spots,
+    spots_stream,
+    write_spots,
+)
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support.command_line import EYESPOT, Called, printed, run
+from tests.support.drawn.drawn_recording import SHAPE, assert_same, new_reader, write_folder
 
 
 @pytest.fixture(scope="module")

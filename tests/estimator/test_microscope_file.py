@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from tests.made_up import an_opencv_file, microscope_content
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from tests.support.drawn.made_up import an_opencv_file, microscope_content
 
 FOCAL, CX, CY = 3432.8, 330.5, 224.25
 MATRIX = np.array([[FOCAL, 0, CX], [0, FOCAL, CY], [0, 0, 1.0]])

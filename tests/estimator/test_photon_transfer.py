@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from estimator.photon_transfer import measured_noise
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from scenes.camera import CameraSensor
-from tests.command_line import printed
-from tests.made_up import a_microscope_file
-from tests.scene_tables import scene_of
+from eyespot.estimator.photon_transfer import measured_noise
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.scenes.camera import CameraSensor
+from tests.support.command_line import printed
+from tests.support.drawn.made_up import a_microscope_file
+from tests.support.drawn.scene_tables import scene_of
 
 _SHEET = {"full_well_e": 8000.0, "read_noise_e": 12.0, "black_level_dn": 6.0, "prnu": 0.01}
 _LEVELS = (0.0, 0.12, 0.25, 0.4, 0.6, 0.8)

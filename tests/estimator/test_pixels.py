@@ -15,22 +15,22 @@ import pandas as pd
 import pytest
 
 import eyespot
-from benchmarks.reporting import rows_of, where
-from benchmarks.sets.read import true_beam
-from estimator import Frame, SubpixelSettings, TrackState, measure
-from estimator.distance.range import WallMemory
-from estimator.pixels import tracker
-from estimator.pixels.beam import BeamLight
-from estimator.run.options import Options
-from estimator.sources.opening import open_source
-from formats.calibration import write_calibration
-from formats.inputs import InputError
-from formats.poses import PoseTrack, read_poses
-from formats.spots import NoSpot, Reason
-from scenes import Scene, render_stack
-from tests.command_line import printed
-from tests.lookalikes import LOOKALIKES
-from tests.made_up import a_calibration
+from eyespot.benchmarks.reporting import rows_of, where
+from eyespot.benchmarks.sets.read import true_beam
+from eyespot.estimator import Frame, SubpixelSettings, TrackState, measure
+from eyespot.estimator.distance.range import WallMemory
+from eyespot.estimator.pixels import tracker
+from eyespot.estimator.pixels.beam import BeamLight
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import PoseTrack, read_poses
+from eyespot.formats.spots import NoSpot, Reason
+from eyespot.scenes import Scene, render_stack
+from tests.support.command_line import printed
+from tests.support.drawn.lookalikes import LOOKALIKES
+from tests.support.drawn.made_up import a_calibration
 
 LARGE = {"width_px": 640, "height_px": 480}
 PAPER = {"wall": "printed paper", "texture_seed": 4}

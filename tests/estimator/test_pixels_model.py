@@ -9,11 +9,11 @@ from scipy.integrate import quad
 from scipy.special import k1
 from scipy.stats import norm
 
-import optics
-from estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
-from estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, rolled
-from estimator.pixels.frame_fit import registered
-from estimator.pixels.frame_model import (
+from eyespot import optics
+from eyespot.estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
+from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, rolled
+from eyespot.estimator.pixels.frame_fit import registered
+from eyespot.estimator.pixels.frame_model import (
     LENGTHS_MM,
     OWN,
     FrameModel,
@@ -24,13 +24,13 @@ from estimator.pixels.frame_model import (
     motion_between,
     texture_of,
 )
-from estimator.pixels.picture import _most_even
-from estimator.pixels.tracker import _like
-from formats.spots import Outline
-from optics.wall_light.cells import square_lattice
-from optics.wall_light.cone import UniformCone
-from optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes
-from tests.made_up import a_microscope
+from eyespot.estimator.pixels.picture import _most_even
+from eyespot.estimator.pixels.tracker import _like
+from eyespot.formats.spots import Outline
+from eyespot.optics.wall_light.cells import square_lattice
+from eyespot.optics.wall_light.cone import UniformCone
+from eyespot.optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes
+from tests.support.drawn.made_up import a_microscope
 
 HALF_ANGLE, APEX, SCALE = math.atan(1 / 20), -5.117, 0.0067
 CONE = UniformCone.of(HALF_ANGLE, APEX)

@@ -4,8 +4,8 @@ import re
 
 import pytest
 
-from estimator.run import progress_bar
-from estimator.run.progress_bar import progress
+from eyespot.estimator.run import progress_bar
+from eyespot.estimator.run.progress_bar import progress
 
 
 @pytest.fixture

@@ -8,20 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from estimator import SubpixelSettings, TrackState, measure
-from estimator.detector.shape import Shape, spot_shape
-from estimator.distance import lens_range
-from estimator.distance.lens_range import LensCurve, distance_from_lens
-from estimator.distance.ranger import Ranger
-from formats.calibration import LENS_PARAMETERS
-from formats.camera import Response
-from formats.inputs import InputError
-from formats.spots import Reason
-from tests.command_line import run_python
-from tests.made_up import CONE, a_calibration, a_microscope, a_spot
-from tests.photon_stacks import Recording, direct_light, half_maximum
-from tests.photons import Drop, counted_light
+from eyespot import optics
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.estimator.detector.shape import Shape, spot_shape
+from eyespot.estimator.distance import lens_range
+from eyespot.estimator.distance.lens_range import LensCurve, distance_from_lens
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import LENS_PARAMETERS
+from eyespot.formats.camera import Response
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import Reason
+from tests.support.command_line import run_python
+from tests.support.drawn.made_up import CONE, a_calibration, a_microscope, a_spot
+from tests.support.light.photon_stacks import Recording, direct_light, half_maximum
+from tests.support.light.photons import Drop, counted_light
 
 HOME = Path(__file__).resolve().parents[2]
 R_EYE, SCALE, K, B = 11.5, 0.0067, *CONE.values()
@@ -397,8 +397,8 @@ def test_what_does_not_fit_is_refused_with_a_remedy():
 def test_closed_forms_load_no_jax():
     code = """
 import sys
-from estimator import Ranger
-from tests.made_up import a_calibration, a_microscope, a_spot
+from eyespot.estimator import Ranger
+from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot
 for model in ("planar", "small_plane", "corrected", "stereographic"):
     ranger = Ranger(a_calibration(), a_microscope(), model=model)
     assert ranger.distance(a_spot(300, 200, 60, 55)).distance_mm > 0

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, TrackState, measure
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import SHAPE
-from tests.drawn_spots import spot_image, spot_in
-from tests.own_frames import clouds
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import SHAPE
+from tests.support.drawn.drawn_spots import spot_image, spot_in
+from tests.support.drawn.own_frames import clouds
 
 
 def eight_bit(image: np.ndarray) -> np.ndarray:

@@ -26,18 +26,18 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from benchmarks.bench.load import memory_mb
-from estimator import LiteralSettings
-from estimator.distance.ranger import Ranger
-from estimator.rig import node as rig_node
-from estimator.rig.messages import Silence
-from estimator.rig.rig import Parameters, Rig
-from formats.calibration import read_calibration
-from formats.microscope import read_microscope
-from formats.poses import read_poses
-from tests import drawn_spots
-from tests.made_up import a_microscope_file
-from tests.rig_recordings import (
+from eyespot.benchmarks.bench.load import memory_mb
+from eyespot.estimator import LiteralSettings
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.rig import node as rig_node
+from eyespot.estimator.rig.messages import Silence
+from eyespot.estimator.rig.rig import Parameters, Rig
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import read_poses
+from tests.support.drawn import drawn_spots
+from tests.support.drawn.made_up import a_microscope_file
+from tests.support.rig.rig_recordings import (
     HOME,
     LITERAL,
     SUBPIXEL,
@@ -48,7 +48,7 @@ from tests.rig_recordings import (
     recording_of,
     rendered_stack,
 )
-from tests.ros_messages import ROS1, image_message, message
+from tests.support.rig.ros_messages import ROS1, image_message, message
 
 
 def grey_message(image: np.ndarray) -> Any:
@@ -207,7 +207,7 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(monkeypa
         raise ZeroDivisionError("here")
 
     with monkeypatch.context() as patched:
-        patched.setattr("estimator.run.reader.measure", with_a_bug)
+        patched.setattr("eyespot.estimator.run.reader.measure", with_a_bug)
         failed = rig.output(image, 1.0, 0)
     assert (failed.doubt, failed.level) == ("internal_error", "ERROR")
     assert "ZeroDivisionError: here" in caplog.text
@@ -222,15 +222,13 @@ def test_images_between_two_measured_ones_are_counted_as_skipped():
     assert counts == [(1, 0), (2, 0), (3, 2), (4, 2), (5, 2), (6, 3)]
 
 
-def test_without_ros_the_node_says_what_to_install(monkeypatch, capsys):
+def test_without_ros_the_node_says_what_to_install(monkeypatch):
     monkeypatch.setattr(sys, "path", list(sys.path))
     for library in ("rospy", "rclpy"):  # stands in for a machine without ROS
         monkeypatch.setitem(sys.modules, library, None)
     monkeypatch.delenv("ROS_VERSION", raising=False)
-    with pytest.raises(SystemExit) as ended:
-        rig_node.main()
-    assert ended.value.code == 2
-    assert "tools/install-ros" in capsys.readouterr().err
+    with pytest.raises(InputError, match="tools/install-ros"):
+        rig_node.node()
 
 
 PATIENCE_S = 300.0  # before what should take seconds is given up
@@ -337,7 +335,7 @@ def node_output(bag: Path, folder: Path, count: int, *parameters: str) -> dict[s
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
         # Poses carry no time: the node takes that of their arrival, on the bag's clock.
         session.start("rosparam", "set", "use_sim_time", "true").wait()
-        session.start(sys.executable, "-m", "estimator.rig.node", *parameters)
+        session.start(sys.executable, "-m", "eyespot", "node", *parameters)
         limit = f"--limit={count}"  # messages a topic, after which it ends by itself
         recorder = session.start("rosbag", "record", limit, "-O", recorded, *TOPICS.values())
         session.wait_until(
@@ -406,7 +404,7 @@ def test_under_a_real_roscore_a_topic_is_a_source_that_says_when_images_stop(ros
     recording_of(stack, bag)
     with RosSession(tmp_path) as session:
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
-        program = HOME / "tests" / "topic_reader.py"
+        program = HOME / "tests/support/rig/topic_reader.py"
         reader = session.start(sys.executable, program, "/decklink/camera/image_raw", out)
         only_images = "--topics", "/decklink/camera/image_raw", "--bags", bag
         session.start("rosbag", "play", "--wait-for-subscribers", *only_images)
@@ -421,9 +419,9 @@ def test_a_camera_twice_as_fast_as_the_node_gets_the_newest_images_measured(tmp_
     seconds, answers, memory = 60.0, tmp_path / "answers.json", []
     with RosSession(tmp_path) as session:
         session.wait_until(lambda: session.ask(session.uri, "getPid") is not None, "roscore")
-        node = session.start(sys.executable, "-m", "estimator.rig.node")
+        node = session.start(sys.executable, "-m", "eyespot", "node")
         camera = session.start(
-            sys.executable, HOME / "tests" / "ros_camera.py", answers, f"{seconds}"
+            sys.executable, HOME / "tests/support/rig/ros_camera.py", answers, f"{seconds}"
         )
 
         def ended() -> bool:

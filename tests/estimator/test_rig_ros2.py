@@ -17,12 +17,12 @@ import numpy as np
 import psutil
 import pytest
 
-from estimator import LiteralSettings, SubpixelSettings
-from estimator.distance.ranger import Ranger
-from formats.calibration import read_calibration
-from formats.microscope import read_microscope
-from formats.poses import read_poses
-from tests.rig_recordings import (
+from eyespot.estimator import LiteralSettings, SubpixelSettings
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import read_poses
+from tests.support.rig.rig_recordings import (
     HOME,
     LITERAL,
     RATE_HZ,
@@ -98,7 +98,7 @@ def node(
     python: str, environment: dict[str, str], log: Path, *arguments: str
 ) -> Iterator[psutil.Popen]:
     """The node, which must end by Ctrl-C as a well-behaved program does."""
-    command = [python, "-m", "estimator.rig.node", "--ros-args", *arguments]
+    command = [python, "-m", "eyespot", "node", "--ros-args", *arguments]
     with log.open("wb") as output:
         process = psutil.Popen(
             command, cwd=HOME, env=environment, stdout=output, stderr=subprocess.STDOUT
@@ -198,7 +198,13 @@ def played(
     python: str, environment: dict[str, str], bag: Path, folder: Path, *, speed: float
 ) -> dict[str, Any]:
     answers = folder / "answers.json"
-    player = [python, f"{HOME}/tests/ros2_player.py", str(bag), str(answers), f"{speed}"]
+    player = [
+        python,
+        f"{HOME}/tests/support/rig/ros2_player.py",
+        str(bag),
+        str(answers),
+        f"{speed}",
+    ]
     done = subprocess.run(player, env=environment, capture_output=True, text=True)
     said = (folder / "node.log").read_text()[-2000:]
     assert done.returncode == 0, f"{done.stderr}\n== node\n{said}"
@@ -209,7 +215,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(python, environment, sta
     bag, out = tmp_path / "bag", tmp_path / "read.json"
     recording_of(stack, bag, ros=2, rounds=ROUNDS)
     with subprocess.Popen(
-        [python, f"{HOME}/tests/topic_reader.py", IMAGES, out],
+        [python, f"{HOME}/tests/support/rig/topic_reader.py", IMAGES, out],
         env=environment,
         stdout=subprocess.PIPE,
         text=True,
@@ -232,7 +238,7 @@ def test_a_topic_is_a_source_that_says_when_images_stop(python, environment, sta
     ],
 )
 def test_a_wrong_parameter_ends_the_node_with_one_message(python, environment, parameter, said):
-    command = [python, "-m", "estimator.rig.node", "--ros-args", "-p", parameter]
+    command = [python, "-m", "eyespot", "node", "--ros-args", "-p", parameter]
     done = subprocess.run(command, cwd=HOME, env=environment, capture_output=True, text=True)
     assert done.returncode == 2
     assert "Traceback" not in done.stderr

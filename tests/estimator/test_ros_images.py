@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from estimator.sources.opening import open_source
-from estimator.sources.ros import frame_of_message
-from formats.inputs import InputError
-from tests.ros_messages import ROS1, ROS2, compressed_message, image_message, write
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.ros import frame_of_message
+from eyespot.formats.inputs import InputError
+from tests.support.rig.ros_messages import ROS1, ROS2, compressed_message, image_message, write
 
 RNG = np.random.default_rng(1)
 RGB = RNG.integers(0, 255, (6, 10, 3), dtype=np.uint8)

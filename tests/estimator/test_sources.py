@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 import tifffile
 
-from estimator import SubpixelSettings, track
-from estimator.run.offline import Ended
-from estimator.sources.opening import open_source
-from estimator.sources.source import Frame, Source
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import Drawing, Truth, frame_of
-from tests.drawn_recording import (
+from eyespot.estimator import SubpixelSettings, track
+from eyespot.estimator.run.offline import Ended
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support.drawn.drawn_recording import (
     GONE,
     SHAPE,
     assert_same,

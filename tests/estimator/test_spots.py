@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
-from tests.made_up import a_spot
+from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from tests.support.drawn.made_up import a_spot
 
 _COLUMNS = (
     "frame,file_name,time_s,mode,status,reason,x_px,y_px,semi_major_px,semi_minor_px,angle_rad,"

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from estimator import SubpixelSettings, TrackState, measure
-from formats.spots import Spot
-from scenes.drawn import SHAPE, Drawing, Truth, any_wall, light_of
-from tests.drawn_spots import spot_in
-from tests.lookalikes import LOOKALIKES, taken_for_spots
-from tests.own_frames import (
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.formats.spots import Spot
+from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, light_of
+from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.lookalikes import LOOKALIKES, taken_for_spots
+from tests.support.drawn.own_frames import (
     any_ellipse,
     camera_image,
     moved_light,

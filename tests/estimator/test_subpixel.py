@@ -10,11 +10,20 @@ import pytest
 from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from formats.camera import LensDistortion, Response
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import SHAPE, Drawing, Truth, any_truth, any_wall, erf_edge, frame_of, light_of
-from tests.drawn_spots import (
+from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import (
+    SHAPE,
+    Drawing,
+    Truth,
+    any_truth,
+    any_wall,
+    erf_edge,
+    frame_of,
+    light_of,
+)
+from tests.support.drawn.drawn_spots import (
     bell,
     domed_edge,
     flank,

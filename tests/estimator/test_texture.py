@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from tests.drawn_spots import spot_in
+from tests.support.drawn.drawn_spots import spot_in
 
 SHAPE = (200, 240)
 SEMI_MINOR_PX = 40.0

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure, track
-from formats.spots import NoSpot, Reason, Spot
-from scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
-from tests.drawn_spots import with_shaft
-from tests.lookalikes import false_spots
+from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure, track
+from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
+from tests.support.drawn.drawn_spots import with_shaft
+from tests.support.drawn.lookalikes import false_spots
 
 _TRUTH = Truth(x=330, y=230, semi_major=66, semi_minor=60, angle=0.3)
 _SCENE = Drawing(truth=_TRUTH)

@@ -11,21 +11,21 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from estimator import LiteralSettings, SubpixelSettings, track
-from estimator.distance.ranger import Ranger
-from estimator.run.offline import summary_of, table_of, track_source
-from estimator.run.options import Options
-from estimator.run.overlay import annotated, overlay_writer
-from estimator.sources.ros import write_bag
-from estimator.sources.source import Frame, Source
-from formats.calibration import read_calibration, write_calibration
-from formats.camera import LensDistortion, Response
-from formats.microscope import read_microscope
-from formats.poses import Pose, PoseTrack
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
-from scenes.drawn import Drawing, Truth, frame_of
-from tests import command_line
-from tests.drawn_recording import (
+from eyespot.estimator import LiteralSettings, SubpixelSettings, track
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.run.offline import summary_of, table_of, track_source
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.overlay import annotated, overlay_writer
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.calibration import read_calibration, write_calibration
+from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import Pose, PoseTrack
+from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support import command_line
+from tests.support.drawn.drawn_recording import (
     GONE,
     SHAPE,
     assert_same,
@@ -36,8 +36,8 @@ from tests.drawn_recording import (
     write_stack,
     write_video,
 )
-from tests.drawn_spots import disc
-from tests.made_up import a_calibration, a_microscope_file, an_opencv_file
+from tests.support.drawn.drawn_spots import disc
+from tests.support.drawn.made_up import a_calibration, a_microscope_file, an_opencv_file
 
 run = functools.partial(command_line.run, "track")
 SCALE_MM_PX = 0.0067

@@ -6,8 +6,8 @@ from statistics import NormalDist
 
 import pytest
 
-from estimator.detector import tuning
-from estimator.detector.tuning import Trimming
+from eyespot.estimator.detector import tuning
+from eyespot.estimator.detector.tuning import Trimming
 
 FOLDER = Path(tuning.__file__).parent
 

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from estimator.rig.rig import Parameters, opened_rig
-from estimator.viewer import check_recording_path, record_stack
-from formats.spots import Spot, read_spots
-from formats.stack import read_stack
-from scenes import render_stack
-from tests.command_line import printed
-from tests.drawn_sets import labels_of, write_stack
-from tests.drawn_spots import disc
-from tests.scene_tables import scene_of
+from eyespot.estimator.rig.rig import Parameters, opened_rig
+from eyespot.estimator.viewer import check_recording_path, record_stack
+from eyespot.formats.spots import Spot, read_spots
+from eyespot.formats.stack import read_stack
+from eyespot.scenes import render_stack
+from tests.support.command_line import printed
+from tests.support.drawn.drawn_sets import labels_of, write_stack
+from tests.support.drawn.drawn_spots import disc
+from tests.support.drawn.scene_tables import scene_of
 
 
 def columns_of(recording: Path) -> dict[str, dict[int, Any]]:
@@ -119,7 +119,7 @@ def test_the_beam_of_a_recorded_stack_ends_at_its_distance(stack, tmp_path):
 
 
 def test_the_rings_of_the_retina_lie_on_the_eyeball():
-    from estimator.viewer import _heights_mm
+    from eyespot.estimator.viewer import _heights_mm
 
     class Eye:
         plane_normal, eye_radius_mm = None, 11.5

@@ -7,12 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from estimator.distance.ranger import Ranger
-from formats.microscope import PathSeries
-from optics import viewing
+from eyespot import optics
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.microscope import PathSeries
+from eyespot.optics import viewing
 from tests.estimator.test_ranger import B, K, calibration, spot
-from tests.made_up import a_microscope
+from tests.support.drawn.made_up import a_microscope
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from formats.inputs import InputError
-from formats.whole_files import BeingWrittenError, sweep, written_whole
-from tests.command_line import run_python
+from eyespot.formats.inputs import InputError
+from eyespot.formats.whole_files import BeingWrittenError, sweep, written_whole
+from tests.support.command_line import run_python
 
 KINDS = ["file", "folder", "link to a file", "link to a folder", "link to nothing", "pipe"]
 
@@ -121,7 +121,7 @@ def test_only_what_a_killed_writer_left_is_swept(tmp_path):
     killed = """
 import os
 from pathlib import Path
-from formats.whole_files import written_whole
+from eyespot.formats.whole_files import written_whole
 with written_whole(Path("left")) as partial:
     partial.write_text("half")
     os._exit(9)

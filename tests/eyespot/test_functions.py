@@ -6,10 +6,10 @@ import pandas as pd
 import pytest
 
 import eyespot
-from formats.calibration import read_calibration
-from formats.inputs import InputError
-from formats.spots import read_spots
-from tests.command_line import printed, run_python
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import read_spots
+from tests.support.command_line import printed, run_python
 
 TABLE = {
     "source.kind": "cone",

@@ -12,30 +12,30 @@ import numpy as np
 import pytest
 import tomli_w
 
-from benchmarks import study
-from benchmarks.sets.read import read_set, rows, stacks_of, verify_set
-from benchmarks.sets.spec import load_spec, plan
-from calibration.command.choices import Choices
-from estimator import Frame
-from estimator.distance.ranger import Ranger
-from estimator.run.exit_codes import message_of
-from estimator.run.options import Options
-from estimator.sources.opening import open_source
-from estimator.sources.ros import write_bag
-from formats.calibration import read_calibration
-from formats.microscope import read_microscope
-from formats.poses import Pose, read_poses
-from formats.spots import read_spots
-from formats.stack import read_stack
-from optics import load_lens
-from scenes.description.scene_file import load_scene, scene_toml
-from scenes.walls.picture import wall_image
-from scenes.world.motion import frame_count, kinematics
-from scenes.world.world import World
-from tests.bad_input import OLD, odd, spoilt
-from tests.command_line import run_process
-from tests.drawn_recording import write_video
-from tests.made_up import DOME, an_opencv_file
+from eyespot.benchmarks import study
+from eyespot.benchmarks.sets.read import read_set, rows, stacks_of, verify_set
+from eyespot.benchmarks.sets.spec import load_spec, plan
+from eyespot.calibration.command.choices import Choices
+from eyespot.estimator import Frame
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.run.exit_codes import message_of
+from eyespot.estimator.run.options import Options
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import Pose, read_poses
+from eyespot.formats.spots import read_spots
+from eyespot.formats.stack import read_stack
+from eyespot.optics import load_lens
+from eyespot.scenes.description.scene_file import load_scene, scene_toml
+from eyespot.scenes.walls.picture import wall_image
+from eyespot.scenes.world.motion import frame_count, kinematics
+from eyespot.scenes.world.world import World
+from tests.support.command_line import run_process
+from tests.support.drawn.drawn_recording import write_video
+from tests.support.drawn.made_up import DOME, an_opencv_file
+from tests.support.files.bad_input import OLD, odd, spoilt
 
 STACK = "small-v1/train/0000"
 SETTINGS = {"schema": 1, "quick": True, "seed": 0, "source": "cone", "spec": {"frames": [3, 4]}}

@@ -7,17 +7,17 @@ import zlib
 
 import pytest
 
-from estimator.sources.opening import open_source
-from formats.calibration import read_calibration
-from formats.images import MOST_PIXELS, decoded_image
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from formats.poses import read_poses
-from formats.stack import read_stack
-from scenes.description.scene_file import load_scene
-from scenes.world.motion import frame_count
-from scenes.world.world import World
-from tests.bad_input import OLD, png_chunk
+from eyespot.estimator.sources.opening import open_source
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.images import MOST_PIXELS, decoded_image
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import read_poses
+from eyespot.formats.stack import read_stack
+from eyespot.scenes.description.scene_file import load_scene
+from eyespot.scenes.world.motion import frame_count
+from eyespot.scenes.world.world import World
+from tests.support.files.bad_input import OLD, png_chunk
 
 
 @pytest.mark.parametrize(

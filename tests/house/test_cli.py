@@ -3,16 +3,18 @@
 import errno
 import importlib.metadata
 import os
+import subprocess
+import sys
 
 import pydantic
 import pytest
 
 from eyespot.command_line import COMMANDS
-from formats.inputs import InputError
-from scenes.machine import doctor
-from scenes.machine.llvm import ENVIRONMENT_VARIABLE
-from scenes.machine.variant import RendererUnavailable
-from tests.command_line import WORDS, command_of, options_of, run, run_process, run_python
+from eyespot.formats.inputs import InputError
+from eyespot.scenes.machine import doctor
+from eyespot.scenes.machine.llvm import ENVIRONMENT_VARIABLE
+from eyespot.scenes.machine.variant import RendererUnavailable
+from tests.support.command_line import WORDS, command_of, options_of, run, run_process, run_python
 
 
 def fail_with(monkeypatch, error):
@@ -119,11 +121,23 @@ def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, c
     assert not out.exists()
 
 
-def test_a_foreign_package_of_the_same_name_is_named_and_refused(tmp_path):
-    foreign = tmp_path / "benchmarks"
-    foreign.mkdir()
-    (foreign / "__init__.py").touch()
-    run_process("version", PYTHONPATH=str(tmp_path)).assert_bad_input(str(foreign), "Uninstall")
+def test_files_beside_a_script_may_have_the_names_of_our_packages(tmp_path):
+    for name in ("optics", "scenes", "estimator", "calibration", "benchmarks", "tests", "formats"):
+        path = tmp_path / (f"{name}/__init__.py" if name == "formats" else f"{name}.py")
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("raise RuntimeError(__name__)\n")
+    (tmp_path / "script.py").write_text(
+        "import eyespot\n"
+        "size = {'microscope.width_px': 320, 'microscope.height_px': 240}\n"
+        "scale = {'microscope.scale_mm_px': 0.0134, 'motion.frames': 6, 'source.kind': 'cone'}\n"
+        "eyespot.render(eyespot.Scene(), 'stack', size | scale)\n"
+        "eyespot.fit('stack').save('beam.json')\n"
+        "print(eyespot.track('stack', calibration='beam.json').distance_mm.count())\n"
+    )
+    child = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert int(child.stdout) >= 4, child.stderr
 
 
 @pytest.mark.parametrize(

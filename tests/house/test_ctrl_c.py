@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from tests.command_line import EYESPOT
+from tests.support.command_line import EYESPOT
 
 PATIENCE_S = 20.0
 """Far longer than a command may take to end, far shorter than it would take to finish."""
@@ -55,7 +55,7 @@ def left_of(group, patience_s=10.0):
 
 DROPPED = """
 import gc, sys, time
-from estimator.run.exit_codes import ending_on_ctrl_c, end_now
+from eyespot.estimator.run.exit_codes import ending_on_ctrl_c, end_now
 
 def collected(phase, info):
     time.sleep(0.01)  # so that nearly every Ctrl-C comes in here, where Python drops it
@@ -72,7 +72,7 @@ except KeyboardInterrupt:
 
 NATIVE = """
 import hashlib
-from estimator.run.exit_codes import ending_on_ctrl_c
+from eyespot.estimator.run.exit_codes import ending_on_ctrl_c
 
 with ending_on_ctrl_c():
     print("ready", flush=True)
@@ -87,8 +87,8 @@ def test_neither_a_callback_nor_native_code_swallows_ctrl_c(code):
 
 FINISHING = """
 import time
-from estimator.run.exit_codes import ending_on_ctrl_c, finish_first
-from estimator.run.exit_codes import PATIENCE_S
+from eyespot.estimator.run.exit_codes import ending_on_ctrl_c, finish_first
+from eyespot.estimator.run.exit_codes import PATIENCE_S
 
 with ending_on_ctrl_c():
     try:
@@ -161,7 +161,7 @@ def test_workers_are_reached_from_this_machine_only():
     """A cluster's dashboard and ports have no password."""
     import psutil
 
-    from benchmarks.sets.workers import local_workers
+    from eyespot.benchmarks.sets.workers import local_workers
 
     with local_workers(1) as client:
         client.wait_for_workers(1)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import pytest
 
-from tests.command_line import run_python
+from tests.support.command_line import run_python
 
 HOME = Path(__file__).resolve().parents[2]
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
@@ -37,11 +37,11 @@ MAY_BE_IMPORTED_BY = {
 
 # Where a spot becomes a distance, and the microscope that the others see the eye through.
 LATE_USERS_OF_OPTICS = {
-    "estimator.distance.cone",
-    "estimator.distance.lens_range",
-    "estimator.distance.ranger",
-    "estimator.distance.tilted_cone",
-    "formats.microscope",
+    "eyespot.estimator.distance.cone",
+    "eyespot.estimator.distance.lens_range",
+    "eyespot.estimator.distance.ranger",
+    "eyespot.estimator.distance.tilted_cone",
+    "eyespot.formats.microscope",
 }
 
 
@@ -68,7 +68,10 @@ def imports_of(tree):
             yield from (Import(alias.name, node.lineno, late) for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.level == 0:
             names = tuple(alias.name for alias in node.names)
-            yield Import(node.module or "", node.lineno, late, names)
+            if node.module == "eyespot":
+                yield from (Import(f"eyespot.{name}", node.lineno, late) for name in names)
+            else:
+                yield Import(node.module or "", node.lineno, late, names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
             if ast.unparse(node.func).endswith(("import_module", "__import__")):
                 yield Import(str(node.args[0].value), node.lineno, late)
@@ -80,7 +83,7 @@ def imports_of(tree):
 
 
 def module_of(path):
-    parts = path.relative_to(HOME).with_suffix("").parts
+    parts = "eyespot", *path.relative_to(HOME).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
@@ -93,13 +96,14 @@ ROOMS = {module for module, path in MODULES.items() if path.name == "__init__.py
 
 
 def top(module):
-    return module.partition(".")[0]
+    """One of our packages, or another distribution's."""
+    return module.removeprefix("eyespot.").partition(".")[0]
 
 
 def room_of(module):
     """The folder of a module; a file that lies directly in a package is a room of its own."""
     parent = module.rpartition(".")[0]
-    return module if module in ROOMS or parent in PACKAGES else parent
+    return module if module in ROOMS or parent.count(".") < 2 else parent
 
 
 def face(room):
@@ -137,23 +141,23 @@ def homes_imported_by(module):
 def test_every_form_of_import_is_seen():
     source = (
         "import jax.numpy as jnp, os\n"
-        "from optics import planar\n"
+        "from eyespot.optics import planar\n"
         "from . import _beam\n"
         "def late():\n"
         "    import cv2\n"
         "    importlib.import_module('mitsuba')\n"
         "if TYPE_CHECKING:\n"
-        "    import scenes\n"
+        "    import eyespot.scenes\n"
         "else:\n"
-        "    import calibration\n"
+        "    from eyespot import calibration\n"
     )
     assert imports_of(ast.parse(source)) == [
         ("jax.numpy", 1, False, ()),
         ("os", 1, False, ()),
-        ("optics", 2, False, ("planar",)),
+        ("eyespot.optics", 2, False, ("planar",)),
         ("cv2", 5, True, ()),
         ("mitsuba", 6, True, ()),
-        ("calibration", 10, False, ()),
+        ("eyespot.calibration", 10, False, ()),
     ]
 
 
@@ -161,6 +165,18 @@ def allowed(package, imported):
     if imported in PACKAGES:
         return imported == package or imported in MAY_IMPORT_OF_OURS[package]
     return package in MAY_BE_IMPORTED_BY.get(imported, PACKAGES)
+
+
+def test_our_packages_have_one_name():
+    """In code, tests and docs: a bare `optics` would be anybody's."""
+    said = subprocess.run(
+        ["git", "grep", "-nE", rf"^\s*(>>> )?(from|import) ({'|'.join(PACKAGES)})\b"]
+        + ["--", ":!CHANGELOG.md", ":!*.diff"],
+        cwd=HOME,
+        capture_output=True,
+        text=True,
+    )
+    assert said.returncode == 1, said.stdout + said.stderr
 
 
 def test_a_package_imports_only_what_the_table_allows():
@@ -174,10 +190,15 @@ def test_a_package_imports_only_what_the_table_allows():
 
 def test_optics_is_imported_late_and_only_where_a_spot_becomes_a_distance():
     found = {
-        module: [one for one in imports if one.module.startswith(("optics", "estimator.pixels"))]
+        module: [
+            one
+            for one in imports
+            if one.module.startswith(("eyespot.optics", "eyespot.estimator.pixels"))
+        ]
         for module, imports in IMPORTS.items()
         # The mode pixels needs optics from its first line on, so it is imported late as a whole.
-        if top(module) in ("formats", "estimator") and not module.startswith("estimator.pixels")
+        if top(module) in ("formats", "estimator")
+        and not module.startswith("eyespot.estimator.pixels")
     }
     assert all(one.late for imports in found.values() for one in imports)
     users = {name for name, imports in found.items() for one in imports if "optics" in one.module}
@@ -193,10 +214,10 @@ def test_scenes_take_progress_and_recordings_from_the_estimator_and_nothing_else
         for name in found.names
     }
     assert taken == {
-        "estimator.run.progress_bar.progress",
-        "estimator.run.progress_bar.say",
-        "estimator.viewer.check_recording_path",
-        "estimator.viewer.record_stack",
+        "eyespot.estimator.run.progress_bar.progress",
+        "eyespot.estimator.run.progress_bar.say",
+        "eyespot.estimator.viewer.check_recording_path",
+        "eyespot.estimator.viewer.record_stack",
     }
 
 
@@ -262,7 +283,7 @@ def modules_after(*steps):
 
 
 _OF_THE_COMMAND_LINE = {"jax", "mitsuba", "cv2", "numpy", "matplotlib", "pydantic"}
-_OF_PHYSICS = {"jax", "mitsuba", "drjit", "optics", "skimage"}
+_OF_PHYSICS = {"jax", "mitsuba", "drjit", "eyespot.optics", "skimage"}
 
 
 @pytest.mark.parametrize(
@@ -271,14 +292,14 @@ _OF_PHYSICS = {"jax", "mitsuba", "drjit", "optics", "skimage"}
         {
             "eyespot": _OF_THE_COMMAND_LINE | {"cyclopts"},
             "eyespot.command_line": _OF_THE_COMMAND_LINE,
-            "formats": _OF_PHYSICS,
-            "estimator": _OF_PHYSICS,
+            "eyespot.formats": _OF_PHYSICS,
+            "eyespot.estimator": _OF_PHYSICS,
         },
         {
-            "optics.models": {"jax", "mitsuba", "drjit", "cv2"},
-            "optics": {"jax", "mitsuba", "drjit", "cv2"},
-            "scenes": {"mitsuba", "drjit"},
-            "calibration": {"mitsuba", "drjit"},
+            "eyespot.optics.models": {"jax", "mitsuba", "drjit", "cv2"},
+            "eyespot.optics": {"jax", "mitsuba", "drjit", "cv2"},
+            "eyespot.scenes": {"mitsuba", "drjit"},
+            "eyespot.calibration": {"mitsuba", "drjit"},
         },
     ],
     ids=lambda unwanted: "-".join(unwanted),
@@ -321,7 +342,7 @@ def test_no_help_loads_a_heavy_library():
         "import importlib, eyespot.command_line as line\n"
         "sys.meta_path.insert(0, line._Unneeded())\n"
         "for command in [path for group in line.COMMANDS.values() for path in group]:\n"
-        "    importlib.import_module(command.partition(':')[0])\n"
+        "    importlib.import_module(f\"eyespot.{command.partition(':')[0]}\")\n"
         "from unittest.mock import MagicMock\n"
         "for name in [n for n, module in sys.modules.items() if isinstance(module, MagicMock)]:\n"
         "    del sys.modules[name]\n"

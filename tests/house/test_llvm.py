@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from scenes.machine.llvm import ENVIRONMENT_VARIABLE, Llvm, find_llvm
-from tests.command_line import run_python
+from eyespot.scenes.machine.llvm import ENVIRONMENT_VARIABLE, Llvm, find_llvm
+from tests.support.command_line import run_python
 
 
 @pytest.fixture
@@ -105,7 +105,7 @@ def test_a_library_that_cannot_tell_its_version_counts_as_too_old(tmp_path):
 
 def test_drjit_runs_on_the_library_that_was_found():
     child = run_python(
-        "from scenes.machine.variant import load_mitsuba\n"
+        "from eyespot.scenes.machine.variant import load_mitsuba\n"
         "load_mitsuba()\n"
         "import drjit\n"
         "print(*drjit.detail.llvm_version())\n"
@@ -117,7 +117,7 @@ def test_drjit_runs_on_the_library_that_was_found():
 
 def test_a_second_variant_in_one_process_is_refused():
     child = run_python(
-        "from scenes import load_mitsuba\nload_mitsuba()\nload_mitsuba('scalar_rgb')\n"
+        "from eyespot.scenes import load_mitsuba\nload_mitsuba()\nload_mitsuba('scalar_rgb')\n"
     )
     assert "RendererUnavailable" in child.stderr
     assert "Start a new process" in child.stderr
@@ -126,7 +126,7 @@ def test_a_second_variant_in_one_process_is_refused():
 def test_an_old_llvm_is_refused_and_does_not_abort_the_process(tmp_path):
     old = tmp_path / "libLLVM-15.so.1"
     old.touch()
-    code = "from scenes import load_mitsuba\nload_mitsuba()\n"
+    code = "from eyespot.scenes import load_mitsuba\nload_mitsuba()\n"
     refused = run_python(code, **{ENVIRONMENT_VARIABLE: str(old)})
     assert refused.exit_code == 1  # a Python exception; an abort would be -6
     assert "LLVM 15, but Dr.Jit needs 19 or newer" in refused.stderr

@@ -9,16 +9,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.sets.read import SetError, read_set, verify_set
-from benchmarks.sets.spec import load_spec
-from formats.calibration import read_calibration
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from formats.poses import read_poses
-from formats.spots import NoSpot, Reason, Spot, read_spots
-from formats.stack import read_stack
-from scenes.description.scene import Scene
-from scenes.description.scene_file import load_scene
+from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
+from eyespot.benchmarks.sets.spec import load_spec
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.poses import read_poses
+from eyespot.formats.spots import NoSpot, Reason, Spot, read_spots
+from eyespot.formats.stack import read_stack
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.description.scene_file import load_scene
 
 OLD = Path(__file__).parents[1] / "files-0.1"
 STACK = OLD / "small-v1" / "train" / "0000"

@@ -1,10 +1,12 @@
 """The wheel holds all that eyespot needs to run away from its checkout."""
 
+import shutil
 import subprocess
 import sys
 import sysconfig
 import tomllib
 import venv
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ import pytest
 pytestmark = pytest.mark.wheel
 
 HOME = Path(__file__).resolve().parents[2]
-PACKAGES = ("eyespot", "formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 
 
 @pytest.fixture(scope="module")
@@ -51,18 +53,34 @@ def run_away_from_the_checkout(fresh_python, *arguments):
     ).stdout
 
 
-def test_all_packages_are_imported_from_the_wheel(fresh_python):
-    code = f"import {', '.join(PACKAGES)}\nfor p in {', '.join(PACKAGES)}: print(p.__file__)"
+def test_the_wheel_installs_one_name_and_all_is_imported_from_there(fresh_python):
+    (site,) = fresh_python.parents[1].glob("lib/python*/site-packages")
+    installed = {path.name for path in site.iterdir() if path.suffix not in (".pth", ".dist-info")}
+    assert installed == {"eyespot"}
+    code = f"from eyespot import {', '.join(PACKAGES)}\n"
+    code += f"for p in {', '.join(PACKAGES)}: print(p.__file__)"
     files = run_away_from_the_checkout(fresh_python, "-c", code).split()
-    environment = fresh_python.parents[1]
     assert len(files) == len(PACKAGES)
-    assert all(Path(file).is_relative_to(environment) for file in files), files
+    assert all(Path(file).is_relative_to(site / "eyespot") for file in files), files
+
+
+def test_the_source_distribution_makes_the_same_wheel(fresh_python, tmp_path):
+    build = [sys.executable, "-m", "hatchling", "build", "-d"]
+    subprocess.run([*build, tmp_path, "-t", "sdist"], cwd=HOME, check=True, capture_output=True)
+    (archive,) = tmp_path.glob("eyespot-*.tar.gz")
+    shutil.unpack_archive(archive, tmp_path, filter="data")
+    unpacked = archive.with_suffix("").with_suffix("")
+    subprocess.run([*build, tmp_path, "-t", "wheel"], cwd=unpacked, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("eyespot-*.whl")
+    (other,) = fresh_python.parents[2].glob("eyespot-*.whl")
+    names = [zipfile.ZipFile(path).namelist() for path in (wheel, other)]
+    assert sorted(names[0]) == sorted(names[1])
 
 
 def test_every_file_of_the_packages_is_in_the_wheel(fresh_python):
     (site,) = fresh_python.parents[1].glob("lib/python*/site-packages")
     in_checkout = {
-        path.relative_to(HOME)
+        Path("eyespot", path.relative_to(HOME))
         for package in PACKAGES
         for path in (HOME / package).rglob("*")
         if path.is_file() and "__pycache__" not in path.parts

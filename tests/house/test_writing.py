@@ -12,24 +12,31 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks.sets.formats.export import export
-from benchmarks.sets.score.pages import run as score
-from benchmarks.study import Study
-from calibration.command.choices import Choices
-from calibration.command.command import fit
-from formats.inputs import InputError
-from formats.stack import StackWriter, read_stack
-from formats.whole_files import BeingWrittenError, written_whole
-from scenes import load_scene, render_stack, write_preview
-from tests.drawn_sets import MICROSCOPE, labels_of
+from eyespot.benchmarks.sets.formats.export import export
+from eyespot.benchmarks.sets.score.pages import run as score
+from eyespot.benchmarks.study import Study
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.command import fit
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import StackWriter, read_stack
+from eyespot.formats.whole_files import BeingWrittenError, written_whole
+from eyespot.scenes import load_scene, render_stack, write_preview
 from tests.estimator.test_whole_files import everything, make
+from tests.support.drawn.drawn_sets import MICROSCOPE, labels_of
 
 HOME = Path(__file__).resolve().parents[2]
 
 
 def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:
     """How often each task was killed, and met a full disk; see killed_writers."""
-    command = [sys.executable, "-W", "ignore", "-m", "tests.killed_writers", *arguments]
+    command = [
+        sys.executable,
+        "-W",
+        "ignore",
+        "-m",
+        "tests.support.files.killed_writers",
+        *arguments,
+    ]
     done = subprocess.run(command, cwd=HOME, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     found = re.findall(r"(\w+): killed (\d+) times, full (\d+) times", done.stdout)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-import optics
+from eyespot import optics
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import optics
-from formats.inputs import InputError
+from eyespot import optics
+from eyespot.formats.inputs import InputError
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

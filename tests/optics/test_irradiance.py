@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.integrate import cubature, quad
 
-import optics
-from optics.lens_table import LensField, transmitted_power
-from tests.lens_quadrature import irradiance, transmittance
-from tests.made_up import a_lens
-from tests.photons import Drop, photons
+from eyespot import optics
+from eyespot.optics.lens_table import LensField, transmitted_power
+from tests.support.drawn.made_up import a_lens
+from tests.support.light.lens_quadrature import irradiance, transmittance
+from tests.support.light.photons import Drop, photons
 
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 DOME, FLAT = optics.load_lens("dome"), optics.load_lens("paper-candidate")

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-import optics
-from optics.lens_table import IrradianceTable, LensField
-from scenes.world.world import lens_light
-from tests.made_up import a_lens
-from tests.photons import Drop, counted_light
+from eyespot import optics
+from eyespot.optics.lens_table import IrradianceTable, LensField
+from eyespot.scenes.world.world import lens_light
+from tests.support.drawn.made_up import a_lens
+from tests.support.light.photons import Drop, counted_light
 
 AIR, VITREOUS = 1.0, 1.336
 CONTACT, SLOPE = 0.25, 0.1

@@ -7,18 +7,18 @@ import pytest
 import tomli_w
 from scipy.integrate import quad
 
-import optics
-from optics.irradiance_edges import RingRays
-from optics.lens_table import (
+from eyespot import optics
+from eyespot.optics.irradiance_edges import RingRays
+from eyespot.optics.lens_table import (
     MISSED_APERTURE,
     TOTAL_INTERNAL_REFLECTION,
     TRANSMITTED,
     emitted_rays,
     transmitted_power,
 )
-from optics.refraction import fresnel_transmittance, refracted_cosine
-from tests.lens_quadrature import transmittance
-from tests.made_up import DOME, a_lens
+from eyespot.optics.refraction import fresnel_transmittance, refracted_cosine
+from tests.support.drawn.made_up import DOME, a_lens
+from tests.support.light.lens_quadrature import transmittance
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

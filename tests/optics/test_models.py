@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
+from eyespot import optics
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from optics import viewing
+from eyespot import optics
+from eyespot.optics import viewing
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import optics
+from eyespot import optics
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from optics import viewing
+from eyespot.optics import viewing
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

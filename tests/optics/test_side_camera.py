@@ -5,9 +5,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
-from formats.inputs import InputError
-from optics import viewing
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.optics import viewing
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-import optics
+from eyespot import optics
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -127,7 +127,7 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
     **{
         name: of(getattr(optics, name))
         for name in dir(optics)
-        if getattr(getattr(optics, name), "__module__", "") == "optics.models"
+        if getattr(getattr(optics, name), "__module__", "") == "eyespot.optics.models"
         and name not in ("closed_form_distance", "plane_point")
     },
     **{name: of(getattr(optics, name)) for name in ("slope", "enclosed", "indirect_irradiance")},

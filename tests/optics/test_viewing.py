@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-import optics
-from formats.inputs import InputError
-from optics import viewing
-from optics.viewing.path import last_medium, parallel_ray
-from tests import optiland_paths
+from eyespot import optics
+from eyespot.formats.inputs import InputError
+from eyespot.optics import viewing
+from eyespot.optics.viewing.path import last_medium, parallel_ray
+from tests.support.light import optiland_paths
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SCALE = 0.0067
-OPTILAND = Path(__file__).parents[1] / "optiland_paths.json"
+OPTILAND = Path(optiland_paths.__file__).with_suffix(".json")
 OPEN_MM = 50.0  # pupil that hides nothing
 RETINA = optics.Sphere(12.0)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-import optics
-from optics import viewing
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.optics import viewing
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -21,10 +21,10 @@ SUBPIXELS = 8
 
 @pytest.fixture(scope="module")
 def glass():
-    from scenes import load_mitsuba
+    from eyespot.scenes import load_mitsuba
 
     load_mitsuba("llvm_ad_rgb")
-    from tests import mitsuba_glass
+    from tests.support.light import mitsuba_glass
 
     return mitsuba_glass
 
@@ -125,8 +125,8 @@ def test_mitsuba_sees_the_same_retina_through_real_surfaces(glass, form):
 def test_a_rendered_frame_is_mitsubas_through_real_surfaces(glass, form):
     import mitsuba as mi
 
-    from scenes.rendering.build import mitsuba_dict
-    from scenes.rendering.render import Renderer
+    from eyespot.scenes.rendering.build import mitsuba_dict
+    from eyespot.scenes.rendering.render import Renderer
 
     renderer = Renderer(cone_scene(form))
     world, path = renderer.world, flat_lens(form)

@@ -8,8 +8,8 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 from scipy.special import iti0k0, k0
 
-import optics
-from tests.spread_disc import lit_by_disc, radii
+from eyespot import optics
+from tests.support.light.spread_disc import lit_by_disc, radii
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

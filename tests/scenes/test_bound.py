@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-import scenes
-from scenes.camera import light_information
-from scenes.description.settings import CameraSettings, SceneError
-from scenes.stacks.bound import Affine, ellipse_information, ellipse_motion
-from scenes.world.world import World
+from eyespot import scenes
+from eyespot.scenes.camera import light_information
+from eyespot.scenes.description.settings import CameraSettings, SceneError
+from eyespot.scenes.stacks.bound import Affine, ellipse_information, ellipse_motion
+from eyespot.scenes.world.world import World
 
 SHAPE = (96, 110)
 CENTRE = (52.3, 46.8)

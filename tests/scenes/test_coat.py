@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-import optics
-from scenes import Renderer, Scene
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.scenes import Renderer, Scene
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 
 def scene(coat: str, **parts: Any) -> Scene:

@@ -16,13 +16,13 @@ import pytest
 import scipy.stats
 import tomli_w
 
-import optics
-from calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from calibration.solvers import least_squares
-from scenes import Scene, World, load_mitsuba
-from scenes.world.world import LensLight
-from tests.made_up import DOME
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
+from eyespot.calibration.solvers import least_squares
+from eyespot.scenes import Scene, World, load_mitsuba
+from eyespot.scenes.world.world import LensLight
+from tests.support.drawn.made_up import DOME
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 ALPHA = 1e-3
 STEP = {
@@ -61,7 +61,7 @@ SQUARE = {"incidence_deg": 0.0}
 
 def photon_image(scene: Scene, **settings: Any):
     load_mitsuba()
-    from scenes.rendering.differentiable import PhotonImage
+    from eyespot.scenes.rendering.differentiable import PhotonImage
 
     return PhotonImage(scene, **{"photons": 1 << 17, **settings})
 
@@ -179,8 +179,8 @@ def test_images_are_those_of_mitsuba_s_own_glass(medium, tmp_path):
     load_mitsuba()
     import mitsuba as mi
 
-    from scenes.rendering.build import mitsuba_dict, mover
-    from scenes.rendering.photons import photon_image as by_particles
+    from eyespot.scenes.rendering.build import mitsuba_dict, mover
+    from eyespot.scenes.rendering.photons import photon_image as by_particles
 
     parts = {"spot": {"eccentricity_mm": 2.0}, "source": {"medium": medium}}
     inside = scene(DEEP_DOME, tmp_path, **parts)

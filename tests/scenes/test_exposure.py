@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import poisson
 
-from scenes.camera import (
+from eyespot.scenes.camera import (
     after_jpeg,
     demosaiced,
     expose,
@@ -16,7 +16,7 @@ from scenes.camera import (
     metered_exposure,
     mosaic,
 )
-from scenes.description.settings import CameraSettings
+from eyespot.scenes.description.settings import CameraSettings
 
 SIDE = 512
 

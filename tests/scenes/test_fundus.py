@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from scenes.walls.fundus import fundus
+from eyespot.scenes.walls.fundus import fundus
 
 
 def grid(extent_mm, pixels):

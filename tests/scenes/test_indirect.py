@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import scipy.stats
 
-import optics
-from scenes import Renderer, Scene, load_mitsuba
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.scenes import Renderer, Scene, load_mitsuba
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:
@@ -22,7 +22,7 @@ def scene(**parts) -> Scene:
 def indirect_radiance(renderer: Renderer, frame: int) -> np.ndarray:
     """What the integrator adds to the direct light, H x W x 3."""
     mi = load_mitsuba()
-    from scenes.rendering import build
+    from eyespot.scenes.rendering import build
 
     renderer.render(frame)
     content = build.mitsuba_dict(renderer.world, uniform=np.zeros(3))

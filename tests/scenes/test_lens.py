@@ -6,12 +6,12 @@ import pytest
 from scipy import ndimage
 from skimage.measure import find_contours
 
-import optics
-from scenes import Renderer
-from tests.lens_quadrature import irradiance
-from tests.photon_stacks import Recording, direct_light, half_maximum
-from tests.photons import Drop, counted_light
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.scenes import Renderer
+from tests.support.drawn.scene_tables import BARE, scene_of
+from tests.support.light.lens_quadrature import irradiance
+from tests.support.light.photon_stacks import Recording, direct_light, half_maximum
+from tests.support.light.photons import Drop, counted_light
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_radiance_at_the_spot_is_that_of_the_vector_irradiance(renderer):
 
 
 def test_four_samples_make_no_image_sharper_than_hundreds_do(renderer):
-    from scenes.rendering.loaded_scene import pixel_means  # needs Mitsuba's variant
+    from eyespot.scenes.rendering.loaded_scene import pixel_means  # needs Mitsuba's variant
 
     def image(samples: int) -> np.ndarray:
         rows, columns = np.mgrid[120:360, 180:460]  # around the spot

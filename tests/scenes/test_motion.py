@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-import optics
-from formats.poses import read_poses
-from scenes import (
+from eyespot import optics
+from eyespot.formats.poses import read_poses
+from eyespot.scenes import (
     Renderer,
     Scene,
     SceneError,
@@ -17,10 +17,10 @@ from scenes import (
     render_stack,
     scene_template,
 )
-from scenes.world.motion import frame_times, kinematics
-from scenes.world.world import World
-from tests.drawn_spots import spot_in
-from tests.scene_tables import BARE, scene_of
+from eyespot.scenes.world.motion import frame_times, kinematics
+from eyespot.scenes.world.world import World
+from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
 

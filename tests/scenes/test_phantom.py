@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import scipy.ndimage
 
-from scenes import Renderer, Scene, SceneError
-from scenes.walls.picture import PHOTOGRAPH
-from scenes.world.world import World
-from tests.scene_tables import BARE, scene_of
+from eyespot.scenes import Renderer, Scene, SceneError
+from eyespot.scenes.walls.picture import PHOTOGRAPH
+from eyespot.scenes.world.world import World
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import scipy.stats
 
-import optics
-from scenes import Renderer, Scene, load_mitsuba
-from tests.made_up import a_lens
-from tests.scene_tables import BARE, scene_of
+from eyespot import optics
+from eyespot.scenes import Renderer, Scene, load_mitsuba
+from tests.support.drawn.made_up import a_lens
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 SEEDS = 16
 ALPHA = 1e-3
@@ -34,7 +34,7 @@ class Photons(NamedTuple):
 
 def photons_behind(lens: optics.GlueLens, medium_index: float) -> Photons:
     mi = load_mitsuba()
-    from scenes.rendering.photons import Glass
+    from eyespot.scenes.rendering.photons import Glass
 
     numbers = mi.PCG32(PHOTONS)
     u = [numbers.next_float32() for _ in range(5)]
@@ -149,7 +149,7 @@ CASES: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("case", CASES)
 def test_lens_and_photons_agree_pixel_by_pixel(case):
     load_mitsuba()
-    from scenes.rendering.photons import photon_image
+    from eyespot.scenes.rendering.photons import photon_image
 
     expected = Renderer(scene("lens", **CASES[case])).render(0)
     photons = Renderer(scene("photons", **CASES[case]))

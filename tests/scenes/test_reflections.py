@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-import scenes
-from optics.viewing.camera import PathCamera
-from scenes.rendering.render import Renderer
-from scenes.world.labels import spot_labels
-from scenes.world.world import World
+from eyespot import scenes
+from eyespot.optics.viewing.camera import PathCamera
+from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.world.labels import spot_labels
+from eyespot.scenes.world.world import World
 from tests.scenes.test_viewing import eye_file, looked_at
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")

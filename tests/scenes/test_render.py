@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from formats.inputs import InputError
-from formats.stack import read_stack
-from scenes import (
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import read_stack
+from eyespot.scenes import (
     Renderer,
     Scene,
     SceneError,
@@ -18,10 +18,10 @@ from scenes import (
     render_stack,
     write_preview,
 )
-from scenes.camera import after_jpeg
-from scenes.world.world import World
-from tests.drawn_spots import spot_in
-from tests.scene_tables import BARE, scene_of
+from eyespot.scenes.camera import after_jpeg
+from eyespot.scenes.world.world import World
+from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 
 def scene(**parts) -> Scene:
@@ -47,7 +47,7 @@ LENS = (-0.2, 0.3, 0.02, -0.03, 0.5)
 @pytest.mark.parametrize("kind", ["eyeball", "plane"])
 def test_mitsubas_camera_is_the_microscope_of_the_labels(kind, height, distortion):
     mi = load_mitsuba()
-    from scenes.rendering import build
+    from eyespot.scenes.rendering import build
 
     settings = scene(
         phantom={"kind": kind},
@@ -266,7 +266,7 @@ def test_lines_of_the_scenes_own_microscope_give_its_image():
     window = {"width_px": 64, "height_px": 48, "scale_mm_px": 0.05, "samples": 1}
     cone = {"source": {"kind": "cone"}, "motion": {"frames": 3}, "microscope": window}
     renderer = Renderer(scene_of(cone))
-    from scenes.rendering.loaded_scene import radiance_along  # needs Mitsuba's variant
+    from eyespot.scenes.rendering.loaded_scene import radiance_along  # needs Mitsuba's variant
 
     image = renderer.render(1).radiance
     rows, columns = np.divmod(np.arange(48 * 64), 64)

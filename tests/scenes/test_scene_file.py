@@ -8,8 +8,8 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
-from tests.command_line import printed
+from eyespot.scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
+from tests.support.command_line import printed
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-import optics
-from formats.whole_files import kept_arrays
-from scenes import Scene, load_mitsuba
-from scenes.rendering.images import Images
-from scenes.world.world import LIGHT_FILES, World
-from tests.scene_tables import scene_of
+from eyespot import optics
+from eyespot.formats.whole_files import kept_arrays
+from eyespot.scenes import Scene, load_mitsuba
+from eyespot.scenes.rendering.images import Images
+from eyespot.scenes.world.world import LIGHT_FILES, World
+from tests.support.drawn.scene_tables import scene_of
 
 
 def scene(**parts: Any) -> Scene:
@@ -80,7 +80,8 @@ def test_what_was_computed_once_is_read_and_a_damaged_file_is_written_anew(tmp_p
 def test_a_lens_is_computed_anew_if_any_code_that_it_depends_on_changes():
     folder = Path(optics.__file__).parent
     text = "".join((folder / file).read_text() for file in LIGHT_FILES)
-    used = {f"{name}.py" for name in re.findall(r"^from optics\.(\w+) import", text, re.MULTILINE)}
+    imported = re.findall(r"^from eyespot\.optics\.(\w+) import", text, re.MULTILINE)
+    used = {f"{name}.py" for name in imported}
     assert used <= {*LIGHT_FILES}
 
 

@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 import pytest
 
-from formats.inputs import InputError
-from formats.stack import read_stack
-from scenes import Scene, SceneError, check_scene, least_bytes, render_stack
-from tests.drawn_sets import digests
-from tests.scene_tables import scene_of
+from eyespot.formats.inputs import InputError
+from eyespot.formats.stack import read_stack
+from eyespot.scenes import Scene, SceneError, check_scene, least_bytes, render_stack
+from tests.support.drawn.drawn_sets import digests
+from tests.support.drawn.scene_tables import scene_of
 
 
 def scene(**parts: Any) -> Scene:

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from scenes import Renderer
-from tests.scene_tables import BARE, scene_of
+from eyespot.scenes import Renderer
+from tests.support.drawn.scene_tables import BARE, scene_of
 
 SCALE_MM_PX = 0.02
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-import scenes
-from scenes.rendering.render import Renderer
-from scenes.world.world import World
-from tests.scene_tables import scene_of
+from eyespot import scenes
+from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.world.world import World
+from tests.support.drawn.scene_tables import scene_of
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 

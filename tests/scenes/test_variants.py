@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from formats.stack import Stack, read_stack
-from scenes import SceneError, load_scene, render_stack
-from scenes.machine.llvm import ENVIRONMENT_VARIABLE
-from tests.command_line import run_process
+from eyespot.formats.stack import Stack, read_stack
+from eyespot.scenes import SceneError, load_scene, render_stack
+from eyespot.scenes.machine.llvm import ENVIRONMENT_VARIABLE
+from tests.support.command_line import run_process
 
 SCENE = """\
 schema = 1

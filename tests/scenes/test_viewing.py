@@ -11,11 +11,10 @@ import numpy as np
 import pytest
 
 import eyespot
-import optics
-import scenes
-from scenes.rendering.render import Renderer
-from scenes.world.labels import spot_labels
-from scenes.world.world import World
+from eyespot import optics, scenes
+from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.world.labels import spot_labels
+from eyespot.scenes.world.world import World
 from tests.scenes.test_thin_lens import moments
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -40,7 +39,9 @@ def looked_at(viewing, *, phantom=None, microscope=None, **tables):
 
 def eye_file(folder, *, index):
     """Navarro's eye with one index everywhere."""
-    text = (importlib.resources.files("optics.viewing") / "eyes" / "navarro.toml").read_text()
+    text = (
+        importlib.resources.files("eyespot.optics.viewing") / "eyes" / "navarro.toml"
+    ).read_text()
     head, _, _ = text.partition("[indices]")
     path = folder / "even.toml"
     path.write_text(
@@ -259,7 +260,9 @@ def test_a_spot_out_of_focus_is_spread_over_the_pupil_s_disc_behind_an_eye():
 
 
 def test_a_surface_that_lines_of_sight_miss_is_not_taken_for_the_pupil(tmp_path):
-    text = (importlib.resources.files("optics.viewing") / "eyes" / "navarro.toml").read_text()
+    text = (
+        importlib.resources.files("eyespot.optics.viewing") / "eyes" / "navarro.toml"
+    ).read_text()
     path = tmp_path / "small_cornea.toml"
     # An ellipsoid of 0.26 mm across.
     path.write_text(text.replace("front_asphericity = -0.26", "front_asphericity = 900.0"))

@@ -6,11 +6,11 @@ from pydantic import ValidationError
 from scipy.optimize import minimize_scalar
 from skimage.measure import EllipseModel, find_contours
 
-from formats.stack import read_stack
-from scenes import Renderer, Scene, load_mitsuba, render_stack
-from scenes.walls.picture import wall_spread
-from tests.scene_tables import BARE, scene_of
-from tests.spread_disc import lit_by_disc
+from eyespot.formats.stack import read_stack
+from eyespot.scenes import Renderer, Scene, load_mitsuba, render_stack
+from eyespot.scenes.walls.picture import wall_spread
+from tests.support.drawn.scene_tables import BARE, scene_of
+from tests.support.light.spread_disc import lit_by_disc
 
 LENGTH = 0.05
 AROUND_THE_SPOT = {"width_px": 240, "height_px": 200}

@@ -13,9 +13,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from formats.inputs import InputError, in_file, read_text
-from formats.microscope import MicroscopeFile
-from formats.stack import FrameLabels
+from eyespot.formats.inputs import InputError, in_file, read_text
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.stack import FrameLabels
 
 # Windows of a frame that the network gets: where they lie, their pixels, and the way back.
 #

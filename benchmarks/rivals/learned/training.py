@@ -23,8 +23,8 @@ import optax
 import pandas as pd
 from cyclopts.types import NonNegativeInt, PositiveInt
 
-from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.rivals.learned.network import (
+from eyespot.benchmarks.paper import VISIBLE_ENOUGH
+from eyespot.benchmarks.rivals.learned.network import (
     CELLS,
     NUMBERS,
     PLACES,
@@ -40,15 +40,15 @@ from benchmarks.rivals.learned.network import (
     place_of,
     targets_of,
 )
-from benchmarks.sets.read import SetStack, read_set
-from benchmarks.study import claim, versions, write_json
-from estimator.run.options import OUT
-from estimator.run.progress_bar import progress
-from formats.inputs import InputError
-from formats.manifest import MANIFEST
-from formats.microscope import read_microscope
-from formats.stack import FrameLabels
-from formats.whole_files import written_whole
+from eyespot.benchmarks.sets.read import SetStack, read_set
+from eyespot.benchmarks.study import claim, versions, write_json
+from eyespot.estimator.run.options import OUT
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.inputs import InputError
+from eyespot.formats.manifest import MANIFEST
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.stack import FrameLabels
+from eyespot.formats.whole_files import written_whole
 
 BATCH = 32
 _EMPTY = 4  # one frame in so many also shows its empty window

@@ -9,10 +9,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.sets.read import SetStack, exposures_of
-from estimator import Frame, open_source
-from estimator.sources.ros import write_bag
-from formats.poses import Pose, read_poses
+from eyespot.benchmarks.sets.read import SetStack, exposures_of
+from eyespot.estimator import Frame, open_source
+from eyespot.estimator.sources.ros import write_bag
+from eyespot.formats.poses import Pose, read_poses
 
 START_S = 1000.0
 """Time of a bag at the stack's time 0; ROS reads 0 as no time, and poses start before 0."""

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from pycocotools import mask as run_lengths
 
-from benchmarks.sets.read import SetStack
-from formats.microscope import read_microscope
+from eyespot.benchmarks.sets.read import SetStack
+from eyespot.formats.microscope import read_microscope
 
 _CATEGORY = {"id": 1, "name": "spot", "supercategory": "light"}
 _ELLIPSES = ("half_max_", "cone_")

@@ -7,11 +7,11 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
-from benchmarks.sets.read import SetStack, copy_description, set_files, stacks_of
-from estimator.run.options import OUT
-from estimator.run.progress_bar import progress
-from formats.inputs import InputError
-from formats.whole_files import require_space, written_whole
+from eyespot.benchmarks.sets.read import SetStack, copy_description, set_files, stacks_of
+from eyespot.estimator.run.options import OUT
+from eyespot.estimator.run.progress_bar import progress
+from eyespot.formats.inputs import InputError
+from eyespot.formats.whole_files import require_space, written_whole
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
@@ -52,7 +52,7 @@ def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None
     """The function that writes a format. Only this format's library is loaded."""
     name, version = ("bags", int(to[-1])) if to.startswith("rosbag") else (to.replace("-", "_"), 0)
     try:
-        module = importlib.import_module(f"benchmarks.sets.formats.{name}")
+        module = importlib.import_module(f"eyespot.benchmarks.sets.formats.{name}")
     except ModuleNotFoundError as error:
         if error.name not in _EXTRA:
             raise

@@ -18,9 +18,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from benchmarks.sets.read import SetStack, set_files
-from formats.inputs import InputError, check_values, in_file, read_text
-from formats.stack import Stack
+from eyespot.benchmarks.sets.read import SetStack, set_files
+from eyespot.formats.inputs import InputError, check_values, in_file, read_text
+from eyespot.formats.stack import Stack
 
 _SCHEMA = 1
 _UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from tifffile import TiffWriter
 
-from benchmarks.sets.read import SetStack, exposures_of
-from formats.microscope import read_microscope
-from formats.stack import FrameLabels, Stack
+from eyespot.benchmarks.sets.read import SetStack, exposures_of
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.stack import FrameLabels, Stack
 
 _CLASSIC_BYTES = 2**32 - 2**25  # size limit of a TIFF with 32-bit offsets, less its tags
 

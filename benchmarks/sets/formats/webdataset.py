@@ -11,7 +11,7 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from benchmarks.sets.read import SetStack
+from eyespot.benchmarks.sets.read import SetStack
 
 _SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
 

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from benchmarks.paper import ELLIPSE, VISIBLE_ENOUGH
-from benchmarks.sets.read import SetStack
-from formats.inputs import InputError
-from formats.microscope import read_microscope
-from formats.spots import PARAMETERS, SpotRecord, spots_table
+from eyespot.benchmarks.paper import ELLIPSE, VISIBLE_ENOUGH
+from eyespot.benchmarks.sets.read import SetStack
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import PARAMETERS, SpotRecord, spots_table
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 

@@ -17,21 +17,21 @@ from cyclopts import Parameter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from benchmarks import reporting as page
-from benchmarks.paper import VISIBLE_ENOUGH
-from benchmarks.sets.read import Mode, stacks_of
-from benchmarks.sets.score import judging
-from benchmarks.sets.score import spots as spots_of_set
-from benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
-from benchmarks.sets.score.spots import ScoredEstimator, sample_folder
-from benchmarks.study import versions, write_json
-from estimator.run.options import OUT
-from estimator.run.progress_bar import progress, say
-from formats.calibration import read_calibration
-from formats.inputs import InputError, in_figure, in_utf8
-from formats.manifest import fingerprint
-from formats.spots import write_spots
-from formats.whole_files import require_space, written_whole
+from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.paper import VISIBLE_ENOUGH
+from eyespot.benchmarks.sets.read import Mode, stacks_of
+from eyespot.benchmarks.sets.score import judging
+from eyespot.benchmarks.sets.score import spots as spots_of_set
+from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
+from eyespot.benchmarks.sets.score.spots import ScoredEstimator, sample_folder
+from eyespot.benchmarks.study import versions, write_json
+from eyespot.estimator.run.options import OUT
+from eyespot.estimator.run.progress_bar import progress, say
+from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError, in_figure, in_utf8
+from eyespot.formats.manifest import fingerprint
+from eyespot.formats.spots import write_spots
+from eyespot.formats.whole_files import require_space, written_whole
 
 # Tables on the terminal, as wide as they need to be.
 

@@ -12,11 +12,18 @@ from typing import Annotated
 import numpy as np
 from pydantic import ConfigDict, Field
 
-from benchmarks.sets.read import Mode, SetStack, exposures_of, own_reader, plain_spot, true_beam
-from estimator import SubpixelSettings, open_source, track_whole_source
-from estimator.run.progress_bar import say
-from formats.calibration import Calibration
-from formats.inputs import (
+from eyespot.benchmarks.sets.read import (
+    Mode,
+    SetStack,
+    exposures_of,
+    own_reader,
+    plain_spot,
+    true_beam,
+)
+from eyespot.estimator import SubpixelSettings, open_source, track_whole_source
+from eyespot.estimator.run.progress_bar import say
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import (
     InputError,
     Strict,
     csv_rows,
@@ -28,16 +35,16 @@ from formats.inputs import (
     shortened,
     validated,
 )
-from formats.microscope import read_microscope
-from formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
-from formats.stack import FrameLabels
+from eyespot.formats.microscope import read_microscope
+from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
+from eyespot.formats.stack import FrameLabels
 
 NAME = "sample-v2"  # of the small set that comes with eyespot
 
 
 def sample_folder() -> Path:
     """Folder of the set that comes with eyespot; InputError if eyespot lacks its data."""
-    folder = Path(str(resources.files("benchmarks.sets.score"))) / NAME
+    folder = Path(str(resources.files("eyespot.benchmarks.sets.score"))) / NAME
     if not (folder / "set.json").is_file():
         raise InputError(f"{folder} is missing. Install eyespot again from its wheel.")
     return folder

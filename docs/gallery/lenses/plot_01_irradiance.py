@@ -9,8 +9,8 @@ drop hardly focuses there.
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
-from scenes.world.world import lens_light
+from eyespot import optics
+from eyespot.scenes.world.world import lens_light
 
 distance, radius = np.meshgrid(np.linspace(0.02, 6, 300), np.linspace(-1.2, 1.2, 241))
 figure, panels = plt.subplots(2, sharex=True, layout="constrained")

@@ -8,7 +8,7 @@ Meridional rays from the fibre's core through the cap of `dome`, into air.
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
+from eyespot import optics
 
 lens = optics.load_lens("dome")
 height, sine = np.meshgrid(

@@ -9,8 +9,8 @@ to several distances, which the outline alone does not distinguish.
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
-from scenes.world.world import lens_light
+from eyespot import optics
+from eyespot.scenes.world.world import lens_light
 
 distance = np.linspace(0.05, 6, 400)
 light = lens_light("dome", optics.MEDIA["air"]).table

@@ -10,7 +10,7 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
+from eyespot import optics
 
 eye, cone = optics.Sphere(11.5), {"half_angle": np.arctan(1 / 20), "apex_offset": -5.117}
 view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)

@@ -9,7 +9,7 @@ enlarged.
 import jax.numpy as jnp
 import matplotlib.pyplot as plt
 
-import optics
+from eyespot import optics
 
 eye = optics.Sphere(11.5)
 view = optics.microscope(scale=0.0067, pinhole_height=200.0, eye_radius=11.5)

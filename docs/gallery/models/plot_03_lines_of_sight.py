@@ -8,8 +8,8 @@ The largest c that a microscope sees through each viewing lens, against the pupi
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
-from optics import viewing
+from eyespot import optics
+from eyespot.optics import viewing
 
 pupils = np.linspace(4.0, 9.0, 11)
 for lens in ("flat", "wide-field-90", "wide-field-130"):

@@ -10,7 +10,7 @@ import jax
 import matplotlib.pyplot as plt
 import numpy as np
 
-import optics
+from eyespot import optics
 
 beam = {"half_angle": np.arctan(1 / 20), "apex_offset": -5.117}
 wall = optics.pole_plane(eye_radius=11.5)

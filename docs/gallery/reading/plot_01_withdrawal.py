@@ -14,8 +14,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import eyespot
-from formats.calibration import write_calibration
-from scenes.world.labels import true_calibration
+from eyespot.formats.calibration import write_calibration
+from eyespot.scenes.world.labels import true_calibration
 
 folder = Path(mkdtemp())
 place = ["source.kind=cone", "spot.eccentricity_mm=3", "spot.incidence_deg=0", "motion.frames=9"]

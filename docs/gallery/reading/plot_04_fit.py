@@ -11,9 +11,9 @@ from tempfile import mkdtemp
 import matplotlib.pyplot as plt
 import numpy as np
 
-from calibration import fit_cone
-from calibration.recordings import read_recording
-from scenes import load_scene, render_stack
+from eyespot.calibration import fit_cone
+from eyespot.calibration.recordings import read_recording
+from eyespot.scenes import load_scene, render_stack
 
 changes = ["source.kind=cone", "motion.frames=13", "phantom.wall=uniform"]
 scene = load_scene(None, [*changes, 'exposures.kinds=["metered"]'])

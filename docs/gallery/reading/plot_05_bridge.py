@@ -8,10 +8,10 @@ optimiser in JAX can use.
 
 import matplotlib.pyplot as plt
 
-from scenes import load_mitsuba, load_scene
+from eyespot.scenes import load_mitsuba, load_scene
 
 load_mitsuba()  # before anything that imports Mitsuba
-from scenes.rendering.differentiable import PhotonImage  # noqa: E402
+from eyespot.scenes.rendering.differentiable import PhotonImage  # noqa: E402
 
 changes = ["source.lens=dome", "motion.start_mm=2", "instrument.visible=false"]
 size = ["microscope.width_px=160", "microscope.height_px=120", "microscope.scale_mm_px=0.027"]

@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 import matplotlib.pyplot as plt
 from pycocotools.coco import COCO
 
-from scenes import load_scene, render_stack
+from eyespot.scenes import load_scene, render_stack
 
 folder = Path(mkdtemp())
 scene = load_scene(None, ["source.kind=cone", "motion.frames=3", 'exposures.kinds=["metered"]'])

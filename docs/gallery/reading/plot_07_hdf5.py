@@ -12,7 +12,7 @@ from tempfile import mkdtemp
 import h5py
 import matplotlib.pyplot as plt
 
-from scenes import load_scene, render_stack
+from eyespot.scenes import load_scene, render_stack
 
 folder = Path(mkdtemp())
 scene = load_scene(None, ["source.kind=cone", "motion.frames=4", 'exposures.kinds=["metered"]'])

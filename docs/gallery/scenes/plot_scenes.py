@@ -8,7 +8,7 @@ printed retina. `eyespot render scene.toml --set KEY=VALUE` takes the same.
 
 import matplotlib.pyplot as plt
 
-from scenes import load_scene, render_image
+from eyespot.scenes import load_scene, render_image
 
 
 def show(*changes: str, frame: int = 0) -> None:

@@ -1,7 +1,7 @@
 """Viewing paths traced by Optiland, an independent program, to compare `optics.viewing` with.
 
-`python -m tests.optiland_paths FILE` writes the rays that the default run compares with, so that it
-needs no Optiland.
+`python -m tests.support.light.optiland_paths FILE` writes the rays that the default run compares
+with, so that it needs no Optiland.
 """
 
 import json

@@ -1,6 +1,6 @@
 """A program: reads a topic as a source until images stop, and writes what it has read.
 
-python tests/topic_reader.py TOPIC OUT.json
+python tests/support/rig/topic_reader.py TOPIC OUT.json
 """
 
 import hashlib
@@ -9,9 +9,9 @@ import os
 import sys
 from pathlib import Path
 
-from estimator.rig.rig import RecentPoses
-from estimator.rig.topic import open_topic
-from formats.inputs import InputError
+from eyespot.estimator.rig.rig import RecentPoses
+from eyespot.estimator.rig.topic import open_topic
+from eyespot.formats.inputs import InputError
 
 
 def main(topic: str, out: Path) -> None:

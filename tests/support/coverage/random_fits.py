@@ -1,10 +1,10 @@
 """Beams drawn at random, rendered, fitted as a user does: how far off, in standard errors.
 
-    python -m tests.random_fits lenses FILE [FIRST LAST]   lenses over textured walls, then read
-    python -m tests.random_fits cones FILE [FIRST LAST]    clean withdrawals of ideal cones
+    python -m tests.support.coverage.random_fits lenses FILE [FIRST LAST]   lenses, then read
+    python -m tests.support.coverage.random_fits cones FILE [FIRST LAST]    withdrawals of cones
 
-FILE is one of `tests.fit_files`; several runs may share it, and the table at the end is of all its
-lines. VARIANT in the environment is Mitsuba's.
+FILE is one of `tests.support.files.fit_files`; several runs may share it, and the table at the end
+is of all its lines. VARIANT in the environment is Mitsuba's.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ import tomli_w
 from scipy.spatial.transform import Rotation
 
 import eyespot
-import optics
-from calibration.spots.cone_trials import BORESIGHT_SIGMA
-from tests.fit_files import collected, summary
+from eyespot import optics
+from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA
+from tests.support.files.fit_files import collected, summary
 
 LEAN, TOUCH_MM = math.radians(1.0), 0.02
 """Standard deviations of what a fit assumes about the robot's directions and the touch."""

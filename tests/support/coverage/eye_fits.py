@@ -1,6 +1,6 @@
 """Many random eyes calibrated as at the table, and distances read with each calibration.
 
-    python -m tests.eye_fits 200
+    python -m tests.support.coverage.eye_fits 200
 
 Withdrawals at three eccentricities through an unknown eye and a viewing lens, by a robot whose axis
 errs by half a degree and whose touches err by 0.05 mm; then spots elsewhere in the same eye. The
@@ -20,18 +20,18 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Array
 
-import optics
-from benchmarks.studies.eye_paths import cameras, drawn
-from calibration.command.choices import Choices
-from calibration.command.models import fit_eye
-from calibration.command.verdict import Fitted
-from calibration.recordings import Recording
-from calibration.spots.cone_trials import ConeTrial, Prior
-from estimator.distance.ranger import Ranger
-from formats.calibration import Calibration
-from formats.spots import Spot
-from optics.viewing.camera import PathCamera
-from tests.made_up import a_calibration, a_microscope, a_spot
+from eyespot import optics
+from eyespot.benchmarks.studies.eye_paths import cameras, drawn
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.models import fit_eye
+from eyespot.calibration.command.verdict import Fitted
+from eyespot.calibration.recordings import Recording
+from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.spots import Spot
+from eyespot.optics.viewing.camera import PathCamera
+from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 CONE_SIGMA = np.array([5e-4 * HALF_ANGLE, 0.005])

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from scenes.description.settings import Phantom
-from scenes.drawn import SHAPE, Drawing, Truth, light_of
-from scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
+from eyespot.scenes.description.settings import Phantom
+from eyespot.scenes.drawn import SHAPE, Drawing, Truth, light_of
+from eyespot.scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
 
 _TIMES = 48  # moments of an exposure during which the spot moves
 _SCALE_MM_PX = 0.0067

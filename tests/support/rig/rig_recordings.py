@@ -9,19 +9,19 @@ from typing import Any, Literal
 
 import numpy as np
 
-from estimator import LiteralSettings, SubpixelSettings, track
-from estimator.distance.ranger import Ranger
-from estimator.sources.opening import open_source
-from estimator.sources.ros import IMAGE_TOPIC, write_bag
-from estimator.sources.source import Frame
-from formats.calibration import write_calibration
-from formats.poses import Pose, PoseTrack
-from formats.spots import Spot
-from formats.stack import read_stack
-from tests.command_line import run_process
-from tests.made_up import a_calibration
+from eyespot.estimator import LiteralSettings, SubpixelSettings, track
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.sources.opening import open_source
+from eyespot.estimator.sources.ros import IMAGE_TOPIC, write_bag
+from eyespot.estimator.sources.source import Frame
+from eyespot.formats.calibration import write_calibration
+from eyespot.formats.poses import Pose, PoseTrack
+from eyespot.formats.spots import Spot
+from eyespot.formats.stack import read_stack
+from tests.support.command_line import run_process
+from tests.support.drawn.made_up import a_calibration
 
-HOME = Path(__file__).resolve().parents[1]
+HOME = Path(__file__).resolve().parents[3]
 START_S = 1_600_000_000.0  # of the recording; ROS reads 0 as no time
 RATE_HZ = 10.0  # of the rig's camera
 SUBPIXEL = SubpixelSettings(), None, "exact"
@@ -116,7 +116,7 @@ def measured_offline(
 
 
 def read_as_a_source(out: Path, frames: Iterable[Frame]) -> dict[str, Any]:
-    """What `tests.topic_reader` has written: most of the frames, as they were, and their end."""
+    """What `topic_reader` has written: most of the frames, as they were, and their end."""
     read: dict[str, Any] = json.loads(out.read_text())
     true = {
         f"{round(frame.time_s * 1e9)}": hashlib.sha256(frame.image.tobytes()).hexdigest()

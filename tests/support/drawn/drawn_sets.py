@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from formats.stack import FrameLabels, StackWriter
-from scenes import load_scene
-from scenes.drawn import Drawing, Truth, frame_of
-from tests.made_up import microscope_content
+from eyespot.formats.stack import FrameLabels, StackWriter
+from eyespot.scenes import load_scene
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support.drawn.made_up import microscope_content
 
 SHAPE = (120, 160)
 STACKS = {"train": ("a", "b"), "adverse": ("shadow-0000",)}

@@ -9,7 +9,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from optics import viewing
+from eyespot.optics import viewing
 
 # Facets of 0.04 mm on surfaces of 6 mm and more lie within 0.04**2 / (8 * 6) = 3e-5 mm of them, and
 # the normals are interpolated.

@@ -8,13 +8,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from estimator import Reader, SubpixelMode, SubpixelSettings
-from estimator.run.offline import Tracking, track_source
-from estimator.sources.source import Source
-from formats.spots import NoSpot, Spot, SpotRecord
-from formats.stack import StackWriter
-from scenes.drawn import Drawing, Truth, frame_of
-from tests.drawn_sets import labels_of
+from eyespot.estimator import Reader, SubpixelMode, SubpixelSettings
+from eyespot.estimator.run.offline import Tracking, track_source
+from eyespot.estimator.sources.source import Source
+from eyespot.formats.spots import NoSpot, Spot, SpotRecord
+from eyespot.formats.stack import StackWriter
+from eyespot.scenes.drawn import Drawing, Truth, frame_of
+from tests.support.drawn.drawn_sets import labels_of
 
 SHAPE = (160, 200)
 GONE = 4  # the frame without a spot

@@ -1,6 +1,6 @@
 """Do 95 % intervals contain 95 % of the distances? On rendered frames, with every error drawn.
 
-    python -m tests.budget_coverage 2000
+    python -m tests.support.coverage.budget_coverage 2000
 
 Each reading has a frame of its own: Mitsuba renders the spot and the instrument over a printed
 fundus, the scene's camera photographs it, and the sub-pixel mode measures it. Calibration, eye
@@ -16,15 +16,15 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from estimator import SubpixelSettings, TrackState, measure
-from estimator.distance.budget import Budgets, ToolMotion
-from estimator.distance.ranger import Ranger
-from formats.spots import Spot
-from formats.stated import Stated
-from scenes import Scene, World, load_scene
-from scenes.camera import CameraSensor
-from scenes.rendering.images import Images
-from tests.made_up import a_calibration, a_microscope
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.estimator.distance.budget import Budgets, ToolMotion
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.formats.spots import Spot
+from eyespot.formats.stated import Stated
+from eyespot.scenes import Scene, World, load_scene
+from eyespot.scenes.camera import CameraSensor
+from eyespot.scenes.rendering.images import Images
+from tests.support.drawn.made_up import a_calibration, a_microscope
 
 K, B, RADIUS, SCALE = 20.0, -5.117, 11.5, 0.0067
 WINDOW_PX = 288

@@ -1,6 +1,6 @@
 """A program: plays a bag to the rig's node under ROS 2, and writes what the node answers.
 
-    python tests/ros2_player.py BAG ANSWERS.json SPEED
+    python tests/support/rig/ros2_player.py BAG ANSWERS.json SPEED
 
 The bytes of the bag are published as they are. The topics, and the bag's clock, come to life before
 the first image; the program ends two seconds after the last one.

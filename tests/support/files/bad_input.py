@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import tomli_w
 
-OLD = Path(__file__).with_name("files-0.1")
+OLD = Path(__file__).parents[2] / "files-0.1"
 """Files as version 0.1.0 wrote them."""
 
 Rng = np.random.Generator

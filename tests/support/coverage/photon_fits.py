@@ -1,10 +1,10 @@
 """Lenses fitted to stacks that photons made: how far off, in standard errors of the fit.
 
-    python -m tests.photon_fits coverage FILE [FITS]    random lenses, walls and media
-    python -m tests.photon_fits departures FILE         light that the model does not know
-    python -m tests.photon_fits examples FILE           one lens in three larger stacks
+    python -m tests.support.coverage.photon_fits coverage FILE [FITS]   random lenses, walls, media
+    python -m tests.support.coverage.photon_fits departures FILE   light that the model lacks
+    python -m tests.support.coverage.photon_fits examples FILE     one lens in three larger stacks
 
-FILE is one of `tests.fit_files`; the table at the end is that of all its lines.
+FILE is one of `tests.support.files.fit_files`; the table at the end is that of all its lines.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
-from calibration.pixels.fit import ImageFit, fit_image
-from tests.fit_files import collected, summary
-from tests.photon_frames import footage_of, photographed, widened
-from tests.photon_stacks import Recording
-from tests.photons import Drop
+from eyespot.calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
+from eyespot.calibration.pixels.fit import ImageFit, fit_image
+from tests.support.files.fit_files import collected, summary
+from tests.support.light.photon_frames import footage_of, photographed, widened
+from tests.support.light.photon_stacks import Recording
+from tests.support.light.photons import Drop
 
 PARAMETERS = ("sag", "numerical_aperture", "sensitivity")
 """`sensitivity` is the brightness: power and reflectance are fixed at their true values."""

@@ -10,17 +10,17 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
-from formats.calibration import Calibration
-from formats.camera import CameraNoise, CameraSheet, Response
-from formats.microscope import MicroscopeFile
-from formats.spots import Spot
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.microscope import MicroscopeFile
+from eyespot.formats.spots import Spot
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from calibration.pixels.data import Footage
-    from optics import GlueLens
-    from optics.wall_light.lens import Grid, LensTable
+    from eyespot.calibration.pixels.data import Footage
+    from eyespot.optics import GlueLens
+    from eyespot.optics.wall_light.lens import Grid, LensTable
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
@@ -104,7 +104,7 @@ def a_microscope_file(folder: Path, *size_px: tuple[int, int], **keys: Any) -> P
 
 
 def a_lens(**changed: float) -> GlueLens:
-    import optics  # late, as it loads JAX
+    from eyespot import optics  # late, as it loads JAX
 
     return optics.glue_lens(**DOME | changed)
 
@@ -113,7 +113,7 @@ def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:
     """Of a lens without parameters: rows of its light."""
     import jax.numpy as jnp  # late, as it loads JAX
 
-    from optics.wall_light.lens import LensTable
+    from eyespot.optics.wall_light.lens import LensTable
 
     return LensTable(jnp.asarray(values)[None], jnp.ones(1), jnp.zeros(0), grid)
 
@@ -129,7 +129,7 @@ def an_opencv_file(path: Path, **content: Any) -> Path:
 
 def a_footage(**changed: Any) -> Footage:
     """A disc on a plane in three frames of 48 x 48 pixels, none of which is usable."""
-    from calibration.pixels.data import BareFibre, Footage  # late, as it loads JAX
+    from eyespot.calibration.pixels.data import BareFibre, Footage  # late, as it loads JAX
 
     sheet = CameraSheet(full_well_e=5000.0, read_noise_e=10.0, black_level_dn=0.0, bit_depth=8)
     v, u = np.mgrid[:48, :48] - 23.5

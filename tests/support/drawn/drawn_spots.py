@@ -8,9 +8,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
-from estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from formats.spots import Spot
-from scenes.drawn import SHAPE, Drawing, Profile, Truth, erf_edge, light_of
+from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
+from eyespot.formats.spots import Spot
+from eyespot.scenes.drawn import SHAPE, Drawing, Profile, Truth, erf_edge, light_of
 
 
 def domed_edge(sigma_px: float, drop: float) -> Profile:

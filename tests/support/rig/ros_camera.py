@@ -1,6 +1,6 @@
 """A program: a camera on a ROS topic that is twice as fast as its reader, and the reader's answers.
 
-    python tests/ros_camera.py ANSWERS.json SECONDS
+    python tests/support/rig/ros_camera.py ANSWERS.json SECONDS
 
 First it finds how fast the node reads, then it publishes at twice that rate. A line of the answers
 is the number of the image, the seconds from its publication to its status, and the node's counts.

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from calibration.pixels.fit import ImageFit
-from formats.calibration import Calibration
-from formats.inputs import InputError
-from formats.spots import Spot, SpotRecord, write_spots
-from formats.stack import KINEMATICS
+from eyespot.calibration.pixels.fit import ImageFit
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.formats.stack import KINEMATICS
 
 
 def a_recording(file: Path, spots: Iterable[Spot], times_s: Iterable[float], poses: Any) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import find_contours
 
-from tests.photons import Drop, PhotonLight
+from tests.support.light.photons import Drop, PhotonLight
 
 _PEAK_PX = 0.8
 """Smoothing of a spot before its peak is taken. On an oblique wall the peak is at the light's edge;

@@ -1,6 +1,6 @@
 """A program: the console before a camera at 10 Hz that can be unplugged.
 
-    python tests/console_camera.py PORT UNPLUGGED
+    python tests/support/rig/console_camera.py PORT UNPLUGGED
 
 The camera is lost while the file UNPLUGGED exists. Its image is a disc of 40 px at (150, 110) px.
 """
@@ -12,11 +12,11 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from estimator import Frame, Source
-from estimator.console.page import serve
-from estimator.run.options import Options
-from formats.inputs import InputError
-from tests.drawn_spots import disc
+from eyespot.estimator import Frame, Source
+from eyespot.estimator.console.page import serve
+from eyespot.estimator.run.options import Options
+from eyespot.formats.inputs import InputError
+from tests.support.drawn.drawn_spots import disc
 
 
 def camera(unplugged: Path) -> Source:

@@ -26,19 +26,18 @@ from typing import Any, NamedTuple
 import numpy as np
 from matplotlib.figure import Figure
 
-import scenes
-import scenes.world.world
-from benchmarks.reporting import Picture, Report, Section
-from benchmarks.sets import card, make
-from benchmarks.sets.formats.export import export
-from benchmarks.sets.spec import PlannedStack, SetSpec
-from benchmarks.study import Study
-from formats.inputs import InputError
-from formats.spots import NoSpot, Reason, SpotRecord, write_spots
-from formats.stack import Stack, StackWriter, read_stack
-from formats.whole_files import STOPPED, UNFINISHED, written_whole
-from scenes.commands import init
-from tests.drawn_sets import MICROSCOPE, digests, labels_of
+from eyespot import scenes
+from eyespot.benchmarks.reporting import Picture, Report, Section
+from eyespot.benchmarks.sets import card, make
+from eyespot.benchmarks.sets.formats.export import export
+from eyespot.benchmarks.sets.spec import PlannedStack, SetSpec
+from eyespot.benchmarks.study import Study
+from eyespot.formats.inputs import InputError
+from eyespot.formats.spots import NoSpot, Reason, SpotRecord, write_spots
+from eyespot.formats.stack import Stack, StackWriter, read_stack
+from eyespot.formats.whole_files import STOPPED, UNFINISHED, written_whole
+from eyespot.scenes.commands import init
+from tests.support.drawn.drawn_sets import MICROSCOPE, digests, labels_of
 
 KILLED, FULL = 77, 78
 SIZES = [0, 1, 100, 200, 500, 1000, 1500, 2000, 3000, 5000, 10_000, 20_000, 50_000]

@@ -17,13 +17,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from calibration.pixels.data import BareFibre, Footage
-from formats.camera import CameraNoise, CameraSheet, Response
-from formats.stack import StackWriter
-from scenes import load_scene
-from tests.drawn_sets import labels_of
-from tests.made_up import a_footage, a_microscope, microscope_content
-from tests.photon_stacks import (
+from eyespot.calibration.pixels.data import BareFibre, Footage
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.stack import StackWriter
+from eyespot.scenes import load_scene
+from tests.support.drawn.drawn_sets import labels_of
+from tests.support.drawn.made_up import a_footage, a_microscope, microscope_content
+from tests.support.light.photon_stacks import (
     INDEX,
     TUBE,
     Poses,
@@ -34,7 +34,7 @@ from tests.photon_stacks import (
     seen_wall,
     steady_light,
 )
-from tests.photons import BATCH, photons
+from tests.support.light.photons import BATCH, photons
 
 _METERED = 1 << 18
 """Photons that set a frame's exposure: some 1,000 in the squares of 3 x 3 pixels that they fill."""

@@ -9,11 +9,11 @@ from PIL import Image, ImageDraw, ImageFont
 from scipy.ndimage import gaussian_filter
 from scipy.special import erfc
 
-from estimator import SubpixelSettings, TrackState, measure
-from formats.spots import Spot
-from scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, light_of
-from tests.drawn_spots import with_glints, with_shaft
-from tests.own_frames import any_ellipse, camera_image, textured_wall
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.formats.spots import Spot
+from eyespot.scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, light_of
+from tests.support.drawn.drawn_spots import with_glints, with_shaft
+from tests.support.drawn.own_frames import any_ellipse, camera_image, textured_wall
 
 STEP, AMBIENT = Drawing.amplitude, Drawing.ambient
 

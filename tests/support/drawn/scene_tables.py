@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from scenes import Scene
+from eyespot.scenes import Scene
 
 BARE: dict[str, dict[str, Any]] = {
     "phantom": {"wall": "uniform", "indirect": "off"},
