@@ -170,8 +170,15 @@ def allowed(package, imported):
 def test_our_packages_have_one_name():
     """In code, tests and docs: a bare `optics` would be anybody's."""
     said = subprocess.run(
-        ["git", "grep", "-nE", rf"^\s*(>>> )?(from|import) ({'|'.join(PACKAGES)})\b"]
-        + ["--", ":!CHANGELOG.md", ":!*.diff"],
+        [
+            "git",
+            "grep",
+            "-nE",
+            rf"^\s*(>>> )?(from|import) ({'|'.join(PACKAGES)})\b",
+            "--",
+            ":!CHANGELOG.md",
+            ":!*.diff",
+        ],
         cwd=HOME,
         capture_output=True,
         text=True,
