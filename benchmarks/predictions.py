@@ -22,10 +22,11 @@ from pydantic import Strict as StrictType
 from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.sets.read import plain_spot
 from eyespot.benchmarks.sets.spec import scene_value
-from eyespot.estimator import Ranger, Source, open_source, track_source
+from eyespot.estimator import Ranger, Reader, track_source
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import OUT, Options
 from eyespot.estimator.run.progress_bar import progress
-from eyespot.formats.calibration import read_calibration
+from eyespot.formats.calibration import calibration_in, read_calibration
 from eyespot.formats.inputs import (
     InputError,
     Strict,
@@ -35,8 +36,8 @@ from eyespot.formats.inputs import (
     read_text,
     validated,
 )
-from eyespot.formats.microscope import read_microscope
-from eyespot.formats.poses import PoseTrack, read_poses
+from eyespot.formats.microscope import microscope_in, read_microscope
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import PARAMETERS, spots_table
 from eyespot.formats.whole_files import refuse_existing, write_text
 from eyespot.scenes import Scene, World, changed, load_scene, render_stack, scene_toml
@@ -130,20 +131,19 @@ def _travelled(times: Any, positions: Any, at: Any) -> np.ndarray:
     return np.interp(at, times, far, left=np.nan, right=np.nan)
 
 
-def _observed(source: Source, options: Options, poses: PoseTrack | None = None) -> pd.DataFrame:
+def _observed(recording: Recording, reader: Reader) -> pd.DataFrame:
     """Measure a recording on its own clock, as `eyespot track` does; a row a frame.
 
     Among the columns are `time_s`, `QUANTITIES` (NaN where one was not measured), `sigma_` of the
     ellipse by the spot's covariance, and `no_spot`, why there is no spot.
     """
-    seen = spots_table(track_source(source, options.reader(), poses=poses).records)
-    if options.microscope:
-        centre = read_microscope(options.microscope).principal_point_px
-        seen[["x_px", "y_px"]] -= np.array(centre)
+    seen = spots_table(track_source(recording, reader).records)
+    if recording.view is not None:
+        seen[["x_px", "y_px"]] -= np.array(recording.view.principal_point_px)
     seen[_SIGMAS] = np.sqrt(seen[[f"cov_{name}_{name}" for name in PARAMETERS[:ELLIPSE]]])
     seen["no_spot"] = seen.reason.where(seen.status == "no_spot")
     seen["robot_mm"] = math.nan
-    if poses is not None:
+    if (poses := recording.poses()) is not None:
         stamps, positions = zip(*((pose.time_s, pose.position_mm) for pose in poses), strict=True)
         seen["robot_mm"] = _travelled(stamps, np.array(positions), seen.time_s)
     return seen
@@ -179,8 +179,8 @@ def predicted(
             render_stack(scene, folder, progress=advance)
         file = folder / "microscope.json"
         microscope, view = json.loads(file.read_text()), read_microscope(file)
-        rehearsal = open_source(str(folder), exposure=kind)
-        seen = _observed(rehearsal, Options.of({"microscope": file}))
+        rehearsal = Recording.open(folder, exposure=kind)
+        seen = _observed(rehearsal, Options().reader(rehearsal.rig))
     ranger = Ranger(read_calibration(calibration), view, model=model) if calibration else None
     world = World(scene)
     times = np.asarray(world.times)
@@ -300,8 +300,7 @@ def judged(
     source: str,
     *,
     poses: Path | None = None,
-    eye_from_robot: str = "0,0,0,1",
-    microscope: Path | None = None,
+    rig: Path | None = None,
     start_s: float = 0.0,
 ) -> Judgement:
     """Measure a recording with the plan's calibration, and compare; arguments of `adjudicate`.
@@ -311,18 +310,17 @@ def judged(
             plan's times.
     """
     is_stack = (Path(source) / "stack.toml").is_file()
-    frames = open_source(source, exposure=plan.exposure if is_stack else None)
-    own = Path(source) / "kinematics.csv"
-    file = poses or (own if own.is_file() else None)
-    with tempfile.TemporaryDirectory() as folder:
-        beam, view = Path(folder) / "calibration.json", Path(folder) / "microscope.json"
-        view.write_text(json.dumps(plan.microscope), encoding="utf-8")
-        options: dict[str, Any] = {"microscope": microscope or frames.microscope_file or view}
-        if plan.calibration is not None:
-            beam.write_text(json.dumps(plan.calibration), encoding="utf-8")
-            options |= {"mode": "subpixel", "calibration": beam, "model": plan.model}
-            options |= {"eye_from_robot": eye_from_robot} if file else {}
-        seen = _observed(frames, Options.of(options), read_poses(file) if file else None)
+    exposure = plan.exposure if is_stack else None
+    frames = Recording.open(source, rig=rig, poses=poses, exposure=exposure)
+    if frames.view is None:
+        frames = Recording(frames.source, poses=poses, rig=Rig(seen=microscope_in(plan.microscope)))
+    if poses is None and is_stack:
+        frames = Recording(frames.source, poses=frames.robot(), rig=frames.rig)
+    options, beam = Options(), None
+    if plan.calibration is not None:
+        beam = calibration_in(plan.calibration)
+        options = Options.of({"mode": "subpixel", "model": plan.model})
+    seen = _observed(frames, options.reader(frames.rig, beam))
     seen["time_s"] -= start_s
     # A frame that is jittered beyond the plan's ends is still its first or last.
     step = float(np.median(np.diff(plan.times_s))) if len(plan.times_s) > 1 else math.inf
@@ -443,10 +441,7 @@ def adjudicate(
     /,
     *,
     poses: Path | None = None,
-    eye_from_robot: Annotated[
-        str, Parameter(metavar="QX,QY,QZ,QW", allow_leading_hyphen=True)
-    ] = "0,0,0,1",
-    microscope: Path | None = None,
+    rig: Path | None = None,
     start_s: Annotated[float, Parameter("--begin")] = 0.0,
     as_json: Annotated[bool, Parameter("--json")] = False,
 ) -> None:
@@ -456,13 +451,12 @@ def adjudicate(
         plan: File of `eyespot preregister`.
         source: Stack, folder of images, TIFF, video, or ROS bag.
         poses: Robot poses (CSV or ROS bag), on the clock of SOURCE (default: the stack's).
-        eye_from_robot: Rotation from the poses' frame to the eye's, for the models exact and area.
-        microscope: Microscope file of SOURCE (default: the stack's).
+        rig: Rig file of SOURCE (default: the stack's).
         start_s: Time in SOURCE at which the planned motion begins.
         as_json: Print the result as one JSON object, and nothing else.
     """
-    agreed, given = read_plan(plan), {"poses": poses, "microscope": microscope}
-    found = judged(agreed, source, **given, eye_from_robot=eye_from_robot, start_s=start_s)
+    agreed = read_plan(plan)
+    found = judged(agreed, source, poses=poses, rig=rig, start_s=start_s)
     if as_json:
         content = {
             "plan_sha256": agreed.sha256,

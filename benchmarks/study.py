@@ -26,9 +26,9 @@ from eyespot import scenes
 from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from eyespot.benchmarks.reporting import STYLE, Report, write_page
 from eyespot.estimator import Reader
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.progress_bar import progress, say
-from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
 from eyespot.formats.stack import Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import (
@@ -191,11 +191,8 @@ class Study:
 
     def reader(self, stack: Stack, scene: Scene, mode: str, **options: Any) -> Reader:
         """A reader of a stack's frames that knows the true light of its scene."""
-        calibration = self.folder / f"{stack.folder.name}.json"
-        if not calibration.exists():
-            write_calibration(calibration, true_calibration(scene))
-        files = {"calibration": calibration, "microscope": stack.folder / "microscope.json"}
-        return Options.of({"mode": mode, **files, **options}).reader()
+        rig = Recording.open(stack).rig
+        return Options.of({"mode": mode, **options}).reader(rig, true_calibration(scene))
 
     @contextmanager
     def timed(self, step: str) -> Iterator[None]:

@@ -1,6 +1,6 @@
 from .bridge import FLOAT32_LEVENBERG_MARQUARDT as FLOAT32_LEVENBERG_MARQUARDT
 from .bridge import render_as_jax as render_as_jax
-from .pixels.data import read_footage as read_footage
+from .pixels.data import footage_of as footage_of
 from .pixels.fit import ImageFit as ImageFit
 from .pixels.fit import fit_image as fit_image
 from .spots.cone_fit import ConeFit as ConeFit

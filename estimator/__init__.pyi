@@ -8,6 +8,7 @@ from .distance.budget import Budgets as Budgets
 from .distance.range import Range as Range
 from .distance.range import TipPose as TipPose
 from .distance.ranger import Ranger as Ranger
+from .recording import Recording as Recording
 from .run.offline import Ended as Ended
 from .run.offline import Tracking as Tracking
 from .run.offline import track_source as track_source

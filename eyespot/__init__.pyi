@@ -1,10 +1,14 @@
 from . import studies as studies
 from .command_line import main as main
+from .estimator.recording import Recording as Recording
+from .formats.rig import Rig as Rig
+from .formats.rig import read_rig as read_rig
 from .functions import Scene as Scene
 from .functions import Stack as Stack
 from .functions import dataset as dataset
 from .functions import fit as fit
 from .functions import load_scene as load_scene
+from .functions import measure as measure
 from .functions import render as render
 from .functions import score as score
 from .functions import track as track

@@ -12,9 +12,14 @@ from eyespot.scenes import Scene as Scene
 from eyespot.scenes import load_scene as load_scene
 
 if TYPE_CHECKING:
+    import numpy as np
     import pandas as pd
 
     from eyespot.benchmarks.sets.read import LabelledSet
+    from eyespot.estimator.recording import Recording
+    from eyespot.formats.calibration import Calibration
+    from eyespot.formats.rig import Rig
+    from eyespot.formats.spots import NoSpot, Spot
     from eyespot.results import Fit, Score
 
 File = str | Path
@@ -51,13 +56,14 @@ def render(
 
 
 def track(
-    source: File | int,
+    source: Recording | Stack | File | int | np.ndarray | Sequence[Any],
     *,
-    calibration: File | None = None,
-    microscope: File | None = None,
-    poses: File | None = None,
+    calibration: File | Calibration | Fit | None = None,
+    rig: Rig | File | None = None,
+    changes: Mapping[str, Any] | None = None,
+    poses: pd.DataFrame | File | None = None,
     mode: Literal["auto", "subpixel", "literal", "pixels"] = "auto",
-    exposure: Literal["metered", "paper"] = "metered",
+    exposure: Literal["metered", "paper"] | None = None,
     unrelated: bool | None = None,
     progress: bool = False,
     **options: Any,
@@ -65,18 +71,19 @@ def track(
     """Measure the spot in every frame, as `eyespot track`.
 
     Args:
-        source: stack, folder of images, TIFF, video, ROS bag, or number of a camera, which Ctrl-C
-            stops.
-        calibration: file of a fit; without it there are no distances.
-        microscope: microscope file; None for the stack's own.
-        poses: file with the robot's poses.
+        source: a recording, a stack, a folder of images, TIFF, video, ROS bag, an array, a list of
+            images or of their files; or the number of a camera, which Ctrl-C stops.
+        calibration: of the beam, or its file; None: that of the rig; without one there are no
+            distances.
+        rig: the rig or its file; None: the recording's own.
+        changes: values of the rig to change, such as {"wall.medium": "air"}.
+        poses: the robot's poses: a table or a file.
         mode: measure the half-maximum contour, repeat the paper's algorithm, or find the beam's
-            pose from all pixels; auto takes the pixels for a lens if the camera's noise is known
-            and its rate permits.
-        exposure: of a stack that has two.
+            pose from all pixels; auto takes the pixels for a lens if the camera's rate permits.
+        exposure: of a stack that has two; None: metered.
         unrelated: measure every image by itself; None if the images are not numbered one by one.
         progress: show a bar.
-        options: the other options of `eyespot track`, such as `stated="lab.toml"`.
+        options: the other options of `eyespot track`, such as `fps=10` or `start=(320, 240)`.
 
     Returns:
         A row a frame, units in the columns' names; the first twelve are what one looks at. `reason`
@@ -86,37 +93,72 @@ def track(
     Raises:
         InputError: wrong options or files.
     """
+    from eyespot.estimator.recording import Recording
     from eyespot.estimator.run.command import tracked
-    from eyespot.estimator.run.options import Options, RecordingOptions
-    from eyespot.formats.calibration import read_calibration
+    from eyespot.estimator.run.options import Options, prepared
     from eyespot.formats.spots import spots_table
 
-    files = {"calibration": calibration, "microscope": microscope}
-    given = {name: Path(file) for name, file in files.items() if file is not None}
-    asked = Options.of({"mode": mode, **given, **options})
-    recorded = RecordingOptions(exposure=exposure, poses=None if poses is None else Path(poses))
+    fps = options.pop("fps", None)
+    file = Path(calibration) if isinstance(calibration, str | Path) else None
+    asked = Options.of({"mode": mode, "calibration": file, **options})
     with quiet(bars=progress):
-        frames, asked, track_of_poses = recorded.opened(str(source), asked, unrelated=unrelated)
-        tracking, _ = tracked(frames, asked.reader(), track_of_poses)
+        recording = Recording.open(
+            source, rig=rig, changes=changes or {}, poses=poses, exposure=exposure, fps=fps
+        )
+        given: Any = None if file else getattr(calibration, "calibration", calibration)
+        opened = prepared(recording.unrelated(unrelated), asked, given)
+        tracking, _ = tracked(opened.recording, opened.reader())
     table = spots_table(tracking.records)
-    table.attrs = {"source": str(source), "ended": tracking.ended.value, "fault": tracking.fault}
+    table.attrs = {"source": f"{source}", "ended": tracking.ended.value, "fault": tracking.fault}
     table.attrs["contradiction_mm"] = tracking.contradiction_mm
-    if (file := asked.microscope_file()) is not None:
+    if (view := opened.recording.view) is not None:
         names = ("width_px", "height_px", "scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
-        table.attrs["microscope"] = {name: getattr(file, name) for name in names}
-    if asked.calibration is not None:
-        beam = read_calibration(asked.calibration)
+        table.attrs["microscope"] = {name: getattr(view, name) for name in names}
+    if (beam := opened.beam) is not None:
         table.attrs["calibration"] = {"model": beam.model, "medium": beam.medium, **beam.values}
     return table
 
 
-def fit(sources: File | Sequence[File], *, progress: bool = False, **choices: Any) -> Fit:
-    """Fit the beam to recordings of withdrawals from contact, as `eyespot fit`.
+def measure(image: np.ndarray, *, rig: Rig | File | None = None) -> Spot | NoSpot:
+    """Measure the spot in one image.
+
+    Args:
+        image: h x w, or h x w x 3 (RGB); uint8, uint16 or float.
+        rig: whose lens's distortion and response are taken out; None: neither.
+
+    Returns:
+        The spot's ellipse with its covariance, px; or why there is none, which is false.
+
+    Raises:
+        InputError: no image, or a wrong rig.
+    """
+    from eyespot.estimator.recording import Recording
+    from eyespot.estimator.run.options import Options
+
+    recording = Recording(image[None], rig=rig)
+    frame = next(iter(recording.source))
+    return Options(mode="subpixel").reader(recording.rig).read(frame).result
+
+
+def fit(
+    sources: Recording | Stack | File | np.ndarray | Sequence[Any],
+    *,
+    rig: Rig | File | Sequence[Rig | File] | None = None,
+    changes: Mapping[str, Any] | None = None,
+    poses: pd.DataFrame | File | Sequence[pd.DataFrame | File] | None = None,
+    progress: bool = False,
+    **choices: Any,
+) -> Fit:
+    """Fit the beam to recordings of withdrawals, as `eyespot fit`.
 
     A fit that is not good is returned, too: `good` is then false, and `verdict` says why.
 
     Args:
-        sources: stacks, spots files or ROS bags, all with one microscope.
+        sources: a recording, a stack, a spots file, a folder of images, a video, a ROS bag, or a
+            list of these, all with one microscope; or an array of frames.
+        rig: the rig or its file, one for all sources or one each; None: the recordings' own.
+        changes: values of the rig to change, such as {"robot.touch": "free"}.
+        poses: the robot's poses: a table or a file, for each source; None: the recordings' own.
         progress: show a bar.
         choices: options of `eyespot fit`, such as `model="cone"`, `free="half_angle,b,scale"`, or
             `prior=["touch=0,0.02"]`.
@@ -125,11 +167,13 @@ def fit(sources: File | Sequence[File], *, progress: bool = False, **choices: An
         InputError: wrong options or files.
     """
     from eyespot.calibration.command.choices import Choices
-    from eyespot.calibration.command.fitting import fit_recordings
+    from eyespot.calibration.command.fitting import fit_recordings, opened_recordings
 
-    several = [sources] if isinstance(sources, str | Path) else sources
+    asked = Choices.of(choices | {"changes": changes or {}})
+    several = sources if isinstance(sources, list | tuple) else [sources]
     with quiet(bars=progress):
-        return fit_recordings([Path(source) for source in several], Choices.of(choices))
+        recordings = opened_recordings(several, asked, rig=rig, poses=poses)
+        return fit_recordings(recordings, asked)
 
 
 def score(

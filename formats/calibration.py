@@ -264,7 +264,7 @@ def read_calibration(path: str | Path) -> Calibration:
     with in_file(path):
         with in_file("not a calibration file"):
             content = object_in(read_text(path))
-        return _calibration(content)
+        return calibration_in(content)
 
 
 class _MediumKey(Strict):
@@ -303,7 +303,12 @@ class _CalibrationFile(Strict):
     software: str
 
 
-def _calibration(content: dict[str, Any]) -> Calibration:
+def calibration_in(content: dict[str, Any]) -> Calibration:
+    """The calibration that the content of a file describes.
+
+    Raises:
+        InputError: as `read_calibration`.
+    """
     check_schema(content.get("schema"), HISTORY, remedy="Fit again, or restore the file.")
     file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
     for name, entry in file.parameters.items():

@@ -200,12 +200,12 @@ class Response:
         if self.full_scale is None:
             raise InputError(
                 f"the full scale of 16-bit images with the curve {self.curve} is not known; the "
-                f"largest value is {most:g}. Give full_scale (--full-scale 4095 for 12 bits), or "
-                "write it into the microscope file."
+                f"largest value is {most:g}. State camera.full_scale of the rig file (4095 for 12 "
+                "bits; --set camera.full_scale=4095)."
             )
         raise InputError(
-            f"full_scale (or camera.bit_depth of the microscope file) is {self.full_scale:g}, but "
-            f"the image has values up to {most:g}. Correct it, or give another --full-scale."
+            f"full_scale (or camera.bit_depth of the rig file) is {self.full_scale:g}, but "
+            f"the image has values up to {most:g}. Correct it."
         )
 
     @property
@@ -340,6 +340,12 @@ class CameraNoise:
         """Light of an image's channels; with noise it can be negative."""
         dark = self.sheet.dark_signal_e / self.sheet.full_well_e
         return (self._straight(values) - self.black) / (1 - self.black) - dark
+
+    def is_within(self, values: np.ndarray) -> Bool[np.ndarray, "h w"]:
+        """Whether a pixel is neither black nor at full scale in any channel."""
+        low, high = (0.0, 1.0) if not self.response.limited else (_VIDEO_BLACK, VIDEO_WHITE)
+        inside = (values > low * self.full_scale) & (values < high * self.full_scale)
+        return inside if inside.ndim == 2 else np.all(inside, axis=-1)
 
     def variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Variance of the mean over channels for known light, see `channel_variance`."""

@@ -288,7 +288,7 @@ def read_microscope(
             raise InputError(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
-        return _ours(content)
+        return microscope_in(content)
 
 
 def _numbers(*shape: int) -> PlainValidator:
@@ -357,7 +357,12 @@ class _PathFile(_TelecentricFile):
     viewing_path: PathSeries  # type: ignore[assignment]
 
 
-def _ours(content: dict[str, Any]) -> MicroscopeFile:
+def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
+    """The microscope that the content of a microscope.json describes.
+
+    Raises:
+        InputError: another schema, or as `read_microscope`.
+    """
     check_schema(content["schema"], HISTORY, remedy="Restore the file, or render again.")
     telecentric = content.get("pinhole_height_mm") is None
     through_path = content.get("viewing_path") is not None

@@ -5,18 +5,28 @@ A rendered stack contains one. A microscope.json, a camera calibration or a file
 uncertainties of eyespot 0.1 and 0.2 is taken where a rig file is asked for.
 """
 
+import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, AllowInfNan, Field, ValidationError, model_validator
+import tomli_w
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 from pydantic import Strict as StrictType
 
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
-from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml
+from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml, validated
 from eyespot.formats.microscope import MicroscopeFile, read_microscope, response_of
 from eyespot.formats.poses import unit_quaternion
 from eyespot.formats.settings_files import merged, parsed_change, problems_of, table_lines
@@ -264,6 +274,8 @@ class Rig(Strict):
     Relative names of files are those beside the rig file (`folder`).
     """
 
+    model_config = ConfigDict(arbitrary_types_allowed=True)
+
     schema_version: int = Field(SCHEMA, alias="schema")
     microscope: MicroscopeKeys = MicroscopeKeys()
     camera: CameraKeys = CameraKeys()
@@ -274,6 +286,8 @@ class Rig(Strict):
     unrest: UnrestKeys = UnrestKeys()
     viewing: ViewingKeys = ViewingKeys()
     folder: Path = Field(Path(), exclude=True, repr=False)
+    seen: MicroscopeFile | None = Field(None, exclude=True, repr=False)
+    """A microscope that was read before; [microscope] is then empty."""
 
     @model_validator(mode="after")
     def _is_possible(self) -> Self:
@@ -295,17 +309,18 @@ class Rig(Strict):
             OSError: the calibration file cannot be read.
         """
         own, wall = self.microscope, self.wall
-        normal = wall.normal if wall.kind == "plane" else None
         height, radius = own.pinhole_height_mm, wall.radius_mm
-        if own.calibration is not None:
+        if self.seen is not None:
+            found = self.seen
+        elif own.calibration is not None:
+            for name in ("width_px", "height_px", "scale_mm_px", "principal_point_px"):
+                if getattr(own, name) is not None:
+                    raise InputError(
+                        f"microscope.{name} is that of {own.calibration}. Leave one of them out."
+                    )
             found = read_microscope(
-                self.folder / own.calibration,
-                pinhole_height_mm=height,
-                eye_radius_mm=radius,
-                plane_normal=normal,
+                self.folder / own.calibration, pinhole_height_mm=height, eye_radius_mm=radius
             )
-            if wall.kind == "eyeball" and found.plane_normal is not None:
-                found = replace(found, plane_normal=None)
         elif own.scale_mm_px is None:
             return None
         else:
@@ -314,8 +329,18 @@ class Rig(Strict):
                     raise InputError(f"microscope.{name} is missing. Add it, or a calibration.")
             if radius is None or height is None:
                 raise InputError("wall.radius_mm is missing. Add it; the pole lies at -radius_mm.")
-            found = _pinhole(own, radius, height, normal)
-        return replace(found, response=self._response(found), noise=self._noise(found))
+            found = _pinhole(own, radius, height)
+        normal = found.plane_normal
+        if wall.kind == "eyeball":
+            normal = None
+        elif wall.kind == "plane" and (normal is None or "normal" in wall.model_fields_set):
+            normal = wall.normal
+        return replace(
+            found,
+            plane_normal=normal,
+            response=self._response(found),
+            noise=self._noise(found),
+        )
 
     def _response(self, found: MicroscopeFile) -> Response:
         own = self.camera
@@ -348,12 +373,51 @@ class Rig(Strict):
             eye_radius_sigma_mm=self.wall.radius_sigma_mm,
             inverse_working_distance_sigma=sigma,
             size_per_mm=self.viewing.size_per_mm,
+            touch_sigma_mm=robot.touch_sigma_mm
+            if "touch_sigma_mm" in robot.model_fields_set
+            else 0,
             axis_sigma_deg=robot.axis_sigma_deg,
             incidence_deg=robot.incidence_deg,
             clock_sigma_s=robot.clock_sigma_s,
             shake_px=self.unrest.shake_px,
             calibration_freedom=self.beam.calibration_freedom,
         )
+
+    def over(self, base: "Rig") -> "Rig":
+        """This rig, with the keys that it does not set from another one, such as a stack's own."""
+        own, other = (rig._content(rig.folder.absolute()) for rig in (self, base))
+        content = merged(other, own)
+        whole = self.microscope.calibration or self.microscope.scale_mm_px or self.seen
+        if whole:
+            content["microscope"] = own.get("microscope", {})
+        seen = self.seen if whole else base.seen
+        return rig_in(content | {"seen": seen}, where="rig", folder=Path())
+
+    def _content(self, folder: Path | None = None) -> dict[str, Any]:
+        """The keys that were set, with the names of files as seen from the working folder."""
+        content = self.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
+        for table in ("microscope", "beam"):
+            if folder is not None and (name := content.get(table, {}).get("calibration")):
+                content[table]["calibration"] = str(folder / name)
+        return content
+
+    def toml(self, folder: Path) -> str:
+        """The text of a rig file in a folder, with the keys that were set.
+
+        Raises:
+            InputError: the microscope was given as an object, which has no file.
+        """
+        if self.seen is not None:
+            raise InputError("a rig whose microscope is an object has no file. State its numbers.")
+        content = self._content()
+        for table in ("microscope", "beam"):
+            if name := content.get(table, {}).get("calibration"):
+                content[table]["calibration"] = os.path.relpath(self.folder / name, folder)
+        return tomli_w.dumps({"schema": SCHEMA} | content)
+
+    def with_noise(self, sheet: CameraSheet) -> "Rig":
+        """The rig with a camera of this noise."""
+        return self.model_copy(update={"camera": self.camera.model_copy(update={"noise": sheet})})
 
     def changed(self, changes: Sequence[str] | Mapping[str, Any], *, where: str = "rig") -> "Rig":
         """The rig with other values: "table.key=value", or {"table.key": value}.
@@ -363,17 +427,15 @@ class Rig(Strict):
         """
         if not changes:
             return self
-        content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        content = self._content()
         if isinstance(changes, Mapping):
-            changes = [f"{key}={value!r}" for key, value in changes.items()]
+            changes = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
         for change in changes:
             content = merged(content, parsed_change(change))
-        return rig_in(content, where=where, folder=self.folder)
+        return rig_in(content | {"seen": self.seen}, where=where, folder=self.folder)
 
 
-def _pinhole(
-    own: MicroscopeKeys, radius_mm: float, height_mm: float, normal: _Vector | None
-) -> MicroscopeFile:
+def _pinhole(own: MicroscopeKeys, radius_mm: float, height_mm: float) -> MicroscopeFile:
     """The microscope of numbers."""
     import numpy as np
 
@@ -398,7 +460,6 @@ def _pinhole(
         principal_point_px=(u, v),
         pinhole_height_mm=height_mm,
         eye_radius_mm=radius_mm,
-        plane_normal=normal,
     )
 
 
@@ -438,6 +499,68 @@ def read_rig(path: str | Path, changes: Sequence[str] = ()) -> Rig:
             content = _of_stated(content)
     rig = rig_in(content, where=f"{path}", folder=path.parent)
     return rig.changed(changes, where=f"{path}")
+
+
+RIG = "rig.toml"
+"""Name of a stack's rig file."""
+
+
+def rig_of_stack(folder: Path, description: Mapping[str, Any]) -> Rig:
+    """The rig of a stack: its rig file, or of stacks of eyespot 0.1 and 0.2 what stands elsewhere.
+
+    Args:
+        description: the content of stack.toml.
+
+    Raises:
+        InputError: a file is damaged.
+        OSError: a file cannot be read.
+    """
+    if (folder / RIG).is_file():
+        return read_rig(folder / RIG)
+    scene, where = description.get("scene", {}), f"{folder / 'stack.toml'}"
+    content = rig_of_scene(scene)
+    if not (folder / "microscope.json").is_file():
+        del content["microscope"]
+    rig = rig_in(content, where=where, folder=folder)
+    camera = scene.get("camera", {})
+    if rig.view is None or rig.view.noise is not None or "full_well_e" not in camera:
+        return rig
+    # The microscope.json of eyespot 0.1 has no camera.
+    sheet = {name: camera[name] for name in CameraSheet.model_fields if name in camera}
+    sheet |= {"bayer": camera.get("bayer", "none") != "none"}
+    sheet |= {"jpeg": camera.get("jpeg_quality", 0) > 0}
+    with in_file(where):
+        return rig.with_noise(validated(CameraSheet, sheet, remedy="Render the stack again."))
+
+
+def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of the rig file of a rendered scene, which knows everything exactly.
+
+    Args:
+        scene: the scene's tables, as stack.toml has them; those of eyespot 0.1 may lack keys.
+    """
+
+    def some(table: str, **names: str) -> dict[str, Any]:
+        found = scene.get(table, {})
+        return {name: found[key] for name, key in names.items() if key in found}
+
+    motion = scene.get("motion", {})
+    at_contact = (motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact")
+    return {
+        "schema": SCHEMA,
+        "microscope": {"calibration": "microscope.json"},
+        "wall": some("phantom", kind="kind") | some("source", medium="medium"),
+        "instrument": some(
+            "instrument",
+            fibre_diameter_mm="fibre_diameter_mm",
+            fibre_length_mm="fibre_length_mm",
+            visible="visible",
+        ),
+        "robot": {
+            "eye_from_robot": [0.0, 0.0, 0.0, 1.0],
+            "touch": "contact" if at_contact else "free",
+        },
+    }
 
 
 _OF_STATED = {

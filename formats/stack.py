@@ -7,6 +7,7 @@
           kinematics.csv        what the robot reported, as `read_poses` reads it
           stack.toml            schema, the scene as run, versions
           microscope.json       camera matrix, pinhole height, eye radius, response
+          rig.toml              the rig file, which a rig has as well
           manifest.json         size and SHA-256 of every file above
 
 `StackWriter` writes into a folder with another name, which is renamed when the stack is complete.
@@ -47,6 +48,7 @@ from eyespot.formats.inputs import (
     validated,
 )
 from eyespot.formats.manifest import MANIFEST, differences, read_manifest, write_manifest
+from eyespot.formats.rig import RIG, rig_of_scene
 from eyespot.formats.whole_files import (
     STOPPED,
     append_line,
@@ -405,7 +407,7 @@ class StackWriter:
         microscope: dict[str, Any],
         kinematics: np.ndarray | None = None,
     ) -> None:
-        """Write stack.toml, microscope.json and kinematics.csv; keep frames that belong to them.
+        """Write stack.toml, microscope.json, rig.toml and kinematics.csv; keep their frames.
 
         Args:
             stack: everything that determines images and labels: the scene, versions.
@@ -415,6 +417,8 @@ class StackWriter:
             "stack.toml": tomli_w.dumps({"schema": SCHEMA, **stack}),
             "microscope.json": json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n",
         }
+        if "scene" in stack:
+            texts[RIG] = tomli_w.dumps(rig_of_scene(stack["scene"]))
         if kinematics is not None:
             # To 1 us, 1 nm and 1 nrad: far below a robot's accuracy.
             rows, formats = io.StringIO(), ["%.6f"] * 4 + ["%.9f"] * 3

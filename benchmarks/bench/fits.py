@@ -18,9 +18,9 @@ from eyespot import calibration, optics
 from eyespot.benchmarks.paper import rms
 from eyespot.benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from eyespot.calibration import Prior
-from eyespot.calibration.pixels.data import Footage, read_footage
+from eyespot.calibration.pixels.data import Footage, footage_of
 from eyespot.calibration.pixels.fit import fit_image
-from eyespot.calibration.recordings import read_recording
+from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.formats.stack import Stack
 from eyespot.optics.wall_light.lens import lens_parameters
 from eyespot.scenes import Scene, render_stack
@@ -48,7 +48,7 @@ def cone_withdrawals(full: bool = False) -> pd.DataFrame:
                 "exposures": {"kinds": ["metered"]},
             }
             stack = render_stack(Scene.model_validate(scene), Path(folder) / f"{number}")
-            recordings.append(read_recording(stack.folder))
+            recordings.append(recorded_trial(stack))
     fit = calibration.fit_cone(
         [recording.trial for recording in recordings],
         recordings[0].microscope.pinhole(),
@@ -130,7 +130,7 @@ def _footage(scene: dict[str, Any]) -> tuple[Stack, Footage]:
     """Render a stack, and read its pixels."""
     with tempfile.TemporaryDirectory() as folder:
         stack = render_stack(Scene.model_validate(scene), Path(folder) / "stack")
-        return stack, read_footage(stack)
+        return stack, footage_of(stack)
 
 
 # Beams, from all pixels of a withdrawal.

@@ -24,10 +24,10 @@ from eyespot.benchmarks.sets.read import own_reader, true_beam
 from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
 from eyespot.benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from eyespot.estimator.distance.range import TipPose
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import Reader, Reading
 from eyespot.estimator.sources.opening import open_source
-from eyespot.formats.calibration import write_calibration
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack, read_poses
 from eyespot.formats.stack import FrameLabels, Stack
@@ -87,19 +87,10 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
 
 def robot_reader(stack: Stack) -> Reader:
     """A reader that knows the beam, how well the robot says the axis, and how the view shakes."""
-    beam, stated = stack.folder / "beam.json", stack.folder / "stated.toml"
-    write_calibration(beam, true_beam(stack))
     shake_px = stack.described("scene.unrest.shake_px", float)
-    stated.write_text(f"axis_sigma_deg = {PRIOR_DEG}\nshake_px = {shake_px}\n")
-    reader = Options.of(
-        {
-            "mode": "pixels",
-            "calibration": beam,
-            "microscope": stack.folder / "microscope.json",
-            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
-            "stated": stated,
-        }
-    ).reader()
+    known = {"robot.axis_sigma_deg": PRIOR_DEG, "unrest.shake_px": shake_px}
+    rig = Recording.open(stack, changes=known).rig
+    reader = Options(mode="pixels").reader(rig, true_beam(stack))
     reader.prepare()
     return reader
 

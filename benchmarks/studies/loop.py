@@ -162,8 +162,7 @@ class LoopCamera:
         rest = {"motion.kind": "withdrawal", "motion.start_mm": SET_MM, "motion.frames": 1}
         scene = scenes.changed(study.scene, rest)
         self._start, self._camera = study.stacks({"start": scene})["start"], LiveCamera(scene)
-        same = (0.0, 0.0, 0.0, 1.0)  # the poses are in the eye's frame
-        reader = functools.partial(study.reader, self._start, scene, eye_from_robot=same)
+        reader = functools.partial(study.reader, self._start, scene)
         self._reader = functools.cache(reader)
         self.seen: list[tuple[Frame, SpotRecord]] = []
 

@@ -31,8 +31,8 @@ def fit(
     deviations that contain this misfit, and the misfit is described.
 
     Args:
-        sources: Recordings of withdrawals from contact, all with one microscope: stacks, spots
-            files or ROS bags.
+        sources: Recordings of withdrawals, all with one microscope: stacks, folders of images,
+            TIFFs, videos, ROS bags, or spots files.
         out: Calibration file (JSON) to write. The report is written beside it, as .html.
         overwrite: Replace both if they exist.
         rerun: Record frames, spots, distances and residuals of a good fit for the viewer rerun
@@ -41,7 +41,12 @@ def fit(
     """
     from rich.console import Console
 
-    from eyespot.calibration.command.fitting import fit_recordings, record_fit, table_of
+    from eyespot.calibration.command.fitting import (
+        fit_recordings,
+        opened_recordings,
+        record_fit,
+        table_of,
+    )
     from eyespot.calibration.command.verdict import refusal
     from eyespot.estimator.viewer import check_recording_path
     from eyespot.formats.calibration import write_calibration
@@ -55,7 +60,7 @@ def fit(
     with written_whole(out, replace=overwrite) as partial:
         with written_whole(report, replace=overwrite) as page:
             require_space(out, _MOST_BYTES)
-            found = fit_recordings(sources, choices)
+            found = fit_recordings(opened_recordings(sources, choices), choices)
             if as_json:
                 print(json.dumps(found.summary))
             else:

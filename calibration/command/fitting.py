@@ -21,7 +21,7 @@ from rich.table import Table
 
 from eyespot import optics
 from eyespot.calibration.command import report as fit_report
-from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.choices import Choices, one_each
 from eyespot.calibration.command.models import (
     EYE,
     fit_cone_to_spots,
@@ -32,11 +32,11 @@ from eyespot.calibration.command.models import (
 from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
 from eyespot.calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
 from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
-from eyespot.calibration.recordings import SPOTS_FILES, Recording, is_stack, read_recording
+from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS
 from eyespot.estimator import Ranger
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.progress_bar import progress, say
-from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.viewer import recording_of
 from eyespot.formats.calibration import BEAM, Calibration, write_calibration
 from eyespot.formats.inputs import InputError
@@ -62,11 +62,11 @@ def record_fit(target: str, fit: "Fit") -> None:
             seen = zip(recording.records, trial.readings, strict=True)
             spots = dict(zip(numbers, seen, strict=True))
             frames: Iterable[tuple[int, float, np.ndarray | None]]
-            if recording.source.suffix.lower() in SPOTS_FILES:
+            if recording.recording.spots is not None:
                 frames = ((record.frame, record.time_s, None) for record in recording.records)
             else:
-                opened = open_source(recording.source, exposure=fit.exposure)
-                frames = ((frame.index, frame.time_s, frame.image) for frame in opened)
+                source = recording.recording.source
+                frames = ((frame.index, frame.time_s, frame.image) for frame in source)
             for number, time_s, image in frames:
                 recorded.add_frame(first + number, time_s, image)
                 if number not in spots:
@@ -99,7 +99,7 @@ core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.1
 class Model(NamedTuple):
     """A model and its selectable parameters."""
 
-    fit: Callable[[Sequence[Recording], Choices], Fitted]
+    fit: Callable[[Sequence[RecordedTrial], Choices], Fitted]
     parameters: tuple[str, ...] = ()
     """Names that --free accepts."""
     free: tuple[str, ...] = ()
@@ -119,14 +119,14 @@ MODELS = {
 """Models by their names on the command line."""
 
 
-def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
+def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
     """A lens if the spots' edges are soft, a cone if they are sharp; and the reason.
 
     Uses measured spots only. Uses the upper quartile of the edge widths, because a lens also makes
     a sharp edge at the distance where it images its core.
 
     Raises:
-        InputError: the spots need a lens, but there are several recordings or no stack.
+        InputError: the spots need a lens, but there are several recordings or no images.
     """
     width = _edge_width(recordings)
     if math.isnan(width):
@@ -136,16 +136,16 @@ def chosen_model(recordings: Sequence[Recording]) -> tuple[str, str]:
     )
     if width <= SOFT_EDGE:
         return ("cone", seen.format("sharp"))
-    if len(recordings) > 1 or not is_stack(recordings[0].source):
+    if len(recordings) > 1 or recordings[0].recording.spots is not None:
         raise InputError(
             f"{seen.format('soft')}, so the light comes from a lens.\n"
-            "A lens is fitted to the pixels of one stack: give one stack. To fit a cone instead, "
-            "add --model cone."
+            "A lens is fitted to the pixels of one recording: give one with its images. To fit a "
+            "cone instead, add --model cone."
         )
     return ("lens", seen.format("soft"))
 
 
-def _edge_width(recordings: Sequence[Recording]) -> float:
+def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
     """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured."""
     records = (record.result for recording in recordings for record in recording.records)
     spots = [spot for spot in records if isinstance(spot, Spot)]
@@ -159,14 +159,12 @@ class Fit:
     Attributes:
         model: that was fitted, by its name on the command line.
         doubts: reasons why it may be wrong; empty for a good fit.
-        exposure: which of a stack's exposures was used.
     """
 
     model: str
     fitted: Fitted
-    recordings: Sequence[Recording]
+    recordings: Sequence[RecordedTrial]
     doubts: Sequence[Doubt]
-    exposure: str | None = None
 
     def __repr__(self) -> str:
         return f"{self.verdict}\n{self.parameters}"
@@ -245,7 +243,47 @@ class Fit:
         return fit_report.render(**vars(self), **self._origin)
 
 
-def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
+def opened_recordings(
+    sources: Sequence[Any],
+    choices: Choices,
+    *,
+    rig: Any = None,
+    poses: Any = None,
+) -> list[Recording]:
+    """Open the recordings of a fit, each with its rig and its poses.
+
+    Args:
+        sources: as `Recording.open` takes them.
+        rig: a rig or its file, one for all or one each; None: those of the choices.
+        poses: the robot's, likewise.
+
+    Raises:
+        InputError: wrong files, or another number of them than of sources.
+    """
+    rigs = rig if isinstance(rig, list | tuple) else choices.rig if rig is None else [rig]
+    tracks = (
+        poses if isinstance(poses, list | tuple) else choices.poses if poses is None else [poses]
+    )
+    each = zip(
+        sources,
+        one_each("--rig", rigs, len(sources)),
+        one_each("--poses", tracks, len(sources)),
+        strict=True,
+    )
+    return [
+        Recording.open(
+            source,
+            rig=own,
+            changes=choices.changes,
+            poses=track,
+            exposure=choices.exposure,
+            fps=choices.fps,
+        ).without_repeats()
+        for source, own, track in each
+    ]
+
+
+def fit_recordings(sources: Sequence[Recording], choices: Choices) -> Fit:
     """Fit a model to recordings of withdrawals.
 
     Raises:
@@ -253,17 +291,17 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
     """
     of_lens = choices.lens or (choices.known and choices.known.model == "lens")
     model: str = "lens" if choices.model == "auto" and of_lens else choices.model
-    others = [source for source in sources if not is_stack(source)]
+    without_images = sum(source.spots is not None for source in sources)
     if model != "auto":
-        _check(model, choices, sources=len(sources), others=len(others))
-    recordings = _recordings(sources, others, choices)
+        _check(model, choices, sources=len(sources), without_images=without_images)
+    recordings = _trials(sources, choices)
     if model == "auto":
         model, reason = chosen_model(recordings)
         say(f"Model {model}: {reason}.")
-        _check(model, choices, sources=len(sources), others=len(others))
+        _check(model, choices, sources=len(sources), without_images=without_images)
     fit = _fit(model, recordings, choices)
     first, *more = recordings
-    has_pixels = is_stack(first.source) and first.microscope.noise is not None
+    has_pixels = first.recording.spots is None
     one_cone = (choices.model, model, choices.free) == ("auto", "cone", None) and not more
     if fit.good or not one_cone or not has_pixels or any(first.tilt):
         return fit
@@ -277,7 +315,7 @@ def fit_recordings(sources: Sequence[Path], choices: Choices) -> Fit:
     return other if other.good else fit
 
 
-def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
+def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
     for recording in recordings:
         seen = recording.microscope
         beyond = seen.viewing_path is not None or seen.retina_semi_axes_mm is not None
@@ -305,11 +343,10 @@ def _fit(model: str, recordings: list[Recording], choices: Choices) -> Fit:
         fitted=fitted,
         recordings=recordings,
         doubts=doubts(fitted),
-        exposure=choices.exposure,
     )
 
 
-def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
+def _check(model: str, choices: Choices, *, sources: int, without_images: int) -> None:
     """Reject choices that do not fit the model, before any spot is measured."""
     chosen = MODELS[model]
     for name in choices.names:
@@ -339,31 +376,20 @@ def _check(model: str, choices: Choices, *, sources: int, others: int) -> None:
             "--calibration does not work with --lens, nor with the models plane and sphere. "
             "Leave it out."
         )
-    if chosen.of_pixels and (others or sources != 1):
+    if chosen.of_pixels and (without_images or sources != 1):
         raise InputError(
-            f"--model {model} fits the pixels of one stack; got {sources} sources, of which "
-            f"{others} are no stacks. Fit each stack by itself, or fit the spots of all sources "
+            f"--model {model} fits the pixels of one recording; got {sources} sources, of which "
+            f"{without_images} have no images. Fit each by itself, or fit the spots of all sources "
             "together with --model cone."
         )
 
 
-def _recordings(
-    sources: Sequence[Path], others: Sequence[Path], choices: Choices
-) -> list[Recording]:
+def _trials(sources: Sequence[Recording], choices: Choices) -> list[RecordedTrial]:
     """Measure the spots, and refuse recordings that cannot be fitted together."""
-    books, touch = choices.log_books(others), choices.priors.get("touch")
-    recordings = []
+    touch, recordings = choices.priors.get("touch"), []
     for source in sources:
         with progress(f"Measuring {source.name}", total=None) as advance:
-            recordings.append(
-                read_recording(
-                    source,
-                    exposure=choices.exposure,
-                    log_book=books.get(source),
-                    touch=touch,
-                    progress=advance,
-                )
-            )
+            recordings.append(recorded_trial(source, touch=touch, progress=advance))
     media = {recording.medium for recording in recordings}
     if len(media) > 1:
         raise InputError(
@@ -388,7 +414,7 @@ def _recordings(
     return recordings
 
 
-def table_of(fitted: Fitted, recordings: Sequence[Recording]) -> Table:
+def table_of(fitted: Fitted, recordings: Sequence[RecordedTrial]) -> Table:
     """What the terminal shows: value, standard deviation and unit of each parameter."""
     frames = sum(recording.frames for recording in recordings)
     goodness = fitted.chi_squared_per_degree

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from eyespot import optics
 from eyespot.calibration.pixels.data import Footage
-from eyespot.calibration.recordings import Recording
+from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.lens import lens_of
@@ -37,7 +37,7 @@ lens is taken at once, and beyond the second it is no lens of these spots. Of fi
 
 
 def guessed_lenses(
-    recording: Recording,
+    recording: RecordedTrial,
     footage: Footage,
     kind: Mapping[str, float],
     priors: Mapping[str, Prior],
@@ -130,7 +130,7 @@ def guessed_lenses(
     yield from (drop for _, drop in others)
 
 
-def _rings(recording: Recording, footage: Footage, spot: int) -> Float[np.ndarray, "r"]:
+def _rings(recording: RecordedTrial, footage: Footage, spot: int) -> Float[np.ndarray, "r"]:
     """Median light of elliptical rings around a spot, full wells; NaN where no pixel shows it."""
     at = recording.records[spot].frame
     image, clear = footage.light[at], footage.clear[at]
@@ -143,7 +143,7 @@ def _rings(recording: Recording, footage: Footage, spot: int) -> Float[np.ndarra
     return np.array([np.median(light) if light.size else math.nan for light in inside])
 
 
-def _radii_on_wall(recording: Recording) -> Float[np.ndarray, "n"]:
+def _radii_on_wall(recording: RecordedTrial) -> Float[np.ndarray, "n"]:
     """Semi-minor axes on the wall, mm."""
     microscope, trial = recording.microscope, recording.trial
     size = np.asarray(trial.ellipses.semi_minor) * microscope.scale_mm_px

@@ -12,7 +12,7 @@ from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.verdict import Fitted, bounds_hit
 from eyespot.calibration.pixels.data import CONE
-from eyespot.calibration.recordings import Recording
+from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone
 from eyespot.calibration.spots.cone_trials import (
     OUTLINE_PER_MM,
@@ -38,7 +38,7 @@ from eyespot.formats.inputs import InputError
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
 
 
-def line_through(recordings: Sequence[Recording], loss: Loss = "squares") -> PlaneFit:
+def line_through(recordings: Sequence[RecordedTrial], loss: Loss = "squares") -> PlaneFit:
     """The paper's line through the spots of all recordings."""
     return fit_plane(
         semi_minor_px=np.concatenate([np.asarray(r.trial.ellipses.semi_minor) for r in recordings]),
@@ -47,7 +47,7 @@ def line_through(recordings: Sequence[Recording], loss: Loss = "squares") -> Pla
     )
 
 
-def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+def fit_planes(recordings: Sequence[RecordedTrial], choices: Choices) -> Fitted:
     """Fit the paper's line through all planes, with each trial's touch and the plane's tilt."""
     for recording in recordings:
         if recording.trial.kind != "plane":
@@ -85,7 +85,7 @@ def fit_planes(recordings: Sequence[Recording], choices: Choices) -> Fitted:
     )
 
 
-def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+def fit_sphere(recordings: Sequence[RecordedTrial], choices: Choices) -> Fitted:
     """Fit the paper's c of one eyeball trial, given the line through the planes."""
     spheres = [r for r in recordings if r.trial.kind == "eyeball"]
     if len(spheres) != 1:
@@ -134,8 +134,8 @@ def fit_sphere(recordings: Sequence[Recording], choices: Choices) -> Fitted:
 
 
 def _pooled_planes(
-    recordings: Sequence[Recording], loss: Loss
-) -> tuple[list[Recording], PlaneTrialsFit, list[str]]:
+    recordings: Sequence[RecordedTrial], loss: Loss
+) -> tuple[list[RecordedTrial], PlaneTrialsFit, list[str]]:
     """The planes' recordings, the line through them, and a sentence about it and about each."""
     planes = [r for r in recordings if r.trial.kind == "plane"]
     if not planes:
@@ -184,7 +184,7 @@ def _pooled_planes(
     return kept, pooled, notes
 
 
-def _outlier_note(recording: Recording, outliers: tuple[int, ...]) -> list[str]:
+def _outlier_note(recording: RecordedTrial, outliers: tuple[int, ...]) -> list[str]:
     if not outliers:
         return []
     readings = ", ".join(f"{recording.trial.readings[i]:.2f}" for i in outliers)
@@ -195,36 +195,88 @@ EYE = ("half_angle", "b", "scale", "inverse_working_distance", "eye_radius")
 """What is fitted: the cone, which is known, and the pinhole and the sphere that are not."""
 
 
-def cone_start(recordings: Sequence[Recording]) -> dict[str, float]:
+def cone_start(recordings: Sequence[RecordedTrial]) -> dict[str, float]:
     """The paper's line through all spots, which is close enough for the exact model to converge."""
     line = line_through(recordings)
     half_angle = math.atan(recordings[0].microscope.scale_mm_px / line.delta_k)
     return {"half_angle": half_angle, "b": line.b}
 
 
-def fit_cone_to_spots(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> Fitted:
     """Fit the exact geometry to planes and eyeballs together."""
     _require_errors(recordings)
     tilts = [recording.tilt for recording in recordings if recording.trial.kind == "plane"]
     tilt = dict(zip(("tilt_x", "tilt_y"), tilts[0] if tilts else (0.0, 0.0), strict=True))
     own = known_cone(choices.known, recordings) if choices.known else None
-    fit = fit_cone(
-        [recording.trial for recording in recordings],
-        recordings[0].microscope.pinhole(),
-        start=(dict(own.mean) if own else cone_start(recordings)) | tilt,
-        free=choices.names or CONE,
-        priors=_without_touch(choices),
-        joint_prior=own,
-        size_sigmas=[SIZE_SIGMA] * len(recordings),
-    )
-    return _fitted(fit, recordings, calibration_model="exact")
+    tolerances = tolerances_of(recordings, choices)
+    core = None if own else _free_core(recordings)
+    start = dict(own.mean) if own else cone_start(recordings)
+    for _ in range(_CORE_ROUNDS if core else 1):
+        joint = own if core is None else _cone_from(core, start["half_angle"])
+        fit = fit_cone(
+            [recording.trial for recording in recordings],
+            recordings[0].microscope.pinhole(),
+            start=start | (dict(joint.mean) if joint else {}) | tilt,
+            free=tuple(dict.fromkeys((*(choices.names or CONE), *tolerances))),
+            priors=tolerances | _without_touch(choices),
+            joint_prior=joint,
+            size_sigmas=[SIZE_SIGMA] * len(recordings),
+        )
+        start = start | {"half_angle": fit.values["half_angle"]}
+    return _fitted(fit, recordings, calibration_model="exact", core=core)
+
+
+def tolerances_of(recordings: Sequence[RecordedTrial], choices: Choices) -> dict[str, Prior]:
+    """What the rig states only to a tolerance: free in the fit, with this prior."""
+    sigma = max(one.recording.rig.robot.scale_sigma for one in recordings)
+    if sigma == 0 or "robot_scale" in choices.priors:
+        return {}
+    return {"robot_scale": Prior(1.0, sigma)}
+
+
+_CORE_ROUNDS = 3
+"""Fits whose start is the half-angle of the one before. The first is off by what the line through
+the spots misses, some percent; each next one squares that."""
+_ANY_ANGLE = 0.5
+"""Standard deviation, rad, of a half-angle of which nothing is known."""
+
+
+def _free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
+    """Radius of the core on which the distances rest where no first distance is known.
+
+    Raises:
+        InputError: neither is stated.
+    """
+    if not any(one.trial.touch == FREE_TOUCH for one in recordings):
+        return None
+    own = recordings[0].recording.rig.instrument
+    if own.core_radius_mm is None:
+        raise InputError(
+            f"{recordings[0].name}: robot.touch is free, so that nothing says how far the tip was. "
+            "State instrument.core_radius_mm, on which the distances then rest; or the first "
+            "distance, --prior touch=MEAN,SIGMA; or begin at contact."
+        )
+    return Prior(own.core_radius_mm, own.core_radius_mm * own.core_radius_sigma)
+
+
+def _cone_from(core: Prior, half_angle: float) -> JointPrior:
+    """A cone of any half-angle that leaves a core of this radius: b = -radius / tan(half_angle).
+
+    Linear about a half-angle, rad.
+    """
+    slope = core.mean / math.sin(half_angle) ** 2
+    across = np.array([1.0, slope]) * _ANY_ANGLE
+    covariance = np.outer(across, across)
+    covariance[1, 1] += (core.sigma / math.tan(half_angle)) ** 2
+    mean = {"half_angle": half_angle, "b": -core.mean / math.tan(half_angle)}
+    return JointPrior(mean, covariance)
 
 
 def _without_touch(choices: Choices) -> dict[str, Prior]:
     return {name: prior for name, prior in choices.priors.items() if name != "touch"}
 
 
-def _require_errors(recordings: Sequence[Recording]) -> None:
+def _require_errors(recordings: Sequence[RecordedTrial]) -> None:
     for recording in recordings:
         if not np.isfinite(recording.trial.covariances).all():
             raise InputError(
@@ -234,7 +286,13 @@ def _require_errors(recordings: Sequence[Recording]) -> None:
             )
 
 
-def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model: str) -> Fitted:
+def _fitted(
+    fit: ConeFit,
+    recordings: Sequence[RecordedTrial],
+    *,
+    calibration_model: str,
+    core: Prior | None = None,
+) -> Fitted:
     """The result of `fit_cone` in the form that all models share."""
     kept = [i for i, name in enumerate(fit.free) if name in QUANTITIES]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
@@ -287,12 +345,15 @@ def _fitted(fit: ConeFit, recordings: Sequence[Recording], *, calibration_model:
             f"{recording.name}: b rests on the distance of the first frame, taken as "
             f"{recording.trial.touch.mean:.3f} ± {recording.trial.touch.sigma:.3f} mm."
             for recording in recordings
-            if calibration_model == "exact"
-        ],
+            if calibration_model == "exact" and core is None
+        ]
+        + [f"b rests on the core's radius, {c.mean:.4g} ± {c.sigma:.2g} mm." for c in (core,) if c],
     )
 
 
-def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration | None) -> Fitted:
+def fit_eye(
+    recordings: Sequence[RecordedTrial], choices: Choices, cone: Calibration | None
+) -> Fitted:
     """Fit pinhole and sphere that stand for an eye and its viewing lens to withdrawals in it."""
     _require_errors(recordings)
     if cone is None:
@@ -328,7 +389,7 @@ def fit_eye(recordings: Sequence[Recording], choices: Choices, cone: Calibration
     return _fitted(fit, recordings, calibration_model="area")
 
 
-def known_cone(calibration: Calibration, recordings: Sequence[Recording]) -> JointPrior:
+def known_cone(calibration: Calibration, recordings: Sequence[RecordedTrial]) -> JointPrior:
     """half_angle and b of a calibration in the recordings' medium."""
     values = calibration.values
     if "b" not in values or not {"k", "half_angle"} & values.keys():

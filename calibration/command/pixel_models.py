@@ -1,4 +1,4 @@
-"""Models image and lens of `eyespot fit`, fitted to every pixel of one stack."""
+"""Models image and lens of `eyespot fit`, fitted to every pixel of one recording."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -13,11 +13,11 @@ from scipy import ndimage
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.lens_guess import guessed_lenses
-from eyespot.calibration.command.models import cone_start, known_cone
+from eyespot.calibration.command.models import cone_start, known_cone, tolerances_of
 from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
-from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, read_footage
+from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
-from eyespot.calibration.recordings import Recording
+from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.solvers import propagated
 from eyespot.calibration.spots.cone_trials import (
     JointPrior,
@@ -28,7 +28,6 @@ from eyespot.calibration.spots.cone_trials import (
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
-from eyespot.formats.stack import read_stack
 from eyespot.optics.wall_light.lens import lens_parameters
 
 _GLUE_INDEX = 1.49
@@ -58,7 +57,7 @@ _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Factors of a calibration file's brightness; it is their product over pi."""
 
 
-def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+def fit_image_of_cone(recordings: Sequence[RecordedTrial], choices: Choices) -> Fitted:
     """Fit half-angle and b of a cone to pixels; start with the paper's line through the spots."""
     (recording,) = recordings
     footage = _footage(recording, choices)
@@ -69,7 +68,7 @@ def fit_image_of_cone(recordings: Sequence[Recording], choices: Choices) -> Fitt
     return _fitted(recording, footage, choices, "cone", [start], joint_prior=own)
 
 
-def fit_image_of_lens(recordings: Sequence[Recording], choices: Choices) -> Fitted:
+def fit_image_of_lens(recordings: Sequence[RecordedTrial], choices: Choices) -> Fitted:
     """Fit shape, aperture and brightness of a glue lens to pixels.
 
     Starts from the lenses that resemble the spots most, among them the one that was chosen. If
@@ -126,7 +125,7 @@ def _known_lens(
     return start, JointPrior({name: start[name] for name in known}, covariance)
 
 
-def _pose_start(recording: Recording) -> dict[str, float]:
+def _pose_start(recording: RecordedTrial) -> dict[str, float]:
     """Where the spots show that the beam meets the wall at reading 0, and its boresight."""
     trial, file = recording.trial, recording.microscope
     wall = phantom_wall(trial.kind, eye_radius=file.eye_radius_mm, tilt=recording.tilt)
@@ -145,7 +144,7 @@ def _pose_start(recording: Recording) -> dict[str, float]:
     return dict(zip(("u", "v", *_BEAM), [*first.tolist(), *boresight.tolist()], strict=True))
 
 
-def _footage(recording: Recording, choices: Choices) -> Footage:
+def _footage(recording: RecordedTrial, choices: Choices) -> Footage:
     """The images of a recording.
 
     Raises:
@@ -156,11 +155,11 @@ def _footage(recording: Recording, choices: Choices) -> Footage:
             f"{recording.name} shows a tilted plane. The fit to pixels supports only planes "
             "perpendicular to the microscope's axis. Use --model cone, which supports a tilt."
         )
-    return read_footage(read_stack(recording.source), exposure=choices.exposure)
+    return footage_of(recording.recording)
 
 
 def _fitted(
-    recording: Recording,
+    recording: RecordedTrial,
     footage: Footage,
     choices: Choices,
     source: Literal["cone", "lens"],
@@ -174,7 +173,13 @@ def _fitted(
     The likeliest of the `starts` comes first. Parameters with a prior in `more` are free beside
     those free by default. A calibration gives the beam's `joint_prior`.
     """
+    if recording.trial.touch == FREE_TOUCH:
+        raise InputError(
+            f"{recording.name}: robot.touch is free, and pixels do not say how far the tip was in "
+            "the first frame before the beam is known. Give --prior touch=MEAN,SIGMA, in mm."
+        )
     known = _pose_start(recording)
+    more = {**(more or {}), **tolerances_of([recording], choices)}
     if "spread" in choices.names:
         known["spread"] = _SPREAD_MM
     begins = (known | start for start in starts)
@@ -188,8 +193,8 @@ def _fitted(
             source=source,
             start=next(begins),
             others=begins,
-            free=choices.names or tuple(dict.fromkeys((*FREE[source], *(more or {})))),
-            priors={**(more or {}), **choices.priors},
+            free=tuple(dict.fromkeys((*(choices.names or FREE[source]), *more))),
+            priors={**more, **choices.priors},
             joint_prior=joint_prior,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from eyespot.calibration.pixels.fit import Failure
 from eyespot.calibration.pixels.misfit import Misfit
-from eyespot.calibration.recordings import Recording
+from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.solvers import accepted_range, slow_waves
 from eyespot.formats.calibration import QUANTITIES
 
@@ -52,7 +52,7 @@ class Fitted:
     residuals: dict[str, Float[np.ndarray, "n"]]
     """By name, with variance 1: one per usable spot of `recordings` in order; empty for a fit to
     pixels. Ordered so that a misfit affects neighbours alike."""
-    recordings: Sequence[Recording]
+    recordings: Sequence[RecordedTrial]
     used: int
     """Number of spots, or of frames, that the fit used."""
     degrees_of_freedom: int

@@ -1,10 +1,9 @@
 """What a fit to pixels has: frames, spots, and the parameters that are free.
 
-Frames are light with a known noise, with the conditions of the recording. Reads images, times,
-exposures, the robot's poses and the microscope's file. From the scene it reads only the camera's
-data sheet, the wall's kind, the medium and the instrument's sizes. It does not read the labels.
+Frames are light with a known noise, with the conditions of the recording.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -13,13 +12,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot import optics
-from eyespot.calibration.recordings import withdrawal
+from eyespot.calibration.recorded_trial import withdrawal
 from eyespot.calibration.spots.cone_trials import Prior
-from eyespot.estimator.sources.opening import open_source
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response
-from eyespot.formats.inputs import InputError, in_file, shortened, validated
-from eyespot.formats.microscope import MicroscopeFile, read_microscope
-from eyespot.formats.stack import Stack
+from eyespot.estimator.recording import Recording
+from eyespot.formats.camera import CameraNoise
+from eyespot.formats.inputs import InputError
+from eyespot.formats.microscope import MicroscopeFile
 from eyespot.optics.instrument import BareFibre
 from eyespot.optics.wall_light.lens import PARAMETERS as LENS
 
@@ -31,16 +29,17 @@ class Footage:
     Attributes:
         light: mean of the channels, full wells, frames x h x w.
         clear: whether a pixel is neither black nor saturated in any channel.
-        exposure_s: exposure times that the camera reports.
+        exposure_s: exposure times that the camera reports, or in proportion to them.
         readings: distance of the tip from its place in the first frame, mm.
         motion: unit vector against the tip's motion, towards the wall, reported by the robot.
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
-        microscope: the stack's microscope file.
+        microscope: and wall, by the rig.
         instrument: the tool, which can hide the wall and touches it in the first frame.
         in_view: whether the instrument is visible.
         kind: kind of the wall, "eyeball" or "plane".
         medium_index: n0.
+        touch_sigma: accuracy with which the contact was found, mm.
     """
 
     light: Float[np.ndarray, "frames h w"]
@@ -55,75 +54,71 @@ class Footage:
     in_view: bool
     kind: str
     medium_index: float
+    touch_sigma: float = 0.02
 
 
-def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
-    """Read a stack's frames as light.
+def footage_of(source: Any) -> Footage:
+    """Read the frames of a withdrawal as light.
+
+    The camera's noise is that of the rig, or measured in the frames if the rig says nothing of it.
 
     Args:
-        stack: a withdrawal that begins at contact.
-        exposure: see `open_source`.
+        source: a recording, or what `Recording.open` takes.
 
     Raises:
-        InputError: a camera that the noise model does not support, or robot
-            poses that are no withdrawal or do not cover all frames.
+        InputError: the rig lacks something, or robot poses that are no withdrawal or do not cover
+            all frames.
     """
-    microscope = read_microscope(stack.folder / "microscope.json")
-    camera = stack.described("scene.camera", dict)
-    with in_file(stack.folder / "stack.toml"):
-        noise = noise_of(camera, microscope.response)
-    frames = list(open_source(stack.folder, exposure=exposure))
+    recording = Recording.open(source)
+    if recording.rig.view is not None and recording.rig.view.noise is None:
+        recording = recording.measured()
+    rig, view = recording.rig, recording.rig.view
+    if view is None or view.noise is None or rig.wall.medium is None:
+        raise InputError(
+            f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
+            "--rig FILE; `eyespot rig init` writes one."
+        )
+    noise, instrument = view.noise, rig.instrument
+    frames = list(recording.source)
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
+    known = exposure_s if np.isfinite(exposure_s).all() else None
     readings, motion, axis, _ = withdrawal(
-        times, stack.folder / "kinematics.csv", source=stack.folder, exposure_s=exposure_s
+        times, recording.robot(), source=recording.source.name, exposure_s=known
     )
-
-    def number(key: str) -> float:
-        return stack.described(f"scene.{key}", float)
-
-    medium = stack.described("scene.source.medium", str)
-    if medium not in optics.MEDIA:
-        raise InputError(f"{stack.folder}: unknown medium {shortened(medium)}. Render it again.")
+    light = np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32)
     return Footage(
-        light=np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32),
-        clear=np.stack(
-            [((f.image > 0) & (f.image < noise.full_scale)).all(axis=-1) for f in frames]
-        ),
-        exposure_s=exposure_s,
+        light=light,
+        clear=np.stack([noise.is_within(frame.image) for frame in frames]),
+        exposure_s=_relative_exposures(light, noise) if known is None else exposure_s,
         readings=readings,
         motion=motion,
         axis=axis,
         noise=noise,
-        microscope=microscope,
-        instrument=BareFibre(
-            number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
-        ),
-        in_view=stack.described("scene.instrument.visible", bool),
-        kind=stack.described("scene.phantom.kind", str),
-        medium_index=optics.MEDIA[medium],
+        microscope=view,
+        instrument=BareFibre(instrument.fibre_diameter_mm / 2, instrument.fibre_length_mm),
+        in_view=instrument.visible,
+        kind="eyeball" if view.plane_normal is None else "plane",
+        medium_index=optics.MEDIA[rig.wall.medium],
+        touch_sigma=rig.robot.touch_sigma_mm,
     )
 
 
-def noise_of(camera: dict[str, Any], response: Response) -> CameraNoise:
-    """The noise of the table [camera] of a scene.
+_SHOWN = 6.0
+"""Noise of a pixel below which the background does not show how long a frame was exposed."""
 
-    Raises:
-        InputError: the camera correlates the noise of pixels or has fixed-pattern noise, or the
-            table is damaged.
+
+def _relative_exposures(
+    light: Float[np.ndarray, "frames h w"], noise: CameraNoise
+) -> Float[np.ndarray, "frames"]:
+    """Exposures by the light beside the beam, where the camera does not report them.
+
+    The rest of a frame's gain is among its states. Without light beside the beam all are alike.
     """
-    correlating = ("bayer", "jpeg_quality", "prnu", "dsnu_e")
-    names = ", ".join(
-        f"{k} = {camera[k]}" for k in correlating if camera.get(k, 0) not in ("none", 0)
-    )
-    if names:
-        raise InputError(
-            f"the image fit needs independent noise in every pixel; this camera has {names}. "
-            "Record raw frames, divided by a flat field, or fit the spots (--model cone)."
-        )
-    own = CameraSheet.model_fields.keys() & camera.keys() - {"bayer"}
-    sheet = {name: camera[name] for name in own}
-    return CameraNoise(validated(CameraSheet, sheet, remedy="Render the stack again."), response)
+    dim = np.quantile(light.reshape(len(light), -1), 0.2, axis=1)
+    if dim.min() < _SHOWN * math.sqrt(float(noise.variance(np.zeros(())))):
+        return np.ones(len(light))
+    return dim / dim.mean()
 
 
 UNITS = {

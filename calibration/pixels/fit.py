@@ -14,7 +14,7 @@ from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, 
 from eyespot.calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
 from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
-from eyespot.calibration.recordings import touch_of
+from eyespot.calibration.recorded_trial import touch_of
 from eyespot.calibration.solvers import covariance_and_lost, propagated
 from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, JointPrior, Prior
 from eyespot.formats.inputs import InputError
@@ -138,7 +138,7 @@ def fit_image(
     is learnt that it has none.
 
     Args:
-        footage: a withdrawal, see `read_footage`.
+        footage: a withdrawal, see `footage_of`.
         source: kind of the light source.
         start: start values of free parameters, within 30 %, and values of the others: `half_angle`
             and `b` for a cone, `lens_parameters` for a lens. `reflectance` and `power` (default 0.5
@@ -161,7 +161,8 @@ def fit_image(
     file, rim = footage.microscope, footage.instrument.fibre_radius
     camera = file.camera()
     undistorted = place if camera is None else camera.undistorted(place)[0]
-    touch = touch_of(footage.kind, file, undistorted, footage.axis, rim_radius=rim)
+    sigma = footage.touch_sigma
+    touch = touch_of(footage.kind, file, undistorted, footage.axis, rim_radius=rim, sigma=sigma)
     lean, boresight = Prior(0.0, LEAN_SIGMA), Prior(0.0, BORESIGHT_SIGMA)
     known = {
         "touch": touch,

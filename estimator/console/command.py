@@ -14,7 +14,9 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import POSE_TOPIC
 
 if TYPE_CHECKING:
+    from eyespot.estimator.sources.source import Source
     from eyespot.formats.poses import PoseTrack
+    from eyespot.formats.rig import Rig
 
 _TOPIC = "topic:"
 
@@ -51,26 +53,40 @@ def console(
     if not folder.is_dir():
         raise InputError(f"{folder} is not a folder. Make it, or choose another one.")
     track: "Callable[[], PoseTrack] | None"
+    rig = options.own_rig()
     if source.startswith(_TOPIC):
         from eyespot.estimator.rig.rig import RecentPoses
         from eyespot.estimator.rig.topic import open_topic
 
         if recorded.poses is not None:
             raise InputError(
-                "poses are of a recording. Those of a running ROS have a --pose-topic."
+                "poses are of a recording. Those of a running ROS have robot.pose_topic."
             )
-        recent, pose_topic = RecentPoses(), recorded.pose_topic or POSE_TOPIC
+        recent, pose_topic = RecentPoses(rig.robot), rig.robot.pose_topic or POSE_TOPIC
         live = open_topic(source.removeprefix(_TOPIC), poses=recent, pose_topic=pose_topic)
-        opened, track = (lambda: live), recent.track
+        open_, track = (lambda: live), recent.track
+        beam = options.beam()
     else:
-        opened, known = partial(recorded.source, source), recorded.pose_track(options)
-        first = opened()
-        for note in first.notes:
+        recording, options, beam = recorded.opened(source, options)
+        for note in recording.source.notes:
             print(note, file=sys.stderr, flush=True)
-        options = options.of_source(first)
+        rig, known = recording.rig, recording.poses()
+        open_ = partial(_again, recorded, source, rig)
         track = (lambda: known) if known is not None else None
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
         print(f"Other machines need this token: {token}", flush=True)
-    serve(opened, options, folder=folder, host=host, port=port, token=token, poses=track)
+    reader = options.reader(rig, beam)
+    age = options.calibration
+    serve(
+        open_, reader, rig, beam=age, folder=folder, host=host, port=port, token=token, poses=track
+    )
+
+
+def _again(recorded: RecordingOptions, source: str, rig: "Rig") -> "Source":
+    """Open the source once more: a camera was lost, or a recording begins anew."""
+    from eyespot.estimator.recording import Recording
+
+    again = Recording.open(source, rig=rig, exposure=recorded.exposure, fps=recorded.fps)
+    return again.source

@@ -12,14 +12,16 @@ import tempfile
 import time
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
 from eyespot.estimator.console.session import CoursePoint, Session
 from eyespot.formats.camera import Response
 from eyespot.formats.inputs import InputError
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.whole_files import write_text
 
 _SATURATED = 0.01  # of the spot; below it are single hot pixels and reflections
 _DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has four times its least
@@ -66,8 +68,8 @@ class Stage(Enum):
 class Guide:
     """Guides one calibration after the other, for all windows of a session."""
 
-    def __init__(self, session: Session, folder: Path, microscope: Path | None) -> None:
-        self._session, self._folder, self._microscope = session, folder, microscope
+    def __init__(self, session: Session, folder: Path, rig: Rig) -> None:
+        self._session, self._folder, self._rig = session, folder, rig
         self.stage = Stage.IDLE
         self.said = ""
         """What `eyespot fit` said."""
@@ -96,11 +98,11 @@ class Guide:
         """Record from now on; the tip must touch the wall.
 
         Raises:
-            InputError: there is no microscope file.
+            InputError: the rig has no microscope.
             OSError: the bag cannot be written.
         """
-        if self._microscope is None:
-            raise InputError("a calibration needs --microscope. Start the console with it.")
+        if self._rig.view is None:
+            raise InputError("a calibration needs the microscope. Start the console with --rig.")
         self._bag = self._folder / time.strftime("calibration-%Y%m%d-%H%M%S.bag")
         self._session.start_recording(self._bag)
         course = self._session.course
@@ -133,7 +135,7 @@ class Guide:
 
         Args:
             phantom: "plane" or "eyeball".
-            medium: as of `eyespot fit`.
+            medium: as wall.medium of a rig file.
 
         Raises:
             InputError: the bag could not be completed.
@@ -142,14 +144,10 @@ class Guide:
         if self._session.recording_fault:
             self.stage, self.said = Stage.REFUSED, self._session.recording_fault
             raise InputError(self.said)
-        options: dict[str, Any] = {
-            "--poses": self._bag,
-            "--microscope": self._microscope,
-            "--phantom": phantom,
-            "--medium": medium,
-            "--model": "cone",
-            "--out": self.file,
-        }
+        file = self._bag.with_suffix(".toml")
+        rig = self._rig.changed({"wall.kind": phantom, "wall.medium": medium})
+        write_text(file, rig.toml(self._folder))
+        options = {"--poses": self._bag, "--rig": file, "--out": self.file}
         words = [str(word) for pair in options.items() for word in pair]
         self._log = tempfile.TemporaryFile()
         self._fit = subprocess.Popen(

@@ -12,10 +12,11 @@ from starlette.responses import Response as Reply
 from eyespot.estimator.console.gate import Gate
 from eyespot.estimator.console.guide import FEWEST_SPOTS, LEAST_MM, Guide, Stage, exposure_advice
 from eyespot.estimator.console.session import COURSE_S, Session, View, svg_of
-from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.reader import Reader
 from eyespot.estimator.sources.source import Source
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import NoSpot
 
 _PICTURE_S, _COURSE_S = 0.04, 0.25  # how often a page looks for something new
@@ -24,8 +25,10 @@ _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")
 
 def serve(
     open_: Callable[[], Source],
-    options: Options,
+    reader: Reader,
+    rig: Rig,
     *,
+    beam: Path | None,
     folder: Path,
     host: str,
     port: int,
@@ -34,13 +37,17 @@ def serve(
 ) -> None:
     """Serve the page until Ctrl-C.
 
+    Args:
+        rig: of the frames, which a guided calibration needs.
+        beam: the calibration's file, whose age the page shows.
+
     Raises:
-        InputError: options, files or the source are wrong.
+        InputError: the source is wrong.
         OSError: a file cannot be read.
     """
-    microscope = options.microscope_file()
+    microscope = rig.view
     response = microscope.response if microscope else None
-    session = Session(open_, options.reader(), response=response, poses=poses)
+    session = Session(open_, reader, response=response, poses=poses)
 
     @app.get("/frame/{version}")
     def frame(version: int) -> Reply:
@@ -48,7 +55,7 @@ def serve(
         content = session.view.jpeg() if session.view else b""
         return Reply(content, media_type="image/jpeg", headers={"Cache-Control": "no-store"})
 
-    guide = Guide(session, folder, options.microscope)
+    guide = Guide(session, folder, rig)
 
     @app.get("/report/{name}")
     def report(name: str) -> Reply:
@@ -60,7 +67,7 @@ def serve(
 
     @ui.page("/")
     def page() -> None:
-        Page(session, options, folder, lambda view: svg_of(view, microscope))
+        Page(session, beam, folder, lambda view: svg_of(view, microscope))
         CalibrationPanel(guide)
 
     app.add_middleware(Gate, token=token)
@@ -83,7 +90,7 @@ class Page:
     """One window; all windows show the same session."""
 
     def __init__(
-        self, session: Session, options: Options, folder: Path, overlay: Callable[[View], str]
+        self, session: Session, beam: Path | None, folder: Path, overlay: Callable[[View], str]
     ) -> None:
         self._session, self._folder, self._overlay = session, folder, overlay
         self._shown = -1
@@ -94,9 +101,9 @@ class Page:
             ui.label("eyespot").classes("brand")
             ui.label(session.source.name).classes("source")
             calibration = "no calibration: no distance"
-            if options.calibration is not None:
-                days = (time.time() - options.calibration.stat().st_mtime) / 86400
-                calibration = f"calibration {options.calibration.name}, {days:.0f} days old"
+            if beam is not None:
+                days = (time.time() - beam.stat().st_mtime) / 86400
+                calibration = f"calibration {beam.name}, {days:.0f} days old"
             ui.label(calibration).classes("note")
             ui.space()
             ui.label(f"mode: {session.mode}").classes("note")

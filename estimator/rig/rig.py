@@ -19,6 +19,7 @@ from eyespot.estimator.sources.source import Frame
 from eyespot.estimator.viewer import recording_of
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, pose_of_message
+from eyespot.formats.rig import RobotKeys
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
@@ -27,8 +28,9 @@ POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node soo
 class RecentPoses:
     """Takes poses in one thread, and gives them in any other."""
 
-    def __init__(self) -> None:
+    def __init__(self, robot: RobotKeys | None = None) -> None:
         self._poses: tuple[Pose, ...] = ()
+        self._robot = robot
 
     def take(self, message: Any, received_s: float) -> None:
         """Remember a pose.
@@ -116,10 +118,13 @@ class ImageReader:
     """
 
     def __init__(self, parameters: Parameters, show: Show | None = None) -> None:
-        self._reader = parameters.reader()
+        rig = parameters.own_rig()
+        self._reader = parameters.model_copy(
+            update={"calibration": parameters.calibration or rig.calibration_file}
+        ).reader(rig)
         self._reader.prepare()
         self._show = show
-        self.poses = RecentPoses()
+        self.poses = RecentPoses(rig.robot)
         self._number: int | None = None  # the publisher's, of the last image
         self._measured = 0
         self._skipped = 0
@@ -162,8 +167,8 @@ def opened_rig(parameters: Parameters) -> Iterator[ImageReader]:
     if parameters.rerun is None:
         yield ImageReader(parameters)
         return
-    microscope = parameters.microscope_file()
-    with recording_of(parameters.rerun, name="rig", microscope=microscope) as recording:
+    view = parameters.own_rig().view
+    with recording_of(parameters.rerun, name="rig", microscope=view) as recording:
         yield ImageReader(parameters, recording.add_reading)
 
 

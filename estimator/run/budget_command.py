@@ -32,8 +32,8 @@ def budget(
 ) -> None:
     """Say how uncertain a distance is, why, and what would halve the largest part.
 
-    The terms are those of the GUM (JCGM 100:2008). `--stated` names a file with what the lab knows
-    of its eye, robot and clocks.
+    The terms are those of the GUM (JCGM 100:2008). The rig file states what the lab knows of its
+    eye, robot and clocks.
 
     Args:
         source: Stack, folder of images, TIFF, video, or ROS bag.
@@ -44,26 +44,25 @@ def budget(
 
     from eyespot.estimator.run.offline import track_source
 
-    if options.calibration is None:
+    if options.mode == "auto":  # a budget is of an outline's distance
+        options = options.model_copy(update={"mode": "subpixel"})
+    opened = recorded.opened(source, options)
+    if opened.beam is None:
         raise InputError(
             "a budget is of a distance, which needs a calibration. Give --calibration."
         )
-    frames, options, poses = recorded.opened(source, options)
     with Console(stderr=True).status("Preparing"):
-        # A budget is of an outline's distance.
-        outlines = {"mode": "subpixel"} if options.mode == "auto" else {}
-        reader = options.model_copy(update=outlines).reader()
+        reader = opened.reader()
     found: dict[int, Budget] = {}
 
     def keep(one: Frame, reading: Reading) -> None:
         if reading.budget:
             found[one.index] = reading.budget
 
-    with progress("Measuring", total=frames.length) as advance:
+    with progress("Measuring", total=opened.recording.source.length) as advance:
         tracking = track_source(
-            frames,
+            opened.recording,
             reader,
-            poses=poses,
             show=keep,
             write=lambda record: None,
             progress=lambda record: advance(),

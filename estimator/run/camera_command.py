@@ -1,11 +1,7 @@
-"""The command `eyespot camera`: measures a camera's noise, and writes it into a microscope file."""
+"""The command `eyespot camera`: measures a camera's noise, and writes it into a rig file."""
 
-import json
 from pathlib import Path
 from typing import Annotated
-
-from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from eyespot.estimator.run.options import OUT
 from eyespot.formats.inputs import InputError
@@ -15,9 +11,8 @@ def camera(
     folder: Path,
     /,
     *,
-    microscope: Path,
+    rig: Path,
     out: Annotated[Path, OUT],
-    bit_depth: Annotated[int, Parameter(validator=Number(gte=8, lte=16))] = 8,
     bayer: bool = False,
 ) -> None:
     """Measure a camera's noise from pairs of images of an even wall (EMVA 1288).
@@ -28,25 +23,24 @@ def camera(
     Args:
         folder: Images in pairs, in the order of their names: two of each brightness, and two in the
             dark.
-        microscope: microscope.json that gets the camera's noise.
-        out: The new microscope.json.
-        bit_depth: Bits that the camera uses per channel, 8 to 16.
+        rig: Rig file that gets the camera's noise; camera.bit_depth is its own.
+        out: The new rig file.
         bayer: Colours are interpolated behind a Bayer filter.
     """
     from eyespot.estimator.photon_transfer import measured_noise
     from eyespot.estimator.sources.files import open_images
-    from eyespot.formats.inputs import in_file, object_in, read_text
-    from eyespot.formats.microscope import read_microscope
+    from eyespot.formats.inputs import in_file
+    from eyespot.formats.rig import read_rig
     from eyespot.formats.whole_files import refuse_existing, write_text
 
     refuse_existing(out)
-    if read_microscope(microscope).response.curve != "linear":
+    known = read_rig(rig)
+    view = known.view
+    if view is not None and not view.response.is_straight:
         raise InputError(
-            f"{microscope}: photon transfer needs a linear response. Record raw frames with gamma "
-            "1, and set response to linear."
+            f"{rig}: photon transfer needs a linear response. Record raw frames with gamma 1, and "
+            "set camera.response to linear."
         )
-    with in_file(microscope):
-        content = object_in(read_text(microscope))
     images = [frame.image for frame in open_images(folder).read()]
     if len(images) % 2:
         raise InputError(
@@ -55,10 +49,9 @@ def camera(
         )
     pairs = list(zip(images[::2], images[1::2], strict=True))
     with in_file(folder):
-        found = measured_noise(pairs, bit_depth=bit_depth, bayer=bayer)
+        found = measured_noise(pairs, bit_depth=known.camera.bit_depth, bayer=bayer)
     sheet = found.sheet
-    content["camera"] = sheet.model_dump(exclude_unset=True)
-    write_text(out, json.dumps(content, indent=1) + "\n")
+    write_text(out, known.with_noise(sheet).toml(out.parent))
     error = found.gain_sigma_dn_e / found.gain_dn_e
     print(
         f"{out}: {found.gain_dn_e:.4g} DN per electron (± {100 * error:.1f} %), full well "

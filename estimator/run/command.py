@@ -21,11 +21,11 @@ from eyespot.estimator.run.progress_bar import progress
 from eyespot.formats.inputs import InputError
 
 if TYPE_CHECKING:
+    from eyespot.estimator.recording import Recording
     from eyespot.estimator.run.offline import Tracking
     from eyespot.estimator.run.overlay import Draw
     from eyespot.estimator.run.reader import Reader, Reading
     from eyespot.estimator.sources.source import Frame, Source
-    from eyespot.formats.poses import PoseTrack
     from eyespot.formats.spots import SpotRecord
 
 _LEAST_LINE_BYTES = 60
@@ -65,19 +65,19 @@ def track(
     from eyespot.formats.whole_files import require_space
 
     _check_results(out, overlay, rerun, overwrite=overwrite)
-    frames, options, poses = recorded.opened(source, options, unrelated=unrelated)
+    opened = recorded.opened(source, options, unrelated=unrelated)
+    recording, options = opened.recording, opened.options
+    frames = recording.source
     require_space(out, _LEAST_LINE_BYTES * (frames.length or 0))
     with spots_stream(out, replace=overwrite) as write:
         # Compiling the model `exact`, or tracing the lens of the model `lens`, takes time.
         with Console(stderr=True).status("Preparing"):
-            reader = options.reader()
+            reader = opened.reader()
             if frames.live:
                 reader.prepare()
         began = time.perf_counter()
-        with _shown(rerun, frames, options) as show:
-            tracking, drawn = tracked(
-                frames, reader, poses, overlay=overlay, show=show, write=write
-            )
+        with _shown(rerun, recording) as show:
+            tracking, drawn = tracked(recording, reader, overlay=overlay, show=show, write=write)
     summary = summary_of(tracking, frames, reader.mode, time.perf_counter() - began) | {
         "out": str(out),
         "overlay": str(drawn) if drawn else None,
@@ -96,9 +96,8 @@ def track(
 
 
 def tracked(
-    frames: Source,
+    recording: Recording,
     reader: Reader,
-    poses: PoseTrack | None = None,
     *,
     overlay: Path | None = None,
     show: Callable[[Frame, Reading], None] | None = None,
@@ -111,7 +110,7 @@ def tracked(
     from eyespot.estimator.run.offline import track_source
     from eyespot.estimator.run.overlay import RIG_RATE_HZ, overlay_writer
 
-    tracking, spots, settings = None, 0, reader.settings
+    frames, tracking, spots, settings = recording.source, None, 0, reader.settings
     drawing: AbstractContextManager[Draw | None] = nullcontext()
     if overlay is not None:
         drawing = overlay_writer(
@@ -129,7 +128,7 @@ def tracked(
                 advance(note=f"{spots} spots")
 
             tracking = track_source(
-                frames, reader, poses=poses, draw=draw, show=show, write=write, progress=measured
+                recording, reader, draw=draw, show=show, write=write, progress=measured
             )
     except (InputError, OSError) as error:
         if tracking is None:
@@ -167,25 +166,21 @@ def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwr
 
 @contextmanager
 def _shown(
-    target: str | None, frames: Source, options: Options
+    target: str | None, recording: Recording
 ) -> Iterator[Callable[[Frame, Reading], None] | None]:
     """Records every frame with its reading and, of a stack, its labels; None for no recording."""
     if target is None:
         yield None
         return
     from eyespot.estimator.viewer import recording_of
-    from eyespot.formats.stack import read_stack
 
-    folder = Path(frames.name)
-    labelled = read_stack(folder).labels if (folder / "stack.toml").is_file() else ()
-    truth = {labels.file_name: labels for labels in labelled}
-    microscope = options.microscope_file()
-    with recording_of(target, name=frames.name, microscope=microscope) as recording:
+    truth = {labels.file_name: labels for labels in recording.labels}
+    with recording_of(target, name=recording.source.name, microscope=recording.view) as shown:
 
         def show(frame: Frame, reading: Reading) -> None:
-            recording.add_reading(frame, reading)
+            shown.add_reading(frame, reading)
             if frame.file_name in truth:
-                recording.add_truth(truth[frame.file_name])
+                shown.add_truth(truth[frame.file_name])
 
         yield show
 

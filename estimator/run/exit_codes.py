@@ -33,6 +33,7 @@ from types import FrameType
 from typing import Any, NoReturn
 
 from cyclopts import CycloptsError
+from cyclopts.exceptions import UnknownOptionError
 
 STOPPED = 128 + signal.SIGINT
 """Exit code of a command that Ctrl-C ended, as shells report it: 130."""
@@ -220,6 +221,11 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     # A class whose module was never loaded cannot have been raised.
     modules = ("pydantic", "eyespot.scenes.machine.variant", "eyespot.formats.inputs")
     pydantic, variant, inputs = map(sys.modules.get, modules)
+    if isinstance(error, UnknownOptionError):
+        from eyespot.estimator.run.options import moved
+
+        name = (error.token.keyword or error.token.value).lstrip("-").partition("=")[0]
+        return moved(name.replace("-", "_")) or str(error)
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
         of_model = message_of(error.__context__, of_options=True) if error.__context__ else None

@@ -15,6 +15,7 @@ from rich.console import Group
 from rich.table import Table
 
 from eyespot.estimator.distance.range import WallMemory
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.exit_codes import finish_first
 from eyespot.estimator.run.progress_bar import say
 from eyespot.estimator.run.reader import Reader, Reading
@@ -123,22 +124,20 @@ class Tracking:
 
 
 def track_source(
-    source: Source,
+    recording: Recording | Source,
     reader: Reader,
     *,
-    poses: PoseTrack | None = None,
     draw: "Draw | None" = None,
     show: Callable[[Frame, Reading], None] | None = None,
     write: Callable[[SpotRecord], None] | None = None,
     progress: Callable[[SpotRecord], None] = lambda record: None,
 ) -> Tracking:
-    """Measure a source's frames until it ends, breaks or is stopped with Ctrl-C.
+    """Measure a recording's frames until it ends, breaks or is stopped with Ctrl-C.
 
     The source's notes go to the standard error. What was measured so far is returned even if the
     source breaks off. A frame that meets a bug is a frame without a spot, see `Reader.read`.
 
     Args:
-        poses: on the source's clock.
         draw: gets every frame with its record, see `overlay.overlay_writer`.
         show: gets every frame with its reading, for a recording.
         write: gets every record, see `spots_stream`; None keeps them in `Tracking.records`,
@@ -150,6 +149,8 @@ def track_source(
         OSError: its results cannot be written.
         KeyboardInterrupt: stopped before the first frame was measured.
     """
+    recording = Recording.open(recording)
+    source, poses = recording.source, recording.poses()
     for note in source.notes:
         say(note)
     tracking = Tracking()
@@ -182,15 +183,18 @@ def track_source(
 
 
 def track_whole_source(
-    source: Source, reader: Reader, *, progress: Callable[[SpotRecord], None] = lambda record: None
+    recording: Recording | Source,
+    reader: Reader,
+    *,
+    progress: Callable[[SpotRecord], None] = lambda record: None,
 ) -> list[SpotRecord]:
-    """The records of all frames of a source, for those who need it whole.
+    """The records of all frames of a recording, for those who need it whole.
 
     Raises:
         InputError: a frame cannot be measured, or the source breaks off.
         KeyboardInterrupt: Ctrl-C.
     """
-    tracking = track_source(source, reader, progress=progress)
+    tracking = track_source(recording, reader, progress=progress)
     if tracking.ended is Ended.INTERRUPTED:
         raise KeyboardInterrupt
     if tracking.ended is not Ended.COMPLETE:

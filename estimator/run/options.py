@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, Self
 
 import numpy as np
 from cyclopts import Group, Parameter
+from cyclopts.validators import Number
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -22,25 +25,50 @@ from pydantic import (
 from eyespot.estimator.run.exit_codes import option
 from eyespot.estimator.run.progress_bar import say
 from eyespot.formats.inputs import InputError, shortened
-from eyespot.formats.poses import Quaternion, unit_quaternion
 
 if TYPE_CHECKING:
     from eyespot.estimator.detector.literal import LiteralSettings
     from eyespot.estimator.detector.settings import SubpixelSettings
+    from eyespot.estimator.recording import Recording
     from eyespot.estimator.run.reader import Reader
-    from eyespot.estimator.sources.source import Source
     from eyespot.formats.calibration import Calibration
     from eyespot.formats.microscope import MicroscopeFile
-    from eyespot.formats.poses import PoseTrack
-    from eyespot.formats.stated import Stated
+    from eyespot.formats.rig import Rig
 
-_NEEDS = {
-    **dict.fromkeys(("pinhole_height_mm", "eye_radius_mm", "wall", "calibration"), "microscope"),
-    **dict.fromkeys(
-        ("model", "eccentricity_mm", "exposure_s", "eye_from_robot", "stated"), "calibration"
-    ),
+MOVED = {
+    "microscope": "microscope.calibration",
+    "pinhole_height_mm": "microscope.pinhole_height_mm",
+    "eye_radius_mm": "wall.radius_mm",
+    "wall": "wall.kind",
+    "phantom": "wall.kind",
+    "medium": "wall.medium",
+    "full_scale": "camera.full_scale",
+    "fibre_diameter_mm": "instrument.fibre_diameter_mm",
+    "eye_from_robot": "robot.eye_from_robot",
+    "image_topic": "robot.image_topic",
+    "pose_topic": "robot.pose_topic",
+    "stated": "robot, wall, viewing and unrest",
 }
+"""Options of eyespot 0.1 and 0.2, and the keys of the rig file that replace them."""
 
+
+def moved(name: str) -> str | None:
+    """What to say of an option that is a key of the rig file now; None of any other."""
+    key = MOVED.get(name)
+    if key is None:
+        return None
+    if name == "microscope":
+        return "--microscope is --rig: a microscope.json or a camera file is taken there as well."
+    if name == "stated":
+        return "--stated is --rig: a file of stated uncertainties is taken there as well."
+    return (
+        f"{option(name)} is the key {key} of the rig file. Write it there (--rig FILE; `eyespot "
+        f"rig init` gives one), or give --set {key}=VALUE."
+    )
+
+
+_OF_OUTLINES = ("eye_radius_sigma_mm", "inverse_working_distance_sigma", "size_per_mm")
+"""Stated uncertainties that only distances of outlines contain."""
 DistanceModel = Literal[
     "planar", "small_plane", "corrected", "stereographic", "exact", "area", "lens"
 ]
@@ -48,9 +76,8 @@ Exposure = Annotated[
     Literal["paper", "metered"] | None,
     Parameter(help="Of a stack with both: paper or metered (default).", show_choices=False),
 ]
-_CALIBRATION, _MICROSCOPE, _POSES, OUTPUT = (
-    Parameter(group=Group.create_ordered(name))
-    for name in ("Calibration", "Microscope", "Poses", "Output")
+_CALIBRATION, _RIG, OUTPUT = (
+    Parameter(group=Group.create_ordered(name)) for name in ("Calibration", "Rig", "Output")
 )
 OUT = Parameter(alias="-o")
 Rerun = Annotated[str | None, OUTPUT, Parameter(metavar="FILE|live")]
@@ -66,15 +93,11 @@ def _point(given: Any) -> tuple[float, float] | None:
         raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
 
-def _turn(given: Any) -> Quaternion | None:
-    if given is None:
-        return None
-    try:
-        return unit_quaternion(TypeAdapter(Quaternion).validate_python(_parts(given)))
-    except ValueError:
-        raise InputError(
-            "must be a unit quaternion QX,QY,QZ,QW, such as 0,0,0,1 for no turn"
-        ) from None
+def changes_of(given: Any) -> Any:
+    """Changes as KEY=VALUE, also of {KEY: VALUE}."""
+    if isinstance(given, Mapping):
+        return tuple(f"{key}={json.dumps(value)}" for key, value in given.items())
+    return tuple(given) if isinstance(given, list) else given
 
 
 def _parts(given: Any) -> Any:
@@ -100,12 +123,14 @@ class Given(BaseModel):
             InputError: an unknown option, or a value of the wrong kind.
         """
         # A preset or a file is a text, and a file may be given as its path.
-        given = {name: str(v) if isinstance(v, Path) else v for name, v in given.items()}
+        given = {name: _text_of(value) for name, value in given.items()}
         try:
             return cls.model_validate(given)
         except ValidationError as error:
             problem = error.errors()[0]
             name = problem["loc"][0]
+            if name not in cls.model_fields and (said := moved(str(name))):
+                raise InputError(said) from error
             if name not in cls.model_fields:
                 known = ", ".join(cls.model_fields)
                 raise InputError(
@@ -114,6 +139,13 @@ class Given(BaseModel):
             said = problem["msg"].replace("Input should be", "must be")
             rule = problem.get("ctx", {}).get("error", said)
             raise InputError(f"{name}: {rule}; got {shortened(given[str(name)])}.") from error
+
+
+def _text_of(value: Any) -> Any:
+    """A path as text, and those in a list."""
+    if isinstance(value, list | tuple):
+        return tuple(map(_text_of, value))
+    return str(value) if isinstance(value, Path) else value
 
 
 @Parameter(name="*")
@@ -138,16 +170,15 @@ class Options(Given):
     """Where the spot is first, px (default: auto)."""
     calibration: Path | None = None
     """File of eyespot fit; gives distances."""
-    microscope: Annotated[Path | None, _MICROSCOPE] = None
-    """Microscope or camera file (default: the stack's)."""
-    pinhole_height_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Height above the eye's centre, if no file has it."""
-    eye_radius_mm: Annotated[float | None, _MICROSCOPE] = None
-    """Radius of the eyeball, if no file has it."""
-    wall: Annotated[Literal["plane"] | None, _MICROSCOPE, Parameter(show_choices=False)] = None
-    """Can be plane, square to the axis (default: file)."""
-    full_scale: Annotated[float | None, Field(gt=0), _MICROSCOPE] = None
-    """Largest value, e.g. 4095 (default: the file's)."""
+    rig: Annotated[Path | None, _RIG] = None
+    """Rig file, microscope.json or camera file (default: the stack's own)."""
+    changes: Annotated[
+        tuple[str, ...],
+        BeforeValidator(changes_of),
+        _RIG,
+        Parameter("--set", metavar="KEY=VALUE", show_default=False),
+    ] = ()
+    """Change a key of the rig file, such as wall.medium=air. Repeatable."""
     model: Annotated[DistanceModel | None, _CALIBRATION] = None
     """Distance model (default: the calibration's)."""
     eccentricity_mm: Annotated[float | None, _CALIBRATION] = None
@@ -156,38 +187,56 @@ class Options(Given):
     """Exposure time, model lens (default: the frame's)."""
     reference: Annotated[Path | None, _CALIBRATION] = None
     """Image with the beam off, for the mode pixels."""
-    stated: Annotated[Path | None, _CALIBRATION] = None
-    """Uncertainties you state (TOML); see docs/worth.md."""
-    eye_from_robot: Annotated[
-        Quaternion | None, BeforeValidator(_turn), _text("QX,QY,QZ,QW"), _POSES
-    ] = None
-    """Rotation from the poses' frame to the eye's."""
 
-    def of_source(self, source: Source) -> Self:
-        """These options with the source's rate, and its microscope file if none is given."""
-        own = {"microscope": self.microscope or source.microscope_file}
+    def of_recording(self, recording: Recording) -> Self:
+        """These options with the rate of a recording's camera, and the calibration of its rig."""
+        source = recording.source
         rate = {"rate_hz": source.rate_hz} if source.live and self.rate_hz is None else {}
+        own = {"calibration": self.calibration or recording.rig.calibration_file}
         return self.model_copy(update=own | rate)
 
-    def reader(self) -> Reader:
-        """Read the files and prepare the measurement; `Ranger` says how long that takes.
+    def own_rig(self) -> Rig:
+        """Read the rig file; a rig of which nothing is known if none is given."""
+        from eyespot.formats.rig import Rig, read_rig
+
+        return (Rig() if self.rig is None else read_rig(self.rig)).changed(self.changes)
+
+    def beam(self) -> Calibration | None:
+        """Read the calibration; None if none is given."""
+        from eyespot.formats.calibration import read_calibration
+
+        return None if self.calibration is None else read_calibration(self.calibration)
+
+    def reader(self, rig: Rig | None = None, beam: Calibration | None = None) -> Reader:
+        """Prepare the measurement; `Ranger` says how long that takes.
+
+        Args:
+            rig: of the frames; None: that of these options.
+            beam: the calibration, which was read before; None: it is read now, if one is given.
 
         Raises:
-            InputError: options or files are wrong, alone or together.
+            InputError: options, rig and calibration do not fit together.
             OSError: a file cannot be read.
         """
         from eyespot.estimator.detector.literal import LiteralSettings
         from eyespot.estimator.distance.ranger import Ranger
         from eyespot.estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
-        from eyespot.formats.calibration import read_calibration
 
-        for name, other in _NEEDS.items():
-            if getattr(self, name) is not None and getattr(self, other) is None:
-                raise InputError(
-                    f"{option(name)} needs {option(other)} for this source. Give both, or neither."
-                )
-        microscope = self.microscope_file()
-        beam = None if self.calibration is None else read_calibration(self.calibration)
+        rig, beam = rig or self.own_rig(), beam or self.beam()
+        microscope, turn, stated = rig.view, rig.robot.eye_from_robot, rig.stated
+        if beam is None:
+            for name in ("model", "eccentricity_mm", "exposure_s"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"{option(name)} needs --calibration. Give both, or neither.")
+        elif microscope is None:
+            raise InputError(
+                "--calibration needs the microscope: its scale and its pinhole. Give --rig FILE, "
+                "which `eyespot rig init` writes."
+            )
+        else:
+            _check_medium(rig, beam)
+            if beam.model in ("exact", "lens"):  # its errors contain the touch's
+                stated = stated.model_copy(update={"touch_sigma_mm": 0.0})
         mode: str = self.mode
         of_outlines = ("model", "eccentricity_mm")
         asked = next((option(n) for n in of_outlines if getattr(self, n) is not None), "")
@@ -201,23 +250,16 @@ class Options(Given):
                 f"--reference has no effect in the mode {mode}. Leave it out, or take the mode "
                 "pixels."
             )
-        ranger = None
         more: dict[str, Any] = {
-            "eye_from_robot": self.eye_from_robot,
+            "eye_from_robot": turn,
             "start": self.start,
             "size_px": (microscope.width_px, microscope.height_px) if microscope else None,
             "exposure_s": self.exposure_s,
+            "stated": stated,
         }
         if not isinstance(settings, LiteralSettings) and mode == "pixels":
             from eyespot.estimator.pixels.tracker import PixelRanger
 
-            stated = self._stated(None)
-            unused = stated.model_fields_set - {"axis_sigma_deg", "clock_sigma_s", "shake_px"}
-            if unused:
-                say(
-                    f"The mode pixels does not use {', '.join(sorted(unused))} of {self.stated}; "
-                    "the sub-pixel mode does."
-                )
             if beam is None or microscope is None:
                 raise InputError("the mode pixels needs a calibration. Give --calibration.")
             if asked:
@@ -225,39 +267,26 @@ class Options(Given):
                     f"{asked} has no effect in the mode pixels, whose geometry is exact. Leave it "
                     "out, or take the sub-pixel mode."
                 )
+            unused = [name for name in _OF_OUTLINES if getattr(stated, name)]
+            if unused:
+                say(f"The mode pixels does not use {', '.join(unused)}; the sub-pixel mode does.")
             known_wall = self._reference_image(microscope)
-            pixels = PixelRanger(beam, microscope, known_wall, shake_px=stated.shake_px)
-            return PixelsMode(settings, pixels, stated=stated, **more)
+            pixels = PixelRanger(beam, microscope, known_wall, shake_px=rig.unrest.shake_px)
+            return PixelsMode(settings, pixels, **more)
+        ranger = None
         if beam is not None and microscope is not None:
             ranger = Ranger(
                 beam, microscope, model=self.model, eccentricity_mm=self.eccentricity_mm
             )
-        if ranger is not None and ranger.model == "area" and self.eye_from_robot is None:
+        if ranger is not None and ranger.model == "area" and turn is None:
             raise InputError(
-                "the model area needs the robot's axis, so it needs eye_from_robot: the rotation "
-                "from the poses' frame to the eye's (0,0,0,1 for none). Give it with the poses, or "
-                "take the model exact."
+                "the model area needs the robot's axis, so it needs robot.eye_from_robot of the "
+                "rig file: the rotation from the poses' frame to the eye's (0, 0, 0, 1 for none). "
+                "Give it with the poses, or take the model exact."
             )
-        stated = self._stated(beam)
         if isinstance(settings, LiteralSettings):
-            return LiteralMode(settings, ranger, stated=stated, **more)
-        return SubpixelMode(settings, ranger, stated=stated, **more)
-
-    def _stated(self, calibration: Calibration | None) -> Stated:
-        from eyespot.formats.stated import Stated, read_stated
-
-        if self.stated is None:
-            return Stated()
-        stated = read_stated(self.stated)
-        # Fits of a cone (exact) and of a lens have each trial's touch among their parameters.
-        if stated.touch_sigma_mm and calibration and calibration.model in ("exact", "lens"):
-            say(
-                f"touch_sigma_mm of {self.stated} has no effect: the standard errors of "
-                f"{self.calibration} contain the touch's, which eyespot fit --prior "
-                "touch=MEAN,SIGMA sets."
-            )
-            stated = stated.model_copy(update={"touch_sigma_mm": 0.0})
-        return stated
+            return LiteralMode(settings, ranger, **more)
+        return SubpixelMode(settings, ranger, **more)
 
     def _reference_image(self, microscope: MicroscopeFile) -> np.ndarray | None:
         from eyespot.estimator.sources.opening import open_source
@@ -274,24 +303,6 @@ class Options(Given):
             )
         return image
 
-    def microscope_file(self) -> MicroscopeFile | None:
-        """Read the microscope file; None if none is given.
-
-        Raises:
-            InputError: it is wrong, or lacks a number that no option gives.
-            OSError: it cannot be read.
-        """
-        from eyespot.formats.microscope import read_microscope
-
-        if self.microscope is None:
-            return None
-        return read_microscope(
-            self.microscope,
-            pinhole_height_mm=self.pinhole_height_mm,
-            eye_radius_mm=self.eye_radius_mm,
-            plane_normal=(0.0, 0.0, 1.0) if self.wall else None,
-        )
-
     def _settings(
         self, mode: str, microscope: MicroscopeFile | None
     ) -> LiteralSettings | SubpixelSettings:
@@ -304,8 +315,6 @@ class Options(Given):
             raise InputError("settings are numbers; response and camera are the microscope file's.")
         camera = microscope.camera() if microscope else None
         response = microscope.response if microscope else Response()
-        if self.full_scale is not None:
-            response = replace(response, full_scale=self.full_scale)
         given["response"] = response
         if mode == "literal" and camera is not None:
             raise InputError(
@@ -326,68 +335,85 @@ class RecordingOptions:
     """How a command reads a recording and its poses."""
 
     exposure: Exposure = None
-    poses: Annotated[Path | None, _POSES] = None
-    """Robot's poses (CSV or bag), on SOURCE's clock."""
-    image_topic: Annotated[str | None, _POSES] = None
-    """Image topic of a bag (default: the rig's)."""
-    pose_topic: Annotated[str | None, _POSES] = None
-    """Pose topic, bag or ROS (default: the rig's)."""
+    fps: Annotated[float | None, Parameter(validator=Number(gt=0))] = None
+    """Images a second, of a folder without frames.csv (file,time_s,exposure_s)."""
+    poses: Annotated[Path | None, _RIG] = None
+    """Robot's poses (CSV or bag), on SOURCE's clock; [robot] of the rig says what they mean."""
 
-    def source(self, name: str) -> Source:
-        """Open a recording, as `open_source`."""
-        from eyespot.estimator.sources.opening import open_source
-
-        return open_source(name, exposure=self.exposure, image_topic=self.image_topic)
-
-    def opened(
-        self, name: str, options: Options, *, unrelated: bool | None = None
-    ) -> tuple[Source, Options, PoseTrack | None]:
-        """Open a recording: its frames, the options with its microscope file, and the poses.
+    def opened(self, source: Any, options: Options, *, unrelated: bool | None = None) -> Opened:
+        """Open a recording with its rig and poses, and read the calibration.
 
         Args:
+            source: as `Recording.open` takes it.
             unrelated: measure every image by itself, or not; None leaves it to the source.
         """
-        from eyespot.formats.calibration import read_calibration
-        from eyespot.formats.microscope import read_microscope
-        from eyespot.formats.stated import read_stated
+        from eyespot.estimator.recording import Recording
 
-        poses, frames = self.pose_track(options), self.source(name)
-        if poses is None and options.stated and read_stated(options.stated).clock_sigma_s:
-            say(f"clock_sigma_s of {options.stated} has no effect without --poses.")
-        if unrelated is not None:
-            frames = replace(frames, unrelated=unrelated)
-        if options.calibration is not None and frames.medium:
-            known = read_calibration(options.calibration).medium
-            if known != frames.medium:
-                raise InputError(
-                    f"{frames.name} was taken in {frames.medium}, but {options.calibration} is "
-                    f"valid in {known}. Calibrate the beam in {frames.medium}."
-                )
-        if frames.microscope_file is not None and (given := options.microscope_file()) is not None:
-            own, other = (
-                m.principal_point_px for m in (read_microscope(frames.microscope_file), given)
-            )
-            if np.hypot(*np.subtract(own, other)) > 1:
-                places = [f"({x:.0f}, {y:.0f}) px by" for x, y in (other, own)]
-                say(
-                    f"The microscope's axis meets the image at {places[0]} {options.microscope}, "
-                    f"but at {places[1]} {frames.microscope_file}. Distances depend on it."
-                )
-        return frames, options.of_source(frames), poses
+        recording = Recording.open(
+            source,
+            rig=options.rig,
+            changes=options.changes,
+            poses=self.poses,
+            exposure=self.exposure,
+            fps=self.fps,
+        ).unrelated(unrelated)
+        return prepared(recording, options)
 
-    def pose_track(self, options: Options) -> PoseTrack | None:
-        """Read the poses; None if none are given.
 
-        Raises:
-            InputError: an option has no effect without poses, or they are wrong.
-            OSError: they cannot be read.
-        """
-        from eyespot.formats.poses import read_poses
+def prepared(recording: Recording, options: Options, beam: Calibration | None = None) -> Opened:
+    """Read the calibration, and see to what the mode needs of an opened recording.
 
-        if self.poses is not None:
-            return read_poses(self.poses, topic=self.pose_topic)
-        needs = {"pose_topic": self.pose_topic, "eye_from_robot": options.eye_from_robot}
-        for name, value in needs.items():
-            if value is not None:
-                raise InputError(f"{option(name)} needs --poses. Give both, or neither.")
-        return None
+    Args:
+        beam: the calibration; None: the options' or the rig's.
+    """
+    options = options.of_recording(recording)
+    beam, view = beam or options.beam(), recording.rig.view
+    of_pixels = options.mode == "pixels" or (options.mode == "auto" and _is_lens(beam))
+    if of_pixels and view is not None and view.noise is None and not recording.source.live:
+        recording = recording.measured()
+    if recording.poses() is not None and recording.rig.robot.eye_from_robot is None:
+        say(
+            "robot.eye_from_robot of the rig file is not stated, so the beam's axis is not known. "
+            "`eyespot rig check` proposes it."
+        )
+    _check_axis(recording)
+    return Opened(recording, options, beam)
+
+
+def _is_lens(beam: Calibration | None) -> bool:
+    return beam is not None and beam.model == "lens"
+
+
+class Opened(NamedTuple):
+    """A recording, the options with which it is measured, and the beam's calibration."""
+
+    recording: Recording
+    options: Options
+    beam: Calibration | None
+
+    def reader(self) -> Reader:
+        """As `Options.reader`."""
+        return self.options.reader(self.recording.rig, self.beam)
+
+
+def _check_axis(recording: Recording) -> None:
+    """Say where a rig file places the microscope's axis elsewhere than the stack itself."""
+    own, given = recording.source.rig, recording.rig
+    if own is None or given is own or own.view is None or given.view is None:
+        return
+    places = [view.principal_point_px for view in (given.view, own.view)]
+    if math.dist(*places) > 1:
+        named = [f"({x:.0f}, {y:.0f}) px" for x, y in places]
+        say(
+            f"The microscope's axis meets the image at {named[0]} by the rig file, but at "
+            f"{named[1]} by {recording.source.name}. Distances depend on it."
+        )
+
+
+def _check_medium(rig: Rig, beam: Calibration) -> None:
+    medium = rig.wall.medium
+    if medium is not None and beam.medium != medium:
+        raise InputError(
+            f"the frames were taken in {medium}, but the calibration is valid in {beam.medium}. "
+            f"Calibrate the beam in {medium}, or correct wall.medium of the rig file."
+        )

@@ -207,8 +207,8 @@ class Reader(ABC, Generic[S, R]):
         if known is None and frame.image.dtype.kind == "f" and frame.image.max() > 1:
             raise InputError(
                 f"the image has floats up to {frame.image.max():g}, and its full scale is not "
-                "known. Give full_scale (--full-scale 255 if the values were of 8 bits), or write "
-                "it into the microscope file."
+                "known. State camera.full_scale of the rig file: 255 if the values were of 8 "
+                "bits."
             )
         if known != self._scaled.response.full_scale:
             response = replace(self.settings.response, full_scale=known)
@@ -337,7 +337,7 @@ def best_mode(
     hindrance = (
         f"{asked} is one of outlines"
         if asked
-        else "the microscope file lacks the camera's noise"
+        else "the rig file lacks the camera's noise"
         if microscope.noise is None
         else "the microscope has distortion"
         if microscope.camera() is not None

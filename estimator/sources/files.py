@@ -3,7 +3,7 @@
 import math
 import re
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from itertools import pairwise
@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from eyespot.estimator.sources.times import times_of
 from eyespot.formats.images import (
     check_pixels,
     image_of_page,
@@ -27,8 +28,10 @@ TIFF = (".tif", ".tiff", ".btf", ".tf8", ".lsm", ".stk")
 IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".webp", ".pgm", ".ppm", ".pbm", ".pnm", ".jp2", *TIFF)
 
 
-def open_images(path: Path) -> Source:
+def open_images(path: Path, *, fps: float | None = None) -> Source:
     """An image, or a folder of images in the natural order of their names.
+
+    The times are those of frames.csv beside the images, of EXIF, or of a rate.
 
     Images whose names differ only in one number that counts up by a constant step, such as
     frame_000.png, frame_002.png, are a recording. All others are unrelated to each other.
@@ -37,7 +40,7 @@ def open_images(path: Path) -> Source:
         InputError: the folder contains no images.
     """
     if not path.is_dir():
-        return _images(path.parent, [path])
+        return listed_images([path], fps=fps)
     pictures = [
         one
         for one in path.iterdir()
@@ -49,7 +52,9 @@ def open_images(path: Path) -> Source:
             " nor a ROS 2 bag (metadata.yaml). Check the path."
         )
     pictures.sort(key=lambda one: (_natural(one.name), one.name))
-    return replace(_images(path, pictures), unrelated=not _is_counted(pictures))
+    source = listed_images(pictures, fps=fps)
+    # Images whose times are known are a sequence, however they are named.
+    return replace(source, unrelated=not (source.rate_hz or _is_counted(pictures)))
 
 
 def _is_counted(pictures: list[Path]) -> bool:
@@ -69,20 +74,45 @@ def _natural(name: str) -> list[int | str]:
     return [int(part) if index % 2 else part for index, part in enumerate(parts)]
 
 
-def _images(folder: Path, pictures: list[Path]) -> Source:
+def listed_images(pictures: Sequence[Path], *, fps: float | None = None) -> Source:
+    """Images in the given order, of one folder or of several.
+
+    Raises:
+        InputError: as `times_of`.
+    """
+    times = times_of(pictures, fps=fps)
+
     def read() -> Iterator[Frame]:
         for index, path in enumerate(pictures):
-            name = in_utf8(path.relative_to(folder))
             with damage_reported(f"{path} (frame {index})", AGAIN):
                 found = read_image(path)
-            yield Frame(index=index, file_name=name, image=found.image, full_scale=found.full_scale)
+            yield Frame(
+                index=index,
+                file_name=in_utf8(path.name),
+                time_s=float(times.time_s[index]),
+                exposure_s=float(times.exposure_s[index]),
+                image=found.image,
+                full_scale=found.full_scale,
+            )
 
-    name = pictures[0] if len(pictures) == 1 else folder
+    name = pictures[0] if len(pictures) == 1 else pictures[0].parent
     notes: tuple[str, ...] = ()
     with suppress(InputError, OSError):  # damage is reported when the frame is read
         if read_image(pictures[0]).orientation != 1:
             notes = (note_of_turn(pictures[0].name),)
-    return Source(name=str(name), read=read, length=len(pictures), notes=notes)
+    return Source(
+        name=str(name),
+        read=read,
+        length=len(pictures),
+        rate_hz=rate_of(times.time_s),
+        notes=notes,
+    )
+
+
+def rate_of(times_s: np.ndarray) -> float | None:
+    """Frames a second, by the median step; None where the times do not say."""
+    step = float(np.median(np.diff(times_s))) if times_s.size > 1 else math.nan
+    return 1 / step if step > 0 else None
 
 
 def open_tiff(path: Path) -> Source:

@@ -1,7 +1,7 @@
 """Opens a source: a stack, images, a video, a camera or a bag."""
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +13,14 @@ from eyespot.estimator.sources.files import (
     open_images,
     open_tiff,
     open_video,
+    rate_of,
 )
 from eyespot.estimator.sources.genicam import GENICAM, open_genicam
 from eyespot.estimator.sources.ros import open_bag
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.camera import checked_frame
 from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.rig import rig_of_stack
 from eyespot.formats.ros_bags import is_bag
 from eyespot.formats.stack import read_stack
 
@@ -26,7 +28,11 @@ _USUAL = "metered"
 
 
 def open_source(
-    source: str | Path, *, exposure: str | None = None, image_topic: str | None = None
+    source: str | Path,
+    *,
+    exposure: str | None = None,
+    image_topic: str | None = None,
+    fps: float | None = None,
 ) -> Source:
     """Open a source of frames.
 
@@ -37,6 +43,7 @@ def open_source(
         exposure: of a stack that has several; by default "metered", whose peaks are never
             saturated.
         image_topic: of a bag, see `open_bag`.
+        fps: images a second of a folder that has no times, see `times_of`; None: unknown.
 
     Raises:
         InputError: the source does not exist, cannot be read or is empty, or it has no such
@@ -59,7 +66,7 @@ def open_source(
     elif is_bag(path):
         opened = open_bag(path, topic=image_topic)
     elif path.is_dir():
-        opened = open_images(path)
+        opened = open_images(path, fps=fps)
     elif not path.is_file():
         raise InputError(
             f"{path} is a pipe, device or socket, which may never end. Give a file, a folder, or "
@@ -73,7 +80,52 @@ def open_source(
         opened = open_video(path)
     if exposure is not None:
         raise InputError(f"{source} is not a stack, so it has no exposures. Leave the option out.")
+    if fps is not None and not path.is_dir():
+        raise InputError(
+            f"{source} is no folder of images, and has its own times. Leave --fps out."
+        )
     return opened
+
+
+def array_source(
+    frames: np.ndarray | Sequence[np.ndarray],
+    *,
+    times_s: Sequence[float] | np.ndarray | None = None,
+    exposure_s: Sequence[float] | np.ndarray | float | None = None,
+    name: str = "frames",
+) -> Source:
+    """Frames in memory.
+
+    Args:
+        frames: frames x h x w, or frames x h x w x 3 (RGB), as `checked_frame` takes each.
+        times_s: of the middles of their exposures, s; None: unknown.
+        exposure_s: exposure times, or the one of all frames, s; None: unknown.
+
+    Raises:
+        InputError: no frames, or another number of times than of frames.
+    """
+    count = len(frames)
+    if count == 0 or np.ndim(frames[0]) < 2:
+        raise InputError(
+            f"{name} must be frames x height x width, or with 3 colours behind it; got shape "
+            f"{np.shape(frames)}. A single image is array[None]."
+        )
+    unknown = np.full(count, np.nan)
+    times = unknown if times_s is None else np.asarray(times_s, float)
+    exposures = unknown if exposure_s is None else np.broadcast_to(exposure_s, count).astype(float)
+    if times.shape != (count,):
+        raise InputError(f"{name} has {count} frames, but {times.size} times. Give one for each.")
+
+    def read() -> Iterator[Frame]:
+        for index, image in enumerate(frames):
+            yield Frame(
+                index=index,
+                image=checked_frame(np.asarray(image)),
+                time_s=float(times[index]),
+                exposure_s=float(exposures[index]),
+            )
+
+    return Source(name=name, read=read, length=count, rate_hz=rate_of(times))
 
 
 def _stack(folder: Path, exposure: str | None) -> Source:
@@ -96,15 +148,14 @@ def _stack(folder: Path, exposure: str | None) -> Source:
                 exposure_s=labels.exposure_s,
             )
 
-    steps = np.diff([labels.time_s for labels in chosen])
-    microscope = folder / "microscope.json"
     return Source(
         name=str(folder),
         read=read,
         length=len(chosen),
-        rate_hz=1 / float(np.median(steps)) if steps.size and np.median(steps) > 0 else None,
-        microscope_file=microscope if microscope.is_file() else None,
-        medium=chosen[0].medium,
+        rate_hz=rate_of(np.array([labels.time_s for labels in chosen])),
+        rig=rig_of_stack(folder, stack.description),
+        poses_file=folder / "kinematics.csv",
+        labels=chosen,
         notes=()
         if exposure or not others
         else (f"Reading the exposure {kind} (the stack also has {others}); --exposure chooses.",),

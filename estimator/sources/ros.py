@@ -269,7 +269,7 @@ def open_bag(path: Path, *, topic: str | None = None) -> Source:
             if 0 < broken < number:
                 _log.warning(_UNREADABLE, path, name, broken, number, first)
 
-    return Source(name=str(path), read=read, length=length)
+    return Source(name=str(path), read=read, length=length, poses_file=path)
 
 
 def write_bag(

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from eyespot.formats.inputs import InputError
+from eyespot.formats.rig import Rig
+from eyespot.formats.stack import FrameLabels
 
 AGAIN = "Record, copy or convert it again."
 """What to do about a damaged recording."""
@@ -56,7 +58,9 @@ class Source:
     Attributes:
         length: number of frames; None for a camera. Of a video it is what its container says.
         live: whether it is a camera, which ends only when it is stopped.
-        medium: between tip and wall, a name in `optics.MEDIA`; empty where nobody says.
+        rig: that made a stack; None where the source does not contain it.
+        poses_file: of a source that contains the robot's poses; None otherwise.
+        labels: of a stack's frames; empty where nobody knows the truth.
         unrelated: frames that are measured one by one, because a spot cannot be followed from one
             to the next.
         notes: what a user should know of the file, though it is no error.
@@ -67,8 +71,9 @@ class Source:
     length: int | None = None
     rate_hz: float | None = None
     live: bool = False
-    microscope_file: Path | None = None
-    medium: str = ""
+    rig: Rig | None = None
+    poses_file: Path | None = None
+    labels: tuple[FrameLabels, ...] = ()
     unrelated: bool = False
     notes: tuple[str, ...] = ()
 

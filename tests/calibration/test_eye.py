@@ -149,7 +149,8 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
     ]
     given = [
         *("fit", *recordings, "--model", "eye", "--calibration", str(tmp_path / "cone.json")),
-        *("--microscope", str(microscope), "--medium", "vitreous", "--phantom", "eyeball"),
+        *("--rig", str(microscope), "--set", "wall.medium=vitreous", "--set", "wall.kind=eyeball"),
+        *("--set", "robot.eye_from_robot=[0.0, 0.0, 0.0, 1.0]"),
         *("--prior", "touch=0.12,0.05", "--out", str(tmp_path / "eye.json")),
     ]
     printed(*given)

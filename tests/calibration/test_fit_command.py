@@ -8,13 +8,15 @@ from xml.etree import ElementTree
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
 from eyespot import optics, scenes
 from eyespot.calibration import Prior, fit_cone
-from eyespot.calibration.recordings import LogBook, read_recording
+from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.estimator import open_source
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.sources.ros import write_bag
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.poses import read_poses
@@ -58,8 +60,9 @@ def rig(tmp_path):
 
 
 def fit(tmp_path, *arguments, book=True, out="c.json"):
-    log_book = ["--microscope", str(tmp_path / "microscope.json"), "--phantom", "plane"]
-    rest = [*log_book, "--medium", "air"] if book else []
+    keys = ("wall.kind=plane", "wall.medium=air", "robot.eye_from_robot=[0.0, 0.0, 0.0, 1.0]")
+    rig = ["--rig", str(tmp_path / "microscope.json")]
+    rest = [*rig, *(word for key in keys for word in ("--set", key))] if book else []
     return call(["fit", *rest, *arguments, "--out", str(tmp_path / out)])
 
 
@@ -141,16 +144,16 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--free", "half_angle,b,sag"], "--free accepts half_angle, .*got 'sag'"),
         (["--prior", "touch=0.1"], "NAME=MEAN,SIGMA.*got 'touch=0.1'"),
         (["--prior", "touch=0.1,-0.2"], "positive sigma"),
-        (["--model", "image"], "pixels of one stack; got 1 sources, of which 1 are no stacks"),
-        (["--lens", "dome"], "--model lens fits the pixels of one stack"),
+        (["--model", "image"], "pixels of one recording; got 1 sources, of which 1 have no images"),
+        (["--lens", "dome"], "--model lens fits the pixels of one recording"),
         (["--lens", "dome", "--model", "cone"], "--lens works with --model lens only"),
         (["--model", "image", "--free", "half_angle,b,sag"], "--free accepts .*blur.*got 'sag'"),
         (["--model", "eye", "--free", "scale,b"], "half_angle and b; half_angle is missing"),
         (["--model", "eye", "--robust"], "works with the models"),
         (["--robust"], "works with the models plane and sphere only"),
-        (["--phantom", "plane", "--phantom", "plane"], "--phantom must be given once, or once per"),
-        (["--medium", "honey"], "--medium must be one of air.*'honey'"),
-        (["--eye-from-robot", "1,2"], "unit quaternion"),
+        (["--poses", "a.csv", "--poses", "b.csv"], "--poses must be given once, or once per"),
+        (["--set", "wall.medium=honey"], "wall.medium: .*'vitreous'; got 'honey'"),
+        (["--set", "robot.eye_from_robot=[0, 0, 0, 2]"], "unit quaternion"),
     ],
 )
 def test_what_makes_no_sense_is_refused(rig, tmp_path, arguments, told):
@@ -161,31 +164,28 @@ def test_what_makes_no_sense_is_refused(rig, tmp_path, arguments, told):
     assert not (tmp_path / "c.json").exists()
 
 
-def test_a_recording_that_is_no_stack_needs_its_log_book(rig, tmp_path):
+def test_a_recording_that_is_no_stack_needs_its_rig(rig, tmp_path):
     spots, _ = rig()
     result = fit(tmp_path, spots, book=False)
-    assert re.search("no stack.*needs --microscope", str(result.exception))
+    assert re.search("wall.medium is not stated.*--rig", str(result.exception))
 
 
-def log_book(tmp_path, poses):
-    return LogBook(
-        kind="plane",
-        medium="air",
-        fibre_diameter_mm=0.5,
-        poses=Path(poses),
-        microscope=tmp_path / "microscope.json",
-    )
+def recorded(tmp_path, spots, poses, **changes):
+    """The recording of a rig that is known, but for some keys."""
+    rig = {"wall.kind": "plane", "wall.medium": "air", "robot.eye_from_robot": [0.0, 0.0, 0.0, 1.0]}
+    changed = rig | {f"robot.{key}": value for key, value in changes.items()}
+    return Recording.open(spots, rig=tmp_path / "microscope.json", changes=changed, poses=poses)
 
 
 def test_a_tip_that_leaves_its_line_is_no_withdrawal(rig, tmp_path):
     spots, poses = rig(bow=0.2)
     with pytest.raises(ValueError, match=r"leaves a straight line by 0\.20 mm"):
-        read_recording(spots, log_book=log_book(tmp_path, poses))
+        recorded_trial(recorded(tmp_path, spots, poses))
 
 
 def test_a_straight_motion_need_not_be_along_the_tools_axis(rig, tmp_path):
     spots, poses = rig(aside=0.2)
-    trial = read_recording(spots, log_book=log_book(tmp_path, poses)).trial
+    trial = recorded_trial(recorded(tmp_path, spots, poses)).trial
     np.testing.assert_allclose(trial.axis, [0.5, 0.0, -np.sqrt(0.75)], atol=1e-9)
     # 0.2 mm sideways over 6 mm, reversed: 1.9 degrees.
     expected = np.array([3.0, -0.2, -6.0 * np.sqrt(0.75)])
@@ -195,7 +195,7 @@ def test_a_straight_motion_need_not_be_along_the_tools_axis(rig, tmp_path):
 
 def test_readings_are_those_of_the_moment_between_two_reports(rig, tmp_path):
     spots, poses = rig()
-    readings = read_recording(spots, log_book=log_book(tmp_path, poses)).trial.readings
+    readings = recorded_trial(recorded(tmp_path, spots, poses)).trial.readings
     # The latest report lags by up to 0.4 of a frame, 0.08 mm.
     np.testing.assert_allclose(readings, np.linspace(0.0, 6.0, 31), atol=1e-9)
 
@@ -205,30 +205,62 @@ def test_frames_beyond_the_robots_reports_are_refused(rig, tmp_path):
     lines = Path(poses).read_text().splitlines()
     Path(poses).write_text("\n".join(lines[:40]) + "\n")
     with pytest.raises(ValueError, match="until after the last"):
-        read_recording(spots, log_book=log_book(tmp_path, poses))
+        recorded_trial(recorded(tmp_path, spots, poses))
 
 
 def test_where_the_touch_is_unknown_somebody_must_say_it(rig, tmp_path):
     spots, poses = rig()
-    book = replace(log_book(tmp_path, poses), begins_at_touch=False)
-    with pytest.raises(ValueError, match="does not begin where the tip touches"):
-        read_recording(spots, log_book=book)
+    arguments = "--poses", poses, "--model", "cone", "--set", "robot.touch=free"
+    result = fit(tmp_path, spots, *arguments)
+    assert "State instrument.core_radius_mm" in str(result.exception), result.output
     given = Prior(0.5, 0.1)
-    assert read_recording(spots, log_book=book, touch=given).trial.touch == given
+    stated = recorded(tmp_path, spots, poses, touch=[0.5, 0.1])
+    assert recorded_trial(stated).trial.touch == given
+    assert recorded_trial(recorded(tmp_path, spots, poses), touch=given).trial.touch == given
+
+
+def test_without_a_touch_the_distances_rest_on_the_core(rig, tmp_path):
+    """The tip was withdrawn by 1 mm before the first frame, and nobody says so."""
+    spots, poses = rig()
+    records = pd.read_csv(spots)
+    records[records.time_s >= 0.5].to_csv(spots, index=False)
+    core = -B / K
+    keys = "robot.touch=free", f"instrument.core_radius_mm={core}"
+    result = fit(
+        tmp_path,
+        *(spots, "--poses", poses, "--model", "cone"),
+        *(word for key in keys for word in ("--set", key)),
+    )
+    assert result.exit_code == 0, result.output
+    found = read_calibration(tmp_path / "c.json")
+    # b = -a/tan(half-angle) with 1 % of a: 0.05 mm.
+    assert found.sigma("b") == pytest.approx(-0.01 * B, rel=0.05)
+    assert_within(found, {"b": B, "half_angle": np.arctan(1 / K)}, 4)
+
+
+def test_a_robot_known_to_a_tolerance_widens_the_half_angle(rig, tmp_path):
+    spots, poses = rig()
+    given = spots, "--poses", poses, "--model", "cone"
+    for sigma in (0.0, 0.01):
+        fit(tmp_path, *given, "--set", f"robot.scale_sigma={sigma}", out=f"{sigma}.json")
+    exact, tolerant = (read_calibration(tmp_path / f"{sigma}.json") for sigma in (0.0, 0.01))
+    # tan(half-angle) is a size over a distance, which the robot knows to 1 %.
+    assert tolerant.sigma("half_angle") == pytest.approx(0.01 / K, rel=0.05)
+    assert exact.sigma("half_angle") < 0.1 * tolerant.sigma("half_angle")
 
 
 def test_the_rim_of_a_tilted_tip_touches_first(rig, tmp_path):
     spots, poses = rig()
-    recording = read_recording(spots, log_book=log_book(tmp_path, poses))
+    recording = recorded_trial(recorded(tmp_path, spots, poses))
     assert recording.trial.touch.mean == pytest.approx(RIM, rel=1e-9)
 
 
 def test_poses_of_the_robot_are_turned_into_the_eyes_frame(rig, tmp_path):
     spots, poses = rig()
     half = np.sqrt(0.5)
-    book = replace(log_book(tmp_path, poses), eye_from_robot=(0.0, 0.0, half, half))
+    turned = recorded(tmp_path, spots, poses, eye_from_robot=[0.0, 0.0, half, half])
     # A quarter turn about z takes X to Y.
-    axis = read_recording(spots, log_book=book).trial.axis
+    axis = recorded_trial(turned).trial.axis
     np.testing.assert_allclose(axis, [0.0, 0.5, -np.sqrt(0.75)], atol=1e-12)
 
 
@@ -241,8 +273,9 @@ def test_a_boresight_in_the_eye_is_an_angle_in_the_tools_frame(rig, tmp_path):
     poses, header = tmp_path / "turned.csv", "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"
     np.savetxt(poses, rows, delimiter=",", header=header, comments="")
     turn = Rotation.from_euler("zyx", [0.4, 0.2, -0.1])  # from the robot to the eye
-    book = replace(log_book(tmp_path, poses), eye_from_robot=tuple(turn.as_quat().tolist()))
-    recording = read_recording(spots, log_book=book)
+    recording = recorded_trial(
+        recorded(tmp_path, spots, poses, eye_from_robot=turn.as_quat().tolist())
+    )
     boresight = np.array([0.02, -0.03])
     in_eye = boresight @ np.stack(optics.perpendicular_frame(recording.trial.axis))
     expected = tool.inv().apply(turn.inv().apply(in_eye))
@@ -250,9 +283,9 @@ def test_a_boresight_in_the_eye_is_an_angle_in_the_tools_frame(rig, tmp_path):
     assert abs(expected[2]) < 1e-9
 
 
-def test_what_is_no_stack_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="not a stack"):
-        read_recording(tmp_path)
+def test_what_is_no_recording_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="holds no images"):
+        recorded_trial(tmp_path)
 
 
 @pytest.fixture(scope="module")
@@ -299,7 +332,7 @@ def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
 
 @pytest.mark.slow
 def test_the_eccentricity_that_was_rendered_is_found(stacks):
-    recordings = [read_recording(stack) for stack in stacks]
+    recordings = [recorded_trial(stack) for stack in stacks]
     fit = fit_cone(
         [recording.trial for recording in recordings],
         recordings[0].microscope.pinhole(),
@@ -337,7 +370,10 @@ def test_a_cone_is_not_fitted_through_a_viewing_lens_as_if_there_were_none(rig, 
 
 @pytest.mark.parametrize(
     ("given", "told"),
-    [((), "fits the pixels of one stack"), (("--lens", "dome"), "core_radius is not in --free")],
+    [
+        ((), "fits the pixels of one recording"),
+        (("--lens", "dome"), "core_radius is not in --free"),
+    ],
 )
 def test_a_core_that_is_free_without_a_lens_may_have_a_prior(rig, tmp_path, given, told):
     source, poses = rig()
@@ -357,14 +393,8 @@ def test_a_bag_of_a_stack_is_fitted_as_the_stack(stack, tmp_path):
 
     poses = read_poses(folder / "kinematics.csv")
     write_bag(bag, frames=later(open_source(folder)), poses=later(poses))
-    book = LogBook(
-        kind="plane",
-        medium="air",
-        fibre_diameter_mm=0.5,
-        microscope=folder / "microscope.json",
-        poses=bag,
-    )
-    ours, theirs = read_recording(folder).trial, read_recording(bag, log_book=book).trial
+    theirs = recorded_trial(Recording.open(bag, rig=folder / "rig.toml")).trial
+    ours = recorded_trial(folder).trial
     # A bag keeps every pixel, and times to the nanosecond.
     np.testing.assert_array_equal(theirs.ellipses.semi_minor, ours.ellipses.semi_minor)
     np.testing.assert_allclose(theirs.readings, ours.readings, atol=1e-6)
@@ -380,11 +410,9 @@ def test_stacks_that_a_fit_cannot_use_say_why(stack, tmp_path):
     late = stack("late", kind="plane", c=1.5, motion={"start_mm": 0.5, "frames": 4})
     for source, model, told in (
         (tilted, "plane", "tilted plane.*Use --model cone"),
-        (scanned, "cone", "does not begin where the tip touches"),
-        (late, "cone", "does not begin where the tip touches.*--prior touch"),
+        (scanned, "cone", "is no withdrawal"),
+        (late, "cone", "robot.touch is free.*--prior touch"),
     ):
         result = call(["fit", source, "--model", model, "--out", str(tmp_path / "c.json")])
         assert re.search(told, str(result.exception)), result.output
-    with pytest.raises(ValueError, match="is no withdrawal"):
-        read_recording(scanned, touch=Prior(3.0, 0.1))
-    assert read_recording(tilted).tilt == pytest.approx((np.tan(np.radians(5.0)), 0.0))
+    assert recorded_trial(tilted).tilt == pytest.approx((np.tan(np.radians(5.0)), 0.0))

@@ -10,10 +10,11 @@ import tomli_w
 
 from eyespot import optics, scenes
 from eyespot.calibration.command.pixel_models import pixel_residuals
-from eyespot.calibration.pixels.data import read_footage
+from eyespot.calibration.pixels.data import footage_of
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.solvers import covariance_and_lost, propagated
 from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.microscope import read_microscope
 from eyespot.optics.wall_light.lens import lens_parameters
@@ -122,7 +123,8 @@ def test_a_lens_is_found_over_a_wall_that_nobody_knows(tmp_path, wall):
     textured = render(tmp_path / "lens", source=source, scale=0.03, samples=16, wall=wall)
     dome = lens_parameters(optics.load_lens("dome"))
     start = dome | {"sag": 0.09, "numerical_aperture": 0.24}
-    fit = fit_image(read_footage(textured, exposure="metered"), source="lens", start=start)
+    metered = Recording.open(textured, exposure="metered")
+    fit = fit_image(footage_of(metered), source="lens", start=start)
     assert fit.converged
     assert fit.textured
     truth = {name: dome[name] for name in ("sag", "numerical_aperture")}

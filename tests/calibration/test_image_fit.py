@@ -15,13 +15,14 @@ import pytest
 from scipy import integrate, ndimage, stats
 
 from eyespot import calibration, optics
-from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, noise_of, read_footage
+from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, footage_of
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.pixels.light import STATES, Cells, Light, LinearLensLight
-from eyespot.calibration.recordings import withdrawal
+from eyespot.calibration.recorded_trial import withdrawal
 from eyespot.calibration.spots.cone_trials import JointPrior
-from eyespot.formats.camera import Response
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
 from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import read_poses
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
@@ -340,7 +341,9 @@ def test_a_robot_that_stops_within_an_exposure_is_behind_its_place_in_the_middle
     poses = tmp_path / "kinematics.csv"
     poses.write_text("\n".join(["time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z", *rows]))
     exposures = np.array([0.1, 0.1])
-    readings, *_ = withdrawal(np.array([30.0, 60.0]), poses, source=tmp_path, exposure_s=exposures)
+    readings, *_ = withdrawal(
+        np.array([30.0, 60.0]), read_poses(poses), source="a", exposure_s=exposures
+    )
     # In half of the exposure it is up to 5 um behind, on average over all of it 1.25 um. The means
     # over 32 parts of a broken line are exact, because a part ends where it breaks.
     assert readings[1] - readings[0] == pytest.approx(3.0 - 0.1 * 0.1 / 8, abs=1e-9)
@@ -373,7 +376,8 @@ def one_frame() -> Footage:
 def test_noise_is_that_of_the_camera(response, level):
     camera = CameraSettings(response=response)
     curves = {"linear": Response(), "srgb": Response(curve="srgb")}
-    noise = noise_of(camera.model_dump(), curves.get(response, Response(curve="gamma", gamma=2.2)))
+    sheet = CameraSheet(**camera.model_dump(include={*CameraSheet.model_fields} - {"bayer"}))
+    noise = CameraNoise(sheet, curves.get(response, Response(curve="gamma", gamma=2.2)))
     image = expose(
         np.full((300, 300, 3), level), exposure=1.0, settings=camera, rng=np.random.default_rng(3)
     )
@@ -423,19 +427,13 @@ def test_names_that_the_fit_does_not_know_are_refused(choice, words):
         check_names("cone", choice["start"], choice.get("free", ()), {})
 
 
-def test_cameras_of_dependent_pixels_are_refused():
-    camera = CameraSettings(bayer="RGGB", prnu=0.01)
-    with pytest.raises(ValueError, match=r"bayer = RGGB, prnu = 0.01"):
-        noise_of(camera.model_dump(), Response())
-
-
-def test_a_damaged_camera_in_a_stacks_scene_is_refused_with_the_files_name(tmp_path):
+def test_a_damaged_camera_of_a_stack_is_refused_with_the_files_name(tmp_path):
     stack = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"
     folder = shutil.copytree(stack, tmp_path / "stack")
     file = folder / "stack.toml"
     file.write_text(file.read_text().replace("bit_depth = 8", "bit_depth = 80"))
     with pytest.raises(ValueError, match="bit_depth must be at most 16; got 80") as error:
-        read_footage(read_stack(folder))
+        footage_of(folder)
     assert str(error.value).startswith(f"{file}: ")
 
 
@@ -446,7 +444,7 @@ def stack(tmp_path_factory) -> Stack:
 
 @pytest.fixture(scope="module")
 def fit(stack) -> calibration.ImageFit:
-    return fit_image(read_footage(stack), source="cone", start=START)
+    return fit_image(footage_of(stack), source="cone", start=START)
 
 
 @pytest.mark.slow
@@ -464,14 +462,14 @@ def test_tips_and_axis_are_those_of_the_labels(stack, fit):
 @pytest.mark.slow
 def test_labels_are_not_read(stack, fit, tmp_path):
     other = read_stack(with_false_labels(stack.folder, tmp_path / "stack"))
-    blind = fit_image(read_footage(other), source="cone", start=START)
+    blind = fit_image(footage_of(other), source="cone", start=START)
     assert blind.parameters == fit.parameters
 
 
 @pytest.mark.slow
 def test_what_shows_in_products_alone_is_said(stack):
     free = ("half_angle", "b", "power")
-    fit = fit_image(read_footage(stack), source="cone", start=START, free=free)
+    fit = fit_image(footage_of(stack), source="cone", start=START, free=free)
     (told,) = fit.undetermined
     assert "power" in told
     assert "sensitivity" in told
@@ -482,7 +480,7 @@ def test_what_shows_in_products_alone_is_said(stack):
 
 @pytest.mark.slow
 def test_wrong_exposures_are_learnt_frame_by_frame(stack, fit):
-    footage = read_footage(stack)
+    footage = footage_of(stack)
     wrong = 1 + 0.1 * np.sin(np.arange(10))
     told = dataclasses.replace(footage, exposure_s=footage.exposure_s * wrong)
     learnt = fit_image(told, source="cone", start=START)
@@ -496,7 +494,7 @@ def test_wrong_exposures_are_learnt_frame_by_frame(stack, fit):
 
 @pytest.mark.slow
 def test_a_camera_noisier_than_its_data_sheet_enlarges_the_errors(stack, fit):
-    footage = read_footage(stack)
+    footage = footage_of(stack)
     sheet = footage.noise.sheet
     sheet = sheet.model_copy(update={"full_well_e": 4 * sheet.full_well_e})
     better = dataclasses.replace(footage.noise, sheet=sheet)
@@ -560,7 +558,7 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(tmp_path, off_deg):
         phantom={"kind": "plane"}, instrument={"visible": False}, microscope={"samples": 4}
     )
     stack = render_stack(settings, tmp_path / "stack")
-    footage = read_footage(stack)
+    footage = footage_of(stack)
     motion, spot = footage.motion, np.array(stack.labels[0].spot_mm)
     aside = np.cross(motion, [0.3, -0.6, 0.7])
     aside /= np.linalg.norm(aside)
@@ -592,7 +590,7 @@ def ideal_withdrawal(folder: Path) -> tuple[Footage, np.ndarray, dict[str, float
     """Frames without noise, exact as no renderer's samples are, their camera, and the truth."""
     settings = scene(instrument={"visible": False}, microscope={"samples": 4})
     stack = render_stack(settings, folder / "stack")
-    footage, beam = read_footage(stack), Renderer(settings).world.truth.beam
+    footage, beam = footage_of(stack), Renderer(settings).world.truth.beam
     wall, cone = Seen(settings), UniformCone.of(HALF_ANGLE, B)
     light = [
         wall.light(cone, tip, axis)[0] * settings.exposures.sensitivity_mm2_sr_mj * time

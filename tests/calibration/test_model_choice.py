@@ -11,11 +11,11 @@ import tomli_w
 from eyespot import optics, scenes
 from eyespot.calibration.command.fitting import chosen_model
 from eyespot.calibration.command.lens_guess import guessed_lenses
-from eyespot.calibration.pixels.data import read_footage
+from eyespot.calibration.pixels.data import footage_of
 from eyespot.calibration.pixels.light import cap_of, cap_shape, cap_slopes
-from eyespot.calibration.recordings import read_recording
+from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.calibration.spots.cone_trials import Prior
-from eyespot.formats.stack import read_stack
+from eyespot.estimator.recording import Recording
 from eyespot.optics.wall_light.lens import lens_parameters
 from tests.support.drawn.drawn_sets import with_false_labels
 from tests.support.drawn.scene_tables import scene_of
@@ -56,14 +56,14 @@ def test_the_model_follows_the_spots_and_not_the_labels(
     description["scene"]["source"] |= {"kind": other["kind"]}
     (false / "stack.toml").write_text(tomli_w.dumps(description))
     for folder in (true, false):
-        chosen, reason = chosen_model([read_recording(folder)])
+        chosen, reason = chosen_model([recorded_trial(folder)])
         assert chosen == model
         assert edges in reason
 
 
 def test_of_two_exposures_the_metered_one_is_measured(stack):
     folder = stack("cone", CONE)
-    usual, metered = (read_recording(folder, exposure=e) for e in (None, "metered"))
+    usual, metered = (recorded_trial(Recording.open(folder, exposure=e)) for e in (None, "metered"))
     np.testing.assert_array_equal(
         usual.trial.ellipses.semi_minor, metered.trial.ellipses.semi_minor
     )
@@ -86,8 +86,8 @@ ANY |= {"rim_height": 0.0, "glue_index": 1.49, "numerical_aperture": 0.05}
 )
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack, kind, priors):
     shown = stack("lens", LENS)
-    footage = read_footage(read_stack(shown))
-    guess = next(guessed_lenses(read_recording(shown), footage, kind, priors))
+    footage = footage_of(shown)
+    guess = next(guessed_lenses(recorded_trial(shown), footage, kind, priors))
     # The preset: a flat end, numerical aperture 0.10; neighbours on the grid are a third away.
     assert guess["numerical_aperture"] == pytest.approx(0.10, rel=0.3)
     assert guess["sag"] < 0.05
@@ -99,8 +99,8 @@ def test_a_high_drop_is_guessed_although_its_spots_have_no_edge(stack, tmp_path)
     drop |= {"numerical_aperture": 0.15, "glue_length": 0.12}
     (tmp_path / "drop.toml").write_text(tomli_w.dumps({"schema": 1, "lens": drop}))
     shown = stack("drop", {**LENS, "lens": str(tmp_path / "drop.toml")}, travel_mm=5.0)
-    footage = read_footage(read_stack(shown))
-    guess = next(guessed_lenses(read_recording(shown), footage, ANY, ANY_PRIORS))
+    footage = footage_of(shown)
+    guess = next(guessed_lenses(recorded_trial(shown), footage, ANY, ANY_PRIORS))
     # The light far away follows curvature and numerical aperture. A grid's neighbours differ by
     # half, and rings of a textured wall are right to some 3 %.
     assert cap_shape(guess)[0] == pytest.approx(cap_shape(drop)[0], rel=0.2)
@@ -124,6 +124,6 @@ def test_a_caps_curvature_and_chord_are_regular_from_a_flat_end_to_a_half_ball(s
 
 
 def test_several_recordings_of_a_lens_are_refused_with_a_remedy(stack):
-    recording = read_recording(stack("lens", LENS))
+    recording = recorded_trial(stack("lens", LENS))
     with pytest.raises(ValueError, match=re.compile("edges are soft.*give one stack", re.DOTALL)):
         chosen_model([recording, recording])

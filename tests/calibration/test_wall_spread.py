@@ -119,7 +119,7 @@ def test_the_fit_finds_the_length_and_the_cone(tmp_path: Path):
     known: dict[str, Any] = {"source": "cone", "priors": {"touch": Prior(1.0, 1e-3)}}
     free = ("half_angle", "b", "spread")
     fit = calibration.fit_image(
-        calibration.read_footage(stack), start=START | {"spread": 0.03}, free=free, **known
+        calibration.footage_of(stack), start=START | {"spread": 0.03}, free=free, **known
     )
     assert fit.converged
 

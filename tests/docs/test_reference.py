@@ -186,7 +186,7 @@ def written(tmp_path_factory):
     printed("fit", folder / "stack", "--model", "plane", "--out", folder / "beam.json")
     calibrated = ("--calibration", folder / "beam.json")
     printed("track", folder / "stack", *calibrated, "--out", folder / "spots.csv")
-    stated = ("--stated", folder / "stated.toml", "--json")
+    stated = ("--rig", folder / "stated.toml", "--json")
     budget = printed("budget", folder / "stack", *calibrated, *stated, "--frame", "6")
     (folder / "budget.json").write_text(budget)
     plan = ("--uncertain", "phantom.radius_mm=0.2", "--calibration", folder / "beam.json")

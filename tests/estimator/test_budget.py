@@ -323,8 +323,8 @@ def options(stack: Path) -> list[object]:
     return [
         stack / "stack",
         *("--calibration", stack / "cone.json", "--model", "small_plane"),
-        *("--stated", stack / "stated.toml"),
-        *("--poses", stack / "stack" / "kinematics.csv", "--eye-from-robot", "0,0,0,1"),
+        *("--rig", stack / "stated.toml"),
+        *("--poses", stack / "stack" / "kinematics.csv"),
     ]
 
 
@@ -342,7 +342,7 @@ def test_the_command_names_the_largest_cause_and_what_halves_it(stack):
 
 def test_what_is_stated_without_effect_is_said_and_not_counted(stack):
     # The fit of a cone has the touch among its parameters, and without poses no clock matters.
-    without_poses = options(stack)[:-4]
+    without_poses = options(stack)[:-2]
     called = run("budget", *without_poses, "--json")
     for name in ("touch_sigma_mm", "clock_sigma_s"):
         assert f"{name} of {stack / 'stated.toml'} has no effect" in called.stderr

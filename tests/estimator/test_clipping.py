@@ -163,7 +163,7 @@ def test_a_curve_counts_from_the_cameras_full_scale(frame):
         shifted = frame << 4 if response.full_scale is None else frame
         spot = spot_in(shifted, SubpixelSettings(response=response))
         assert_within(spot, (40, 30))
-    with pytest.raises(InputError, match=r"full scale of 16-bit images.*--full-scale 4095"):
+    with pytest.raises(InputError, match=r"full scale of 16-bit images.*camera.full_scale"):
         measured(frame, SubpixelSettings(response=Response(curve="srgb")))
     with pytest.raises(InputError, match=r"full_scale.* is 1023, but the image has values up to"):
         measured(frame, SubpixelSettings(response=Response(full_scale=1023)))
@@ -176,7 +176,7 @@ SHEET = {"full_well_e": 9000.0, "read_noise_e": 8.0, "black_level_dn": 8.0, "bit
 def test_a_microscope_file_says_the_full_scale(frame, keys, tmp_path):
     size = SHAPE[1], SHAPE[0]
     microscope = a_microscope_file(tmp_path, size, pinhole_height_mm=11.5, response="srgb", **keys)
-    reader = Options.of({"microscope": microscope}).reader()
+    reader = Options.of({"rig": microscope}).reader()
     spot = reader.read(Frame(index=0, image=frame)).result
     assert isinstance(spot, Spot)
     assert_within(spot, (40, 30))
@@ -184,10 +184,12 @@ def test_a_microscope_file_says_the_full_scale(frame, keys, tmp_path):
 
 def test_floats_beyond_one_need_their_full_scale():
     frame = spot_image(SHAPE, 160.3, 120.7, 40, 30, 0.4).astype(np.float32)
-    with pytest.raises(InputError, match=r"floats up to 220.*--full-scale 255"):
+    with pytest.raises(InputError, match=r"floats up to 220.*camera.full_scale"):
         Options.of({}).reader().read(Frame(index=0, image=frame))
     for reading in (
-        Options.of({"full_scale": 255}).reader().read(Frame(index=0, image=frame)),
+        Options.of({"changes": {"camera.full_scale": 255.0}})
+        .reader()
+        .read(Frame(index=0, image=frame)),
         # As the source says.
         Options.of({}).reader().read(Frame(index=0, image=frame, full_scale=255.0)),
     ):

@@ -24,6 +24,7 @@ from eyespot.estimator import Frame, Source
 from eyespot.estimator.console.guide import Guide, Stage, exposure_advice
 from eyespot.estimator.console.session import Session, View, svg_of
 from eyespot.estimator.distance.range import Range, TipPose
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import Reading
 from eyespot.estimator.sources.opening import open_source
@@ -168,11 +169,11 @@ def test_the_robots_reading_and_its_poses_are_recorded(tmp_path):
 @pytest.mark.slow
 def test_a_withdrawal_is_covered_fitted_and_saved(stack, tmp_path):
     poses = read_poses(stack / "kinematics.csv")
-    microscope = stack / "microscope.json"
-    options = Options(microscope=microscope)
+    rig = Recording.open(stack).rig
+    options = Options(rig=stack / "rig.toml")
     with (
         session_of(lambda: open_source(stack), options, lambda: poses) as session,
-        contextlib.closing(Guide(session, tmp_path, microscope)) as guide,
+        contextlib.closing(Guide(session, tmp_path, rig)) as guide,
     ):
         guide.start()
         guide.look()
@@ -344,7 +345,12 @@ def stack(tmp_path_factory):
 
 @pytest.mark.slow
 def test_a_click_on_the_spot_shows_its_distance_and_windows_agree(browser, stack, tmp_path):
-    options = ["--calibration", calibrated(tmp_path, "exact"), "--eye-from-robot", "0,0,0,1"]
+    options = [
+        "--calibration",
+        calibrated(tmp_path, "exact"),
+        "--set",
+        "robot.eye_from_robot=[0,0,0,1]",
+    ]
     options += ["--poses", stack / "kinematics.csv", "--folder", tmp_path]
     with console(*CONSOLE, stack, *options, log=tmp_path / "log") as address:
         page, other = browser.new_page(), browser.new_page()

@@ -6,7 +6,7 @@ import pytest
 
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.formats.inputs import InputError
-from eyespot.formats.microscope import read_microscope
+from eyespot.formats.rig import read_rig
 from eyespot.scenes.camera import CameraSensor
 from tests.support.command_line import printed
 from tests.support.drawn.made_up import a_microscope_file
@@ -56,9 +56,11 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
         for k, frame in enumerate(pair):
             cv2.imwrite(f"{folder}/{2 * number + k + 1}.png", frame[..., ::-1])
     microscope = a_microscope_file(tmp_path)
-    out = tmp_path / "with_camera.json"
-    printed("camera", folder, "--microscope", microscope, "--out", out)
-    noise = read_microscope(out).noise
+    out = tmp_path / "rig.toml"
+    printed("camera", folder, "--rig", microscope, "--out", out)
+    view = read_rig(out).view
+    assert view is not None
+    noise = view.noise
     assert noise is not None
     # Half a full well: shot noise of 4,000 electrons, 1 % of PRNU, read noise, and a twelfth of the
     # square of a step of 8000/249 electrons.

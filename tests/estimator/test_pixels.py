@@ -21,9 +21,10 @@ from eyespot.estimator import Frame, SubpixelSettings, TrackState, measure
 from eyespot.estimator.distance.range import WallMemory
 from eyespot.estimator.pixels import tracker
 from eyespot.estimator.pixels.beam import BeamLight
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.opening import open_source
-from eyespot.formats.calibration import write_calibration
+from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack, read_poses
 from eyespot.formats.spots import NoSpot, Reason
@@ -73,15 +74,9 @@ def calibration_in(folder: Path, *, sigma_b_mm: float = 1e-5) -> Path:
 
 def reader_in(stack, folder: Path, *, sigma_b_mm: float = 1e-5, **options):
     """A reader of a stack in the mode pixels, with the true cone."""
-    return Options.of(
-        {
-            "mode": "pixels",
-            "calibration": calibration_in(folder, sigma_b_mm=sigma_b_mm),
-            "microscope": stack.folder / "microscope.json",
-            "eye_from_robot": (0.0, 0.0, 0.0, 1.0),
-            **options,
-        }
-    ).reader()
+    beam = read_calibration(calibration_in(folder, sigma_b_mm=sigma_b_mm))
+    asked = Options.of({"mode": "pixels", **options})
+    return asked.reader(Recording.open(stack, changes=asked.changes).rig, beam)
 
 
 def readings_of(stack, folder: Path, poses=None, **options):
@@ -110,8 +105,7 @@ def read(folder, *, options=None, not_measured=None, shake_px=None, **tables):
     stated.
     """
     if shake_px is not None:
-        options = {"stated": folder / "stated.toml"}
-        options["stated"].write_text(f"shake_px = {shake_px}\n")
+        options = {"changes": {"unrest.shake_px": shake_px}}
     stack = cone_stack(folder / "stack", **{"motion": FOUR} | tables)
     for frame in open_source(stack.folder) if not_measured else ():
         result, _ = measure(frame.image, TrackState(), SubpixelSettings())
@@ -490,9 +484,9 @@ def test_options_that_make_no_sense_are_refused(paper_stack, tmp_path):
     content = json.loads(file.read_text())
     without_noise.write_text(json.dumps(content | {"camera": None}))
     cv2.imwrite(str(small), np.zeros((100, 120, 3), np.uint8))
-    usual = {"mode": "pixels", "calibration": calibration_in(tmp_path), "microscope": file}
+    usual = {"mode": "pixels", "calibration": calibration_in(tmp_path), "rig": file}
     for changed, words in (
-        ({"microscope": without_noise}, "needs the camera's noise"),
+        ({"rig": without_noise}, "needs the camera's noise"),
         ({"calibration": None}, "needs a calibration"),
         ({"model": "exact"}, "model has no effect"),
         ({"reference": small}, "120x100 px, but the microscope file is made for 360x300"),

@@ -99,7 +99,7 @@ def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline():
 @pytest.mark.parametrize(("radius_px", "doubt"), [(30.0, ""), (17.0, "out_of_range")])
 def test_the_distance_is_in_metres_and_doubted_behind_the_wall(tmp_path, radius_px, doubt):
     microscope = microscope_in(tmp_path)
-    parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
+    parameters = Parameters(rig=microscope, calibration=calibrated(tmp_path, "planar"))
     reading = ImageReader(parameters).output(grey_message(disc(159.5, 119.5, radius_px)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
     truth_mm = 0.0134 * 20 * radius_px - 5.117
@@ -173,11 +173,11 @@ def test_parameters_are_taken_as_ros_hands_them_over():
         ({"start": "left"}, "start: must be X,Y in px.*'left'"),
         ({"start": 3}, "start: must be X,Y in px.*3"),
         ({"exposure_s": 0.0}, "exposure_s: .*greater than 0; got 0.0"),
-        ({"calibration": "c.json"}, "--calibration needs --microscope"),
-        ({"pinhole_height_mm": 200.0}, "--pinhole-height-mm needs --microscope"),
+        ({"calibration": "c.json"}, "--calibration needs the microscope.*--rig"),
+        ({"pinhole_height_mm": 200.0}, "is the key microscope.pinhole_height_mm of the rig file"),
         ({"settings": {"response": "srgb"}}, "settings are numbers.*microscope"),
         ({"settings": {"min_contrast": "high"}}, "settings: "),
-        ({"eye_from_robot": [0, 0, 0, 0.5]}, "eye_from_robot: must be a unit quaternion"),
+        ({"changes": ["robot.unit=km"]}, "robot.unit: .*'um'; got 'km'"),
         ({"mode": "literal", "settings": {"treshold": 180}}, "treshold"),
     ],
 )
@@ -188,9 +188,7 @@ def test_parameters_that_make_no_sense_are_named(given, told):
 
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path):
     microscope = microscope_in(tmp_path)
-    turned = ImageReader(Parameters(microscope=microscope)).output(
-        grey_message(DARK.T.copy()), 1.0, 0
-    )
+    turned = ImageReader(Parameters(rig=microscope)).output(grey_message(DARK.T.copy()), 1.0, 0)
     assert "240x320 px" in turned.doubt
     outside = ImageReader(Parameters(start=(320.0, 10.0))).output(grey_message(DARK), 1.0, 0)
     assert "start (320, 10) px lies outside" in outside.doubt
@@ -364,14 +362,13 @@ def test_under_a_real_roscore_the_node_measures_what_is_measured_offline(
     ros, stack, tmp_path, settings, start, model, with_axis
 ):
     microscope, calibration = stack / "microscope.json", calibrated(tmp_path, model)
-    parameters = [f"_microscope:={microscope}", f"_calibration:={calibration}"]
+    rig = stack / "rig.toml" if with_axis else microscope  # the former knows the robot's frame
+    parameters = [f"_rig:={rig}", f"_calibration:={calibration}"]
     if isinstance(settings, LiteralSettings):
         given = f"{{threshold: {settings.threshold}, max_minor_axis_px: 60}}"
         parameters += ["_mode:=literal", f"_settings:={given}"]
     if start is not None:
         parameters += ["_start:={:g},{:g}".format(*start)]
-    if with_axis:
-        parameters += ["_eye_from_robot:=[0, 0, 0, 1]"]  # the scene's poses are in the eye's frame
     bag = tmp_path / "rig.bag"
     stamps = recording_of(stack, bag)
     live = node_output(bag, tmp_path, len(stamps), *parameters)

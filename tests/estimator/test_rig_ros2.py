@@ -135,13 +135,13 @@ def test_under_ros_2_the_node_measures_what_is_measured_offline(
     speed = rate_hz / RATE_HZ
     # The robot's 200 Hz, when the bag is played at this speed.
     stamps = recording_of(stack, bag, ros=2, rounds=ROUNDS, pose_rate_hz=200 / speed)
-    arguments = given(use_sim_time="true", microscope=microscope, calibration=calibration)
+    arguments = given(use_sim_time="true", calibration=calibration)
     if isinstance(settings, LiteralSettings):
-        arguments += given(mode="literal", start="159.0,119.0")
+        arguments += given(mode="literal", start="159.0,119.0", rig=microscope)
         arguments += ["-p", f"settings.threshold:={settings.threshold}"]
         arguments += ["-p", "settings.max_minor_axis_px:=60"]
     else:
-        arguments += given(eye_from_robot="[0, 0, 0, 1]")
+        arguments += given(rig=stack / "rig.toml")
     if reliable:
         override = f"qos_overrides.{IMAGES}.subscription"
         arguments += ["-p", f"{override}.reliability:=reliable", "-p", f"{override}.depth:=100"]

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, track
 from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.offline import summary_of, table_of, track_source
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.overlay import annotated, overlay_writer
@@ -73,7 +74,7 @@ CAMERA = LensDistortion(
     matrix=np.array([[400.0, 0, 100], [0, 400, 80], [0, 0, 1]]),
     distortion=np.array([-0.6, 0, 0, 0, 0]),
 )
-EYE = ("--pinhole-height-mm", 200, "--eye-radius-mm", 11.5)
+EYE = ("--set", "microscope.pinhole_height_mm=200", "--set", "wall.radius_mm=11.5")
 
 
 @pytest.fixture
@@ -143,7 +144,7 @@ def test_a_planar_calibration_makes_its_closed_form_of_every_spot(
     tmp_path, frames, images, microscope, calibration
 ):
     out = tmp_path / "spots.csv"
-    options = ("--calibration", calibration, "--microscope", microscope)
+    options = ("--calibration", calibration, "--rig", microscope)
     summary = json.loads(run(frames, "--out", out, *options, "--json").stdout)
     assert summary["distances"] == 7
     records = read_spots(out)
@@ -206,9 +207,9 @@ def test_a_robot_that_contradicts_the_distances_is_told(tmp_path, k, towards, to
         Pose.along((0.0, 0.0, -1.0), time_s=n / 10, position_mm=tuple(d * np.array(towards)))
         for n, d in enumerate(distances)
     )
-    reader = Options(microscope=microscope, calibration=tmp_path / "beam.json").reader()
+    reader = Options(rig=microscope, calibration=tmp_path / "beam.json").reader()
     source = Source(name="withdrawal", read=lambda: iter(frames))
-    tracking = track_source(source, reader, poses=poses)
+    tracking = track_source(Recording(source, poses=poses), reader)
     # The disc is drawn to 0.02 px, which are 5 um in the distance.
     assert tracking.contradiction_mm == (told and pytest.approx(told, abs=0.02))
     said = map(str, table_of(summary_of(tracking, source, "", 0.0)).renderables)
@@ -217,7 +218,7 @@ def test_a_robot_that_contradicts_the_distances_is_told(tmp_path, k, towards, to
 
 def test_a_distorted_lens_is_taken_out_of_the_spots(tmp_path, frames, images, distorted):
     out = tmp_path / "spots.csv"
-    assert run(frames, "--out", out, "--microscope", distorted, *EYE).exit_code == 0
+    assert run(frames, "--out", out, "--rig", distorted, *EYE).exit_code == 0
     assert_same(read_spots(out), list(track(images, SubpixelSettings(camera=CAMERA))))
 
 
@@ -248,8 +249,8 @@ def test_the_robots_axis_is_turned_into_the_eye_for_the_exact_model(tmp_path, im
     pose = Pose(rotation=rotation, time_s=0.9, position_mm=(0.0, 0.0, 0.0))
     write_bag(bag, frames=stamped, poses=[pose])
     quaternion = ",".join(map(repr, turn.as_quat().tolist()))
-    options = ("--calibration", askew, "--microscope", microscope, "--model", "exact")
-    known = ("--poses", bag, f"--eye-from-robot={quaternion}")
+    options = ("--calibration", askew, "--rig", microscope, "--model", "exact")
+    known = ("--poses", bag, "--set", f"robot.eye_from_robot=[{quaternion}]")
     assert run(bag, "--out", out, *options, *known).exit_code == 0
     ranger = Ranger(read_calibration(askew), read_microscope(microscope), model="exact")
     for record in read_spots(out):
@@ -339,15 +340,15 @@ def test_the_overlay_video_has_every_frame(tmp_path, frames, name):
         (["--overlay", "overlay.mov"], [".mp4, .avi", "folder", "'.mov'"]),
         (["--exposure", "paper"], ["is not a stack"]),
         (["--model", "planar"], ["--model needs --calibration"]),
-        (["--eye-radius-mm", "11.5"], ["--eye-radius-mm needs --microscope"]),
-        (["--pose-topic", "/pose"], ["--pose-topic needs --poses"]),
-        (["--calibration", "CALIBRATION"], ["--calibration needs --microscope"]),
-        (["--microscope", "DISTORTED"], ["pinhole_height_mm"]),
-        (["--microscope", "missing.json"], ["missing.json", "Check the path."]),
-        (["--mode", "literal", "--microscope", "DISTORTED", *EYE], ["literal", "distortion"]),
+        (["--eye-radius-mm", "11.5"], ["--eye-radius-mm is the key wall.radius_mm"]),
+        (["--pose-topic", "/pose"], ["--pose-topic is the key robot.pose_topic"]),
+        (["--calibration", "CALIBRATION"], ["--calibration needs the microscope", "--rig FILE"]),
+        (["--rig", "DISTORTED"], ["pinhole_height_mm"]),
+        (["--rig", "missing.json"], ["missing.json", "Check the path."]),
+        (["--mode", "literal", "--rig", "DISTORTED", *EYE], ["literal", "distortion"]),
         (["--poses", "missing.csv"], ["missing.csv", "Check the path"]),
         (["--poses", "POSES"], ["has no time", "Leave the poses out"]),
-        (["--poses", "POSES", "--eye-from-robot", "0,0,0,2"], ["unit quaternion", "0,0,0,2"]),
+        (["--set", "robot.eye_from_robot=[0,0,0,2]"], ["unit quaternion"]),
     ],
 )
 def test_bad_input_is_one_message_and_leaves_nothing_behind(
@@ -366,7 +367,7 @@ def test_bad_input_is_one_message_and_leaves_nothing_behind(
 
 def test_a_microscope_of_another_frame_size_is_refused(tmp_path, frames, microscope):
     microscope.write_text(microscope.read_text().replace("200", "640", 1))
-    outcome = run(frames, "--out", tmp_path / "spots.csv", "--microscope", microscope)
+    outcome = run(frames, "--out", tmp_path / "spots.csv", "--rig", microscope)
     outcome.assert_bad_input("200x160 px", "640x160 px")
 
 

@@ -25,6 +25,7 @@ from eyespot.estimator.sources.ros import write_bag
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, read_poses
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.optics import load_lens
@@ -194,7 +195,7 @@ VALUES = {
     "--prior": lambda rng: (
         Choices(prior=(f"eye_radius={odd_numbers(rng)}", f"{odd_word(rng)}=1,1")).priors
     ),
-    "--eye-from-robot": lambda rng: Choices(eye_from_robot=odd_numbers(rng)).rotation,
+    "--set of a rig": lambda rng: Rig().changed([f"robot.eye_from_robot=[{odd_numbers(rng)}]"]),
     "options": lambda rng: Options.of({rng.choice([*Options.model_fields, "more"]): odd(rng)}),
     "source": lambda rng: open_source(odd_word(rng).replace("\0", "")),
 }
@@ -265,10 +266,10 @@ COMMANDS = {
     },
     "ros 2": ("track", "ros2", "--out", "out.csv"),
     "poses": ("track", "image.png", "--out", "out.csv", "--poses", "poses.csv"),
-    "microscope": ("track", "image.png", "--out", "out.csv", "--microscope", "microscope.json"),
+    "microscope": ("track", "image.png", "--out", "out.csv", "--rig", "microscope.json"),
     "opencv yaml": (
-        *("track", "image.png", "--out", "out.csv", "--microscope", "camera.yml"),
-        *("--pinhole-height-mm", "200", "--eye-radius-mm", "11.5"),
+        *("track", "image.png", "--out", "out.csv", "--rig", "camera.yml"),
+        *("--set", "microscope.pinhole_height_mm=200", "--set", "wall.radius_mm=11.5"),
     ),
     "scene": ("scene", "check", "scene.toml"),
     "set": ("dataset", "verify", "small-v1"),

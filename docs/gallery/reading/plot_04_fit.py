@@ -12,13 +12,13 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from eyespot.calibration import fit_cone
-from eyespot.calibration.recordings import read_recording
+from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.scenes import load_scene, render_stack
 
 changes = ["source.kind=cone", "motion.frames=13", "phantom.wall=uniform"]
 scene = load_scene(None, [*changes, 'exposures.kinds=["metered"]'])
 stack = render_stack(scene, Path(mkdtemp()) / "withdrawal")
-recording = read_recording(stack.folder)
+recording = recorded_trial(stack)
 fit = fit_cone(
     [recording.trial], recording.microscope.pinhole(), start={"half_angle": 0.06, "b": -4.0}
 )

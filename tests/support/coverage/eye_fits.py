@@ -10,7 +10,6 @@ fit knows none of these.
 
 import math
 import sys
-from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -25,9 +24,11 @@ from eyespot.benchmarks.studies.eye_paths import cameras, drawn
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.models import fit_eye
 from eyespot.calibration.command.verdict import Fitted
-from eyespot.calibration.recordings import Recording
+from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.recording import Recording
+from eyespot.estimator.sources.source import Source
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.spots import Spot
 from eyespot.optics.viewing.camera import PathCamera
@@ -89,16 +90,16 @@ def turned(axis: np.ndarray, by: np.ndarray) -> np.ndarray:
 
 def recording(
     ellipses: np.ndarray, axis: np.ndarray, noise: np.random.Generator, errors: float
-) -> Recording:
+) -> RecordedTrial:
     """A withdrawal as the table records it; `errors` 0 leaves out every error."""
     covariances = np.stack([covariance(row) for row in ellipses])
     sigma = np.sqrt(np.einsum("nii->ni", covariances))
     seen = ellipses + errors * sigma * noise.standard_normal(ellipses.shape)
     touched = TOUCH.mean + errors * TOUCH.sigma * noise.standard_normal()
     told = turned(axis, errors * AXIS_SIGMA * noise.standard_normal(2))
-    return Recording(
+    return RecordedTrial(
         name="withdrawal",
-        source=Path("withdrawal"),
+        recording=Recording(Source(name="withdrawal", read=lambda: iter(()))),
         trial=ConeTrial(
             ellipses=optics.Ellipse(*map(jnp.asarray, (seen[:, :2], *seen[:, 2:].T))),
             covariances=covariances,
@@ -127,7 +128,7 @@ def calibration(values: dict[str, float], matrix: np.ndarray, model: str) -> Cal
 
 
 def fitted(
-    trials: list[Recording], cone: np.ndarray, priors: dict[str, Prior] | None = None
+    trials: list[RecordedTrial], cone: np.ndarray, priors: dict[str, Prior] | None = None
 ) -> Fitted:
     """The calibration of an eye with a cone (half_angle, b) that was calibrated before."""
     values = {"half_angle": float(cone[0]), "b": float(cone[1])}
@@ -172,7 +173,7 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
     ]
     ellipses, axes = map(np.asarray, _seen(camera, semi_axes, jnp.array(withdrawn + read)))
 
-    def trials(errors: float) -> list[Recording]:
+    def trials(errors: float) -> list[RecordedTrial]:
         return [
             recording(ellipses[k : k + DISTANCES.size], axes[k], noise, errors)
             for k in range(0, len(withdrawn), DISTANCES.size)

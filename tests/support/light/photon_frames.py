@@ -202,7 +202,7 @@ def widened(recording: Recording, part: float, rng: np.random.Generator) -> Reco
 
 
 def footage_of(recording: Recording, frames: Frames) -> Footage:
-    """What `read_footage` reads from a folder with these images."""
+    """What `footage_of` reads from a folder with these images."""
     own, images = recording, frames.images
     sheet = CameraSheet(
         full_well_e=own.full_well,

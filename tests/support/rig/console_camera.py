@@ -16,6 +16,7 @@ from eyespot.estimator import Frame, Source
 from eyespot.estimator.console.page import serve
 from eyespot.estimator.run.options import Options
 from eyespot.formats.inputs import InputError
+from eyespot.formats.rig import Rig
 from tests.support.drawn.drawn_spots import disc
 
 
@@ -37,7 +38,9 @@ if __name__ == "__main__":
     with suppress(KeyboardInterrupt):
         serve(
             lambda: camera(unplugged),
-            Options(),
+            Options().reader(),
+            Rig(),
+            beam=None,
             folder=unplugged.parent,
             host="127.0.0.1",
             port=port,
