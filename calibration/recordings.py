@@ -20,19 +20,14 @@ from jaxtyping import ArrayLike, Float
 from eyespot import optics
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
 from eyespot.estimator import track_whole_source
-from eyespot.estimator.run.offline import MOST_ASIDE_MM
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.inputs import InputError, shortened
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
-from eyespot.formats.poses import Quaternion, read_poses, turned
+from eyespot.formats.poses import Quaternion, RobotKeys, read_poses, turned
 from eyespot.formats.spots import Spot, SpotRecord, read_spots
 from eyespot.formats.stack import Stack, read_stack
-
-_MOST_ASKEW_DEG = 10.0
-"""Largest angle between the tip's motion and the tool's axis: three standard deviations of
-`BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
-
 
 _TOUCH_SIGMA_MM = 0.02
 """Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
@@ -58,80 +53,6 @@ def touch_of(
     incidence = jnp.arccos(-normal @ axis)
     contact = optics.contact_distance(wall, incidence=incidence, rim_radius=rim_radius)
     return Prior(float(contact), _TOUCH_SIGMA_MM)
-
-
-_PARTS = 32  # of an exposure, in whose middles the place is averaged
-
-
-def withdrawal(
-    times: Float[np.ndarray, "n"],
-    poses_file: Path,
-    *,
-    source: Path,
-    exposure_s: Float[np.ndarray, "n"] | None = None,
-) -> tuple[
-    Float[np.ndarray, "n"],
-    Float[np.ndarray, "3"],
-    Float[np.ndarray, "3"],
-    Float[np.ndarray, "2 3"],
-]:
-    """Distance of the tip since the first frame, its direction, and the tool's mean axes.
-
-    Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
-    0.5 um, which equals one standard error of the half-angle at 5 mm. They are means over the
-    exposures: a robot that stops in the middle of one is 1 um behind at 0.1 mm/s and 0.1 s.
-
-    Args:
-        times: times of the frames, in the middle of their exposures, s, on the poses' clock.
-        poses_file: see `read_poses`.
-        source: source of the frames, for messages.
-        exposure_s: of the frames; None if they are not known.
-
-    Returns:
-        Distances from the first frame along the motion, mm, and unit vectors in the poses' frame:
-        the motion, reversed, and the tool's axis, both towards the wall, and the tool's x and y
-        axes in the middle of the withdrawal.
-
-    Raises:
-        InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
-    """
-    poses = list(read_poses(poses_file))
-    known = np.array([pose.time_s for pose in poses])
-    # An unknown time is NaN, for which these comparisons are false.
-    if not (known[0] <= times.min() and times.max() <= known[-1]):
-        raise InputError(
-            f"{poses_file} has poses from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
-            f"{source} go from {times.min():.3f} to {times.max():.3f} s. Record the robot's poses "
-            "on the frames' clock, from before the first frame until after the last."
-        )
-    reported = np.array([pose.position_mm for pose in poses])
-    parts = np.zeros((times.size, 1))
-    if exposure_s is not None:
-        parts = exposure_s[:, None] * ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)
-    moments = times[:, None] + parts
-    places = np.stack([np.interp(moments, known, x).mean(axis=1) for x in reported.T], axis=1)
-    # Use all poses between which the frames lie, even if they are only two.
-    first = np.searchsorted(known, times.min(), side="right") - 1
-    last = np.searchsorted(known, times.max(), side="left")
-    axis = np.mean([pose.axis for pose in poses[first : last + 1]], axis=0)
-    axis /= np.linalg.norm(axis)
-    gone = places[0] - places
-    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
-    # A tip at rest has no direction.
-    motion = lines[0] if travel[0] > MOST_ASIDE_MM else axis
-    motion = np.asarray(motion * np.copysign(1.0, motion @ axis))
-    readings = gone @ motion
-    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
-    askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
-    if aside > MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
-        raise InputError(
-            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
-            f"line is {askew:.1f}° from the tool's axis; {MOST_ASIDE_MM} mm and "
-            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
-        )
-    middle = poses[(first + last) // 2].rotation
-    across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    return readings, motion, axis, across
 
 
 _FEWEST_SPOTS = 3
@@ -246,7 +167,13 @@ def read_recording(
             "or start at contact."
         )
     times = np.array([record.time_s for record in records])
-    readings, *directions = withdrawal(times, log_book.poses, source=source)
+    robot = RobotKeys(
+        eye_from_robot=log_book.eye_from_robot,
+        touch="contact" if touch is None else (touch.mean, touch.sigma),
+    )
+    readings, *directions = withdrawal_of(
+        read_poses(log_book.poses), times, robot=robot, where=f"{source}"
+    )
     motion, axis, *across = (
         np.array(turned(tuple(direction), log_book.eye_from_robot))
         for direction in np.vstack(directions)

@@ -13,12 +13,13 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot import optics
-from eyespot.calibration.recordings import withdrawal
 from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
 from eyespot.formats.inputs import InputError, in_file, shortened, validated
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
+from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack
 from eyespot.optics.instrument import BareFibre
 from eyespot.optics.wall_light.lens import PARAMETERS as LENS
@@ -75,8 +76,12 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
     frames = list(open_source(stack.folder, exposure=exposure))
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
-    readings, motion, axis, _ = withdrawal(
-        times, stack.folder / "kinematics.csv", source=stack.folder, exposure_s=exposure_s
+    readings, motion, axis, _ = withdrawal_of(
+        read_poses(stack.folder / "kinematics.csv"),
+        times,
+        robot=RobotKeys(eye_from_robot=(0.0, 0.0, 0.0, 1.0)),
+        exposure_s=exposure_s,
+        where=f"{stack.folder}",
     )
 
     def number(key: str) -> float:

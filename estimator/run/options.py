@@ -382,10 +382,10 @@ class RecordingOptions:
             InputError: an option has no effect without poses, or they are wrong.
             OSError: they cannot be read.
         """
-        from eyespot.formats.poses import read_poses
+        from eyespot.formats.poses import RobotKeys, read_poses
 
         if self.poses is not None:
-            return read_poses(self.poses, topic=self.pose_topic)
+            return read_poses(self.poses, robot=RobotKeys(pose_topic=self.pose_topic))
         needs = {"pose_topic": self.pose_topic, "eye_from_robot": options.eye_from_robot}
         for name, value in needs.items():
             if value is not None:
