@@ -18,10 +18,11 @@ from eyespot import calibration, optics
 from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, noise_of, read_footage
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.pixels.light import STATES, Cells, Light, LinearLensLight
-from eyespot.calibration.recordings import withdrawal
 from eyespot.calibration.spots.cone_trials import JointPrior
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.formats.camera import Response
 from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
@@ -340,7 +341,9 @@ def test_a_robot_that_stops_within_an_exposure_is_behind_its_place_in_the_middle
     poses = tmp_path / "kinematics.csv"
     poses.write_text("\n".join(["time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z", *rows]))
     exposures = np.array([0.1, 0.1])
-    readings, *_ = withdrawal(np.array([30.0, 60.0]), poses, source=tmp_path, exposure_s=exposures)
+    readings, *_ = withdrawal_of(
+        read_poses(poses), np.array([30.0, 60.0]), robot=RobotKeys(), exposure_s=exposures
+    )
     # In half of the exposure it is up to 5 um behind, on average over all of it 1.25 um. The means
     # over 32 parts of a broken line are exact, because a part ends where it breaks.
     assert readings[1] - readings[0] == pytest.approx(3.0 - 0.1 * 0.1 / 8, abs=1e-9)
