@@ -4,7 +4,6 @@ Spots come from the estimator, readings and axis from the robot, everything else
 """
 
 import hashlib
-import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,19 +15,15 @@ from jaxtyping import ArrayLike, Float
 from eyespot import optics
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
 from eyespot.estimator import track_whole_source
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.recording import Recording
-from eyespot.estimator.run.offline import MOST_ASIDE_MM
 from eyespot.estimator.run.options import Options
 from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.poses import PoseTrack, Quaternion, turned
-from eyespot.formats.rig import Rig, RobotKeys
+from eyespot.formats.poses import Quaternion, RobotKeys, turned
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord
-
-_MOST_ASKEW_DEG = 10.0
-"""Largest angle between the tip's motion and the tool's axis: three standard deviations of
-`BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
 
 
 def touch_of(
@@ -53,81 +48,6 @@ def touch_of(
     incidence = jnp.arccos(-normal @ axis)
     contact = optics.contact_distance(wall, incidence=incidence, rim_radius=rim_radius)
     return Prior(float(contact), sigma)
-
-
-_PARTS = 32  # of an exposure, in whose middles the place is averaged
-
-
-def withdrawal(
-    times: Float[np.ndarray, "n"],
-    poses: PoseTrack,
-    *,
-    source: str,
-    exposure_s: Float[np.ndarray, "n"] | None = None,
-) -> tuple[
-    Float[np.ndarray, "n"],
-    Float[np.ndarray, "3"],
-    Float[np.ndarray, "3"],
-    Float[np.ndarray, "2 3"],
-]:
-    """Distance of the tip since the first frame, its direction, and the tool's mean axes.
-
-    Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
-    0.5 um, which equals one standard error of the half-angle at 5 mm. They are means over the
-    exposures: a robot that stops in the middle of one is 1 um behind at 0.1 mm/s and 0.1 s.
-
-    Args:
-        times: times of the frames, in the middle of their exposures, s, on the poses' clock.
-        poses: the robot's.
-        source: source of the frames, for messages.
-        exposure_s: of the frames; None if they are not known.
-
-    Returns:
-        Distances from the first frame along the motion, mm, and unit vectors in the poses' frame:
-        the motion, reversed, and the tool's axis, both towards the wall, and the tool's x and y
-        axes in the middle of the withdrawal.
-
-    Raises:
-        InputError: poses that cannot be read or do not cover the frames, or no withdrawal.
-    """
-    known = np.array([pose.time_s for pose in poses])
-    # An unknown time is NaN, for which these comparisons are false.
-    if not (known[0] <= times.min() and times.max() <= known[-1]):
-        raise InputError(
-            f"the robot's poses go from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
-            f"{source} from {times.min():.3f} to {times.max():.3f} s. Record the poses on the "
-            "frames' clock, from before the first frame until after the last; images without times "
-            "need frames.csv beside them (file,time_s) or --fps."
-        )
-    reported = np.array([pose.position_mm for pose in poses])
-    parts = np.zeros((times.size, 1))
-    if exposure_s is not None:
-        parts = exposure_s[:, None] * ((np.arange(_PARTS) + 0.5) / _PARTS - 0.5)
-    moments = times[:, None] + parts
-    places = np.stack([np.interp(moments, known, x).mean(axis=1) for x in reported.T], axis=1)
-    # Use all poses between which the frames lie, even if they are only two.
-    first = int(np.searchsorted(known, times.min(), side="right")) - 1
-    last = int(np.searchsorted(known, times.max(), side="left"))
-    every = list(poses)
-    axis = np.mean([pose.axis for pose in every[first : last + 1]], axis=0)
-    axis /= np.linalg.norm(axis)
-    gone = places[0] - places
-    _, travel, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
-    # A tip at rest has no direction.
-    motion = lines[0] if travel[0] > MOST_ASIDE_MM else axis
-    motion = np.asarray(motion * np.copysign(1.0, motion @ axis))
-    readings = gone @ motion
-    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
-    askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
-    if aside > MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
-        raise InputError(
-            f"{source} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
-            f"line is {askew:.1f}° from the tool's axis; {MOST_ASIDE_MM} mm and "
-            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial."
-        )
-    middle = every[(first + last) // 2].rotation
-    across = np.array([turned(side, middle) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    return readings, motion, axis, across
 
 
 _FEWEST_SPOTS = 3
@@ -207,7 +127,10 @@ def recorded_trial(
         still = Recording(recording.source, rig=rig)  # spots do not depend on poses
         records = track_whole_source(still, reader, progress=lambda record: progress())
     times = np.array([record.time_s for record in records])
-    readings, *directions = withdrawal(times, recording.robot(), source=name)
+    robot = rig.robot
+    if touch is not None:  # known from elsewhere, so the recording may begin anywhere
+        robot = robot.model_copy(update={"touch": tuple(touch)})
+    readings, *directions = withdrawal_of(recording.robot(), times, robot=robot, where=name)
     motion, axis, *across = (
         np.array(turned(tuple(direction), turn)) for direction in np.vstack(directions)
     )

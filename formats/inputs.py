@@ -293,7 +293,7 @@ def object_in(text: str) -> dict[str, Any]:
     return content
 
 
-_MOST_CSV_BYTES = 2**28
+MOST_CSV_BYTES = 2**28
 """Largest CSV file, 256 MiB."""
 MOST_ROWS = 2**20
 """Most rows, each of which takes up to 1 kB of memory: the robot's poses for 87 minutes."""
@@ -313,7 +313,7 @@ def csv_rows(
         OSError: the file cannot be read.
     """
     with in_file(path):
-        check_regular(path, most_bytes=_MOST_CSV_BYTES, remedy="Split it, or write fewer rows.")
+        check_regular(path, most_bytes=MOST_CSV_BYTES, remedy="Split it, or write fewer rows.")
     with path.open(newline="", encoding="utf-8-sig") as file:
         rows = csv.DictReader(file, strict=True)
         try:

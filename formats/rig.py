@@ -16,7 +16,6 @@ from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import (
-    AfterValidator,
     AllowInfNan,
     ConfigDict,
     Field,
@@ -28,8 +27,18 @@ from pydantic import Strict as StrictType
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
 from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml, validated
 from eyespot.formats.microscope import MicroscopeFile, read_microscope, response_of
-from eyespot.formats.poses import unit_quaternion
-from eyespot.formats.settings_files import merged, parsed_change, problems_of, table_lines
+from eyespot.formats.poses import RobotKeys
+from eyespot.formats.settings_files import (
+    DirectionKey,
+    NumberKey,
+    PairKey,
+    ShareKey,
+    SigmaKey,
+    merged,
+    parsed_change,
+    problems_of,
+    table_lines,
+)
 from eyespot.formats.stated import USUAL_SHAKE_PX, Stated
 
 SCHEMA = 1
@@ -37,29 +46,7 @@ HISTORY = {1: "the format of eyespot 0.3"}
 
 Medium = Literal["air", "water", "vitreous"]
 _Length = Annotated[float, Field(gt=0, le=1e6)]
-_Sigma = Annotated[float, Field(ge=0, le=1e6)]
-_Share = Annotated[float, Field(ge=0, lt=1)]
 _Pixels = Annotated[int, Field(ge=1, le=2**20)]
-_Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-_Pair = Annotated[tuple[_Number, _Number], StrictType(False)]
-_Vector = Annotated[tuple[_Number, _Number, _Number], StrictType(False)]
-_TOUCH_SIGMA_MM = 0.02
-"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
-
-
-def _unit(vector: tuple[float, float, float]) -> tuple[float, float, float]:
-    length = math.hypot(*vector)
-    if not length > 0:
-        raise InputError(f"must not be the zero vector; got {list(vector)}")
-    x, y, z = (part / length for part in vector)
-    return x, y, z
-
-
-_Direction = Annotated[_Vector, AfterValidator(_unit)]
-_Turn = Annotated[
-    Annotated[tuple[_Number, _Number, _Number, _Number], StrictType(False)],
-    AfterValidator(unit_quaternion),
-]
 
 
 class MicroscopeKeys(Strict):
@@ -82,16 +69,16 @@ class MicroscopeKeys(Strict):
     scale_mm_px: _Length | None = Field(
         None, examples=["0.0067"], description="Size of a pixel at the height of the retinal pole."
     )
-    scale_sigma: _Share = Field(
+    scale_sigma: ShareKey = Field(
         0.0, description="Relative standard uncertainty of scale_mm_px; 0: taken as exact."
     )
-    principal_point_px: _Pair | None = Field(
+    principal_point_px: PairKey | None = Field(
         None,
         examples=["[319.5, 239.5]"],
         description="Where the microscope's axis meets the image, right and down from the centre "
         "of the first pixel (default: the middle). A cropped image shifts it.",
     )
-    distortion: Annotated[tuple[_Number, ...], StrictType(False)] = Field(
+    distortion: Annotated[tuple[NumberKey, ...], StrictType(False)] = Field(
         (), description="Coefficients of the lens's distortion in OpenCV's order."
     )
     pinhole_height_mm: Annotated[float, AllowInfNan()] | None = Field(
@@ -99,7 +86,9 @@ class MicroscopeKeys(Strict):
         examples=["200.0"],
         description="Height of the pinhole above the eyeball's centre; inf: telecentric.",
     )
-    pinhole_height_sigma_mm: _Sigma = Field(0.0, description="Standard uncertainty of the height.")
+    pinhole_height_sigma_mm: SigmaKey = Field(
+        0.0, description="Standard uncertainty of the height."
+    )
 
 
 class CameraKeys(Strict):
@@ -140,7 +129,7 @@ class WallKeys(Strict):
     kind: Literal["eyeball", "plane"] | None = Field(
         None, examples=['"eyeball"'], description="Shape of the wall (default: the file's)."
     )
-    normal: _Direction = Field(
+    normal: DirectionKey = Field(
         (0.0, 0.0, 1.0),
         description="Normal of a plane, towards the microscope; 0, 0, 1 is square to its axis.",
     )
@@ -150,7 +139,7 @@ class WallKeys(Strict):
         description="Radius of the eyeball (of the layer that sends the light back); the pole of "
         "any wall lies at -radius_mm.",
     )
-    radius_sigma_mm: _Sigma = Field(0.0, description="Standard uncertainty of the radius.")
+    radius_sigma_mm: SigmaKey = Field(0.0, description="Standard uncertainty of the radius.")
     medium: Medium | None = Field(
         None, examples=['"vitreous"'], description="Medium between the tip and the wall."
     )
@@ -169,7 +158,7 @@ class InstrumentKeys(Strict):
         description="Radius of the core that the light fills. With robot.touch = 'free' the "
         "distances rest on it.",
     )
-    core_radius_sigma: _Share = Field(0.01, description="Relative uncertainty of core_radius_mm.")
+    core_radius_sigma: ShareKey = Field(0.01, description="Relative uncertainty of core_radius_mm.")
     visible: bool = Field(True, description="Whether the images show the instrument.")
 
 
@@ -188,70 +177,10 @@ class BeamKeys(Strict):
     )
 
 
-class RobotKeys(Strict):
-    """The robot that moves the instrument, and its file of poses."""
-
-    eye_from_robot: _Turn | None = Field(
-        None,
-        examples=["[0.0, 0.0, 0.0, 1.0]"],
-        description="Unit quaternion (x, y, z, w) that turns the robot's frame into the eye's, "
-        "whose z points at the microscope; 0, 0, 0, 1 if they agree.",
-    )
-    tool_axis: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = Field(
-        "+z", description="Axis of the tool's frame along which the light leaves it."
-    )
-    tip_mm: _Vector = Field(
-        (0.0, 0.0, 0.0),
-        description="The tip in the tool's frame, for robots that report their flange.",
-    )
-    unit: Literal["mm", "m", "um"] = Field("mm", description="Unit of the positions in its file.")
-    columns: dict[str, str] = Field(
-        {},
-        description="Names of a CSV's columns, such as { time_s = 'stamp', x = 'px', rx = 'rx' }. "
-        "Known: time_s; x, y, z; qx, qy, qz, qw or rx, ry, rz (rotation vector, rad) or axis_x, "
-        "axis_y, axis_z; travel (of a stage).",
-    )
-    travel_axis: _Direction | None = Field(
-        None,
-        examples=["[0.5, 0.0, -0.866]"],
-        description="Direction of a stage that reports its travel alone: from the tip towards the "
-        "wall, in the robot's frame. The travel counts away from the wall.",
-    )
-    scale_sigma: _Share = Field(
-        0.0, description="Relative uncertainty of its distances; 0: taken as exact."
-    )
-    touch: Literal["contact", "free"] | _Pair = Field(
-        "contact",
-        description="Distance of the tip in the first frame: 'contact' (its rim touches the wall), "
-        "'free' (unknown; a cone's b then rests on instrument.core_radius_mm), or [MEAN, SIGMA], "
-        "mm.",
-    )
-    touch_sigma_mm: _Sigma = Field(
-        _TOUCH_SIGMA_MM, description="Standard uncertainty of the contact."
-    )
-    axis_sigma_deg: Annotated[float, Field(ge=0, lt=90)] = Field(
-        1.0, description="Standard uncertainty of the beam's axis, across itself."
-    )
-    incidence_deg: _Pair = Field(
-        (0.0, 32.0),
-        description="Least and largest incidence of the beam where no axis is known.",
-    )
-    clock_offset_s: _Number = Field(
-        0.0, description="Added to the poses' times to get those of the images."
-    )
-    clock_sigma_s: _Sigma = Field(0.0, description="Standard uncertainty of that offset.")
-    image_topic: str | None = Field(
-        None, examples=['"/camera/image_raw"'], description="Image topic of a bag or a ROS."
-    )
-    pose_topic: str | None = Field(
-        None, examples=['"/robot/pose"'], description="Pose topic of a bag or a ROS."
-    )
-
-
 class UnrestKeys(Strict):
     """What does not keep still."""
 
-    shake_px: _Sigma = Field(
+    shake_px: SigmaKey = Field(
         USUAL_SHAKE_PX,
         description="Standard deviation of the image's shake along each side, where the mode "
         "pixels has not seen it yet.",
@@ -261,7 +190,7 @@ class UnrestKeys(Strict):
 class ViewingKeys(Strict):
     """What a viewing lens and the eye's optics add."""
 
-    size_per_mm: _Sigma = Field(
+    size_per_mm: SigmaKey = Field(
         0.0,
         description="Part by which the viewing path changes the size of a spot beyond the pinhole, "
         "per mm of eccentricity; 0.00065 behind a flat contact lens after `fit --model eye`.",
@@ -338,14 +267,19 @@ class Rig(Strict):
         return replace(
             found,
             plane_normal=normal,
-            response=self._response(found),
+            response=self._response(found.response),
             noise=self._noise(found),
         )
 
-    def _response(self, found: MicroscopeFile) -> Response:
+    @property
+    def response(self) -> Response:
+        """Relation of the images' values to light."""
+        return self._response(Response()) if self.view is None else self.view.response
+
+    def _response(self, of_file: Response) -> Response:
         own = self.camera
-        response = found.response if own.response is None else response_of(own.response)
-        full_scale = own.full_scale or found.response.full_scale
+        response = of_file if own.response is None else response_of(own.response)
+        full_scale = own.full_scale or of_file.full_scale
         if full_scale is None and own.bit_depth > 8:
             full_scale = float((1 << own.bit_depth) - 1)
         return replace(response, full_scale=full_scale, limited=own.limited_range)
@@ -355,7 +289,7 @@ class Rig(Strict):
         noise = self.camera.noise
         if noise is None:
             return found.noise
-        response = replace(self._response(found), full_scale=None)
+        response = replace(self._response(found.response), full_scale=None)
         return CameraNoise(noise, response) if isinstance(noise, CameraSheet) else None
 
     @property
@@ -505,11 +439,12 @@ RIG = "rig.toml"
 """Name of a stack's rig file."""
 
 
-def rig_of_stack(folder: Path, description: Mapping[str, Any]) -> Rig:
+def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -> Rig:
     """The rig of a stack: its rig file, or of stacks of eyespot 0.1 and 0.2 what stands elsewhere.
 
     Args:
         description: the content of stack.toml.
+        medium: by the labels, where the description has no scene.
 
     Raises:
         InputError: a file is damaged.
@@ -519,11 +454,12 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any]) -> Rig:
         return read_rig(folder / RIG)
     scene, where = description.get("scene", {}), f"{folder / 'stack.toml'}"
     content = rig_of_scene(scene)
+    content["wall"] = {"medium": medium} | content["wall"]
     if not (folder / "microscope.json").is_file():
         del content["microscope"]
     rig = rig_in(content, where=where, folder=folder)
     camera = scene.get("camera", {})
-    if rig.view is None or rig.view.noise is not None or "full_well_e" not in camera:
+    if "full_well_e" not in camera or rig.view is None or rig.view.noise is not None:
         return rig
     # The microscope.json of eyespot 0.1 has no camera.
     sheet = {name: camera[name] for name in CameraSheet.model_fields if name in camera}

@@ -5,15 +5,34 @@ changes one, and an unknown key names the nearest known one.
 """
 
 import difflib
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, get_args
+from typing import Annotated, Any, get_args
 
 import tomli_w
-from pydantic import BaseModel, ValidationError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
+from pydantic import Strict as StrictType
 
 from eyespot.formats.inputs import InputError, at_most_three, shortened, toml_in
 
 _LONGEST_KEY = 100  # characters; ours have 40 at most
+
+SigmaKey = Annotated[float, Field(ge=0, le=1e6)]
+ShareKey = Annotated[float, Field(ge=0, lt=1)]
+NumberKey = Annotated[float, Field(ge=-1e6, le=1e6)]
+PairKey = Annotated[tuple[NumberKey, NumberKey], StrictType(False)]
+VectorKey = Annotated[tuple[NumberKey, NumberKey, NumberKey], StrictType(False)]
+
+
+def _unit(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    length = math.hypot(*vector)
+    if not length > 0:
+        raise InputError(f"must not be the zero vector; got {list(vector)}")
+    x, y, z = (part / length for part in vector)
+    return x, y, z
+
+
+DirectionKey = Annotated[VectorKey, AfterValidator(_unit)]
 
 
 def parsed_change(change: str) -> dict[str, Any]:

@@ -12,8 +12,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot import optics
-from eyespot.calibration.recorded_trial import withdrawal
 from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.recording import Recording
 from eyespot.formats.camera import CameraNoise
 from eyespot.formats.inputs import InputError
@@ -83,8 +83,12 @@ def footage_of(source: Any) -> Footage:
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
     known = exposure_s if np.isfinite(exposure_s).all() else None
-    readings, motion, axis, _ = withdrawal(
-        times, recording.robot(), source=recording.source.name, exposure_s=known
+    readings, motion, axis, _ = withdrawal_of(
+        recording.robot(),
+        times,
+        robot=rig.robot,
+        exposure_s=known,
+        where=recording.source.name,
     )
     light = np.stack([noise.light(frame.image) for frame in frames]).astype(np.float32)
     return Footage(

@@ -18,35 +18,38 @@ from eyespot.estimator.sources.ros import IMAGE_TOPIC, frame_of_message
 from eyespot.estimator.sources.source import Frame
 from eyespot.estimator.viewer import recording_of
 from eyespot.formats.inputs import InputError
-from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, pose_of_message
-from eyespot.formats.rig import RobotKeys
+from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, RobotKeys, pose_of_message
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 
 
 class RecentPoses:
-    """Takes poses in one thread, and gives them in any other."""
+    """Takes poses in one thread, and gives them in any other.
+
+    Args:
+        robot: see `pose_of_message`.
+    """
 
     def __init__(self, robot: RobotKeys | None = None) -> None:
-        self._poses: tuple[Pose, ...] = ()
         self._robot = robot
+        self._poses: tuple[Pose, ...] = ()
 
     def take(self, message: Any, received_s: float) -> None:
         """Remember a pose.
 
         Args:
-            message: `geometry_msgs/Transform`, mm.
-            received_s: when it arrived, s: the message has no time stamp.
+            message: see `pose_of_message`.
+            received_s: when it arrived, s.
 
         Raises:
             InputError: its rotation is no unit quaternion, or a number is not finite.
         """
-        pose = pose_of_message(message, received_s)
+        pose = pose_of_message(message, received_s, self._robot)
         # Poses arrive in another thread. A tuple is replaced as a whole, never half changed.
         kept = self._poses[1 - POSES_KEPT :]
         # A recording that begins anew sets the clock back; the older poses lie in its future.
-        self._poses = (pose,) if kept and received_s < kept[-1].time_s else (*kept, pose)
+        self._poses = (pose,) if kept and pose.time_s < kept[-1].time_s else (*kept, pose)
 
     def track(self) -> PoseTrack:
         """The poses that are known now."""

@@ -15,6 +15,7 @@ from rich.console import Group
 from rich.table import Table
 
 from eyespot.estimator.distance.range import WallMemory
+from eyespot.estimator.distance.withdrawal import MOST_ASIDE_MM
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.exit_codes import finish_first
 from eyespot.estimator.run.progress_bar import say
@@ -30,8 +31,6 @@ if TYPE_CHECKING:
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _LEAST_MOVES, _LEAST_TRAVEL_MM = 5, 1.0  # of a withdrawal that tells how true distances are
-MOST_ASIDE_MM = 0.05
-"""Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
 _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from eyespot.estimator.recording import Recording
     from eyespot.estimator.run.reader import Reader
     from eyespot.formats.calibration import Calibration
+    from eyespot.formats.camera import Response
     from eyespot.formats.microscope import MicroscopeFile
     from eyespot.formats.rig import Rig
 
@@ -222,17 +223,18 @@ class Options(Given):
         from eyespot.estimator.distance.ranger import Ranger
         from eyespot.estimator.run.reader import LiteralMode, PixelsMode, SubpixelMode, best_mode
 
-        rig, beam = rig or self.own_rig(), beam or self.beam()
+        rig = rig or self.own_rig()
         microscope, turn, stated = rig.view, rig.robot.eye_from_robot, rig.stated
-        if beam is None:
-            for name in ("model", "eccentricity_mm", "exposure_s"):
-                if getattr(self, name) is not None:
-                    raise InputError(f"{option(name)} needs --calibration. Give both, or neither.")
-        elif microscope is None:
+        if microscope is None and (beam is not None or self.calibration is not None):
             raise InputError(
                 "--calibration needs the microscope: its scale and its pinhole. Give --rig FILE, "
                 "which `eyespot rig init` writes."
             )
+        beam = beam or self.beam()
+        if beam is None:
+            for name in ("model", "eccentricity_mm", "exposure_s"):
+                if getattr(self, name) is not None:
+                    raise InputError(f"{option(name)} needs --calibration. Give both, or neither.")
         else:
             _check_medium(rig, beam)
             if beam.model in ("exact", "lens"):  # its errors contain the touch's
@@ -244,7 +246,7 @@ class Options(Given):
             mode, why = best_mode(beam, microscope, asked=asked, rate_hz=self.rate_hz)
             if why:
                 say(why)
-        settings = self._settings(mode, microscope)
+        settings = self._settings(mode, microscope, rig.response)
         if self.reference is not None and mode != "pixels":
             raise InputError(
                 f"--reference has no effect in the mode {mode}. Leave it out, or take the mode "
@@ -304,17 +306,15 @@ class Options(Given):
         return image
 
     def _settings(
-        self, mode: str, microscope: MicroscopeFile | None
+        self, mode: str, microscope: MicroscopeFile | None, response: Response
     ) -> LiteralSettings | SubpixelSettings:
         from eyespot.estimator.detector.literal import LiteralSettings
         from eyespot.estimator.detector.settings import SubpixelSettings
-        from eyespot.formats.camera import Response
 
         given: dict[str, Any] = dict(self.settings)
         if given.keys() & {"response", "camera"}:
             raise InputError("settings are numbers; response and camera are the microscope file's.")
         camera = microscope.camera() if microscope else None
-        response = microscope.response if microscope else Response()
         given["response"] = response
         if mode == "literal" and camera is not None:
             raise InputError(

@@ -153,7 +153,7 @@ def _stack(folder: Path, exposure: str | None) -> Source:
         read=read,
         length=len(chosen),
         rate_hz=rate_of(np.array([labels.time_s for labels in chosen])),
-        rig=rig_of_stack(folder, stack.description),
+        rig=rig_of_stack(folder, stack.description, medium=chosen[0].medium),
         poses_file=folder / "kinematics.csv",
         labels=chosen,
         notes=()

@@ -7,15 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from eyespot.formats.inputs import InputError, in_file, shortened
+from eyespot.formats.inputs import InputError
+from eyespot.formats.tables import SECONDS, lines_of, read_table, seconds
 
 if TYPE_CHECKING:
     import pandas as pd
 
 TABLE = "frames.csv"
-"""The table beside the images: `file,time_s,exposure_s`, in any order."""
-UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-"""Endings of a column of times, and their seconds."""
+"""The table beside the images: `file,time_s,exposure_s`, in any order; other units are time_ms,
+time_us and time_ns, or times after ISO 8601."""
 _EXIF, _TAKEN, _FRACTION = 0x8769, 0x9003, 0x9291  # the tags DateTimeOriginal, SubSecTimeOriginal
 
 
@@ -48,8 +48,7 @@ def times_of(pictures: Sequence[Path], *, fps: float | None = None) -> FrameTime
     if table.is_file():
         if fps is not None:
             raise InputError(f"{table} has the times of the frames. Leave --fps out.")
-        with in_file(table):
-            return _of_table(table, [path.name for path in pictures])
+        return _of_table(table, [path.name for path in pictures])
     if fps is not None:
         return FrameTimes(np.arange(len(pictures)) / fps, none, f"--fps {fps:g}")
     taken = [_of_exif(path) for path in pictures[:2]]
@@ -59,83 +58,49 @@ def times_of(pictures: Sequence[Path], *, fps: float | None = None) -> FrameTime
     return FrameTimes(seconds, none, "EXIF")
 
 
-def column_in_seconds(cells: "pd.Series", unit: str, name: str) -> np.ndarray:
-    """A column of numbers in a unit, or of ISO 8601 times, in seconds; NaN in empty cells.
-
-    Raises:
-        InputError: a cell is neither.
-    """
-    import pandas as pd
-
-    numbers = pd.to_numeric(cells, errors="coerce")
-    bad = numbers.isna() & cells.notna()
-    if bad.any():
-        instants = pd.to_datetime(cells, errors="coerce", format="ISO8601", utc=True)
-        if instants.isna().any():
-            row = int(np.flatnonzero((instants.isna() & cells.notna()).to_numpy())[0])
-            raise InputError(
-                f"line {row + 2}: {name} must be a number or an ISO 8601 time; got "
-                f"{shortened(cells.iloc[row])}"
-            )
-        return (instants - pd.Timestamp(0, tz="UTC")).dt.total_seconds().to_numpy()
-    if not np.isfinite(numbers.dropna()).all():
-        raise InputError(f"{name} must be finite")
-    return numbers.to_numpy(float) * UNITS_S[unit]
-
-
 def _of_table(path: Path, names: Sequence[str]) -> FrameTimes:
     import pandas as pd
 
-    try:
-        # Read as text: times in ns have more digits than a float.
-        table = pd.read_csv(path, dtype=str, skipinitialspace=True)
-    except (ValueError, UnicodeDecodeError) as error:
-        raise InputError(f"no table: {error}".strip()) from error
+    table, place = read_table(path), lines_of(path)
     files = next((name for name in ("file", "file_name", "filename") if name in table), None)
-    if files is None:
-        raise InputError(f"column 'file' is missing; it has {', '.join(table.columns)}")
-    table = table.set_index(table[files].map(lambda name: Path(str(name)).name))
-    if table.index.has_duplicates:
-        raise InputError(f"{table.index[table.index.duplicated()][0]} stands in it twice")
-    missing = [name for name in names if name not in table.index]
-    if missing:
-        raise InputError(f"{len(missing)} of {len(names)} images are not in it, as {missing[0]}")
-    columns = {
-        kind: next(
-            (
-                (f"{kind}{end}", unit)
-                for end, unit in [
-                    ("_s", "s"),
-                    ("_ms", "ms"),
-                    ("_us", "us"),
-                    ("_ns", "ns"),
-                    ("", "s"),
-                ]
-                if f"{kind}{end}" in table
-            ),
-            None,
+    time = _column(table, "time")
+    if files is None or time is None:
+        raise InputError(
+            f"{path}: column {'file' if files is None else 'time_s'!r} is missing; it has "
+            f"{', '.join(table.columns)}."
         )
-        for kind in ("time", "exposure")
-    }
-    if columns["time"] is None:
-        raise InputError(f"column 'time_s' is missing; it has {', '.join(table.columns)}")
-    none = np.full(len(names), np.nan)
-    found = {
-        kind: none if column is None else column_in_seconds(table[column[0]], column[1], column[0])
-        for kind, column in columns.items()
-    }
-    order = table.index.get_indexer(pd.Index(names))
-    times, exposures = (found[kind][order] if columns[kind] else none for kind in found)
-    backwards = np.flatnonzero(np.diff(times) <= 0)
+    images = pd.Index([Path(f"{name}").name for name in table[files]])
+    if images.has_duplicates:
+        raise InputError(f"{path}: {images[images.duplicated()][0]} stands in it twice.")
+    order = images.get_indexer(pd.Index(names))
+    missing = [name for name, row in zip(names, order, strict=True) if row < 0]
+    if missing:
+        raise InputError(
+            f"{path}: {len(missing)} of {len(names)} images are not in it, as {missing[0]}."
+        )
+    times = seconds(table[time[0]], place, unit_s=time[1])[order]
+    backwards = np.flatnonzero(np.diff(times) < 0)
     if backwards.size:
         n = int(backwards[0])
         raise InputError(
-            f"time must grow with the images' names; {names[n]} is of {times[n]:.6f} s, and "
-            f"{names[n + 1]} of {times[n + 1]:.6f} s"
+            f"{path}: times must grow with the images' names; {names[n]} is of {times[n]:.6f} s, "
+            f"and {names[n + 1]} of {times[n + 1]:.6f} s."
         )
-    if (exposures <= 0).any():
-        raise InputError(f"exposure must be positive; got {np.nanmin(exposures):g} s")
+    exposure = _column(table, "exposure")
+    exposures = np.full(len(names), np.nan)
+    if exposure is not None:
+        exposures = seconds(table[exposure[0]], place, unit_s=exposure[1])[order]
+        if exposures.min() <= 0:
+            raise InputError(f"{path}: exposures must be positive; got {exposures.min():g} s.")
     return FrameTimes(times, exposures, str(path))
+
+
+def _column(table: "pd.DataFrame", kind: str) -> tuple[str, float] | None:
+    """The column of a kind, such as time_ms, and its unit in seconds."""
+    for unit, unit_s in SECONDS.items():
+        if f"{kind}_{unit}" in table:
+            return f"{kind}_{unit}", unit_s
+    return (kind, 1.0) if kind in table else None
 
 
 def _of_exif(path: Path) -> float | None:

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+import eyespot
 from eyespot import optics, scenes
 from eyespot.calibration import Prior, fit_cone
 from eyespot.calibration.recorded_trial import recorded_trial
@@ -225,28 +226,24 @@ def test_without_a_touch_the_distances_rest_on_the_core(rig, tmp_path):
     records = pd.read_csv(spots)
     records[records.time_s >= 0.5].to_csv(spots, index=False)
     core = -B / K
-    keys = "robot.touch=free", f"instrument.core_radius_mm={core}"
-    result = fit(
-        tmp_path,
-        *(spots, "--poses", poses, "--model", "cone"),
-        *(word for key in keys for word in ("--set", key)),
-    )
-    assert result.exit_code == 0, result.output
-    found = read_calibration(tmp_path / "c.json")
+    free = recorded(tmp_path, spots, poses, touch="free")
+    found = eyespot.fit(free, changes={"instrument.core_radius_mm": core}, model="cone").parameters
     # b = -a/tan(half-angle) with 1 % of a: 0.05 mm.
-    assert found.sigma("b") == pytest.approx(-0.01 * B, rel=0.05)
-    assert_within(found, {"b": B, "half_angle": np.arctan(1 / K)}, 4)
+    assert found.sigma["b"] == pytest.approx(-0.01 * B, rel=0.05)
+    assert found.value["b"] == pytest.approx(B, abs=0.01)
+    # The robot says that 1 mm is missing to within the 0.05 mm of b.
+    assert found.value[f"touch of {Path(spots).name}"] == pytest.approx(RIM + 1.0, abs=0.01)
 
 
 def test_a_robot_known_to_a_tolerance_widens_the_half_angle(rig, tmp_path):
     spots, poses = rig()
-    given = spots, "--poses", poses, "--model", "cone"
-    for sigma in (0.0, 0.01):
-        fit(tmp_path, *given, "--set", f"robot.scale_sigma={sigma}", out=f"{sigma}.json")
-    exact, tolerant = (read_calibration(tmp_path / f"{sigma}.json") for sigma in (0.0, 0.01))
+    exact, tolerant = (
+        eyespot.fit(recorded(tmp_path, spots, poses, scale_sigma=sigma), model="cone").parameters
+        for sigma in (0.0, 0.01)
+    )
     # tan(half-angle) is a size over a distance, which the robot knows to 1 %.
-    assert tolerant.sigma("half_angle") == pytest.approx(0.01 / K, rel=0.05)
-    assert exact.sigma("half_angle") < 0.1 * tolerant.sigma("half_angle")
+    assert tolerant.sigma["half_angle"] == pytest.approx(0.01 / K, rel=0.05)
+    assert exact.sigma["half_angle"] < 0.1 * tolerant.sigma["half_angle"]
 
 
 def test_the_rim_of_a_tilted_tip_touches_first(rig, tmp_path):

@@ -18,11 +18,11 @@ from eyespot import calibration, optics
 from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, footage_of
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.pixels.light import STATES, Cells, Light, LinearLensLight
-from eyespot.calibration.recorded_trial import withdrawal
 from eyespot.calibration.spots.cone_trials import JointPrior
+from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
 from eyespot.formats.inputs import InputError
-from eyespot.formats.poses import read_poses
+from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
@@ -341,8 +341,8 @@ def test_a_robot_that_stops_within_an_exposure_is_behind_its_place_in_the_middle
     poses = tmp_path / "kinematics.csv"
     poses.write_text("\n".join(["time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z", *rows]))
     exposures = np.array([0.1, 0.1])
-    readings, *_ = withdrawal(
-        np.array([30.0, 60.0]), read_poses(poses), source="a", exposure_s=exposures
+    readings, *_ = withdrawal_of(
+        read_poses(poses), np.array([30.0, 60.0]), robot=RobotKeys(), exposure_s=exposures
     )
     # In half of the exposure it is up to 5 um behind, on average over all of it 1.25 um. The means
     # over 32 parts of a broken line are exact, because a part ends where it breaks.

@@ -1,0 +1,188 @@
+"""A withdrawal: the tip's distance from its first place along a straight line, frame by frame."""
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import PoseTrack, RobotKeys, turned
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+
+MOST_ASIDE_MM = 0.05
+"""Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
+_MOST_ASKEW_DEG = 10.0
+"""Largest angle between the tip's motion and the tool's axis: three standard deviations of
+`BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
+_LEAST_TRAVEL_MM = 0.1
+"""Shortest withdrawal: from it on, errors of 2 um in the robot's readings make less than 2 %."""
+_MOST_TRAVEL_MM = 60.0
+"""Longest withdrawal: more than twice the length of an eye, 24 mm."""
+_DEEPEST_MM = 0.1
+"""How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
+_EXPOSURE_PARTS = 32
+"""In the middles of so many parts of an exposure the tip's place is averaged."""
+
+
+class ReportedWithdrawal(NamedTuple):
+    """The tip's way in the robot's frame.
+
+    Attributes:
+        readings: (n,), distance of the tip from its place in the first frame, along `motion`, mm.
+        motion: the motion, reversed, a unit vector towards the wall.
+        axis: the tool's mean axis, a unit vector towards the wall.
+        across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
+    """
+
+    readings: "Float[np.ndarray, 'n']"
+    motion: "Float[np.ndarray, '3']"
+    axis: "Float[np.ndarray, '3']"
+    across: "Float[np.ndarray, '2 3']"
+
+
+def withdrawal_of(
+    poses: PoseTrack,
+    times_s: "Float[np.ndarray, 'n']",
+    *,
+    robot: RobotKeys,
+    exposure_s: "Float[np.ndarray, 'n'] | None" = None,
+    where: str = "the recording",
+) -> ReportedWithdrawal:
+    """The withdrawal that a robot reports of the frames of a recording.
+
+    Positions are interpolated between poses: at 0.1 mm/s and 200 Hz the latest pose lags by up to
+    0.5 um, which equals one standard error of the half-angle at 5 mm. They are means over the
+    exposures: a robot that stops in the middle of one is 1 um behind at 0.1 mm/s and 0.1 s.
+
+    Args:
+        times_s: times of the frames, in the middle of their exposures, on the poses' clock.
+        robot: if the first distance is free (`touch`), the sense of the motion is, too;
+            `eye_from_robot` shows where the wall is.
+        exposure_s: of the frames; None if they are not known.
+        where: name of the recording, for messages.
+
+    Raises:
+        InputError: the poses do not cover the frames, repeat themselves, stand still, move too far,
+            towards the wall or beside the tool's axis; the text names value, cause and remedy.
+    """
+    known = poses.times_s
+    # An unknown time is NaN, for which these comparisons are false.
+    if not (known[0] <= times_s.min() and times_s.max() <= known[-1]):
+        raise InputError(
+            f"The robot's poses go from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
+            f"{where} from {times_s.min():.3f} to {times_s.max():.3f} s. Record the poses on the "
+            "frames' clock, from before the first frame until after the last, or correct "
+            "robot.clock_offset_s or the times' column (robot.columns)."
+        )
+    # Use all poses between which the frames lie, even if they are only two.
+    first = int(np.searchsorted(known, times_s.min(), side="right")) - 1
+    last = int(np.searchsorted(known, times_s.max(), side="left"))
+    _check_times(poses, first, last, where)
+    parts = np.zeros((times_s.size, 1))
+    if exposure_s is not None:
+        middles = (np.arange(_EXPOSURE_PARTS) + 0.5) / _EXPOSURE_PARTS - 0.5
+        parts = exposure_s[:, None] * middles
+    moments = times_s[:, None] + parts
+    places = np.stack(
+        [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T], axis=1
+    )
+    axis = poses.axes[first : last + 1].mean(axis=0)
+    axis /= np.linalg.norm(axis)
+    gone = places[0] - places
+    _, _, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
+    motion = np.asarray(lines[0] * np.copysign(1.0, lines[0] @ axis))
+    readings = gone @ motion
+    _check_travel(float(np.ptp(readings)), where)
+    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
+    askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
+    if aside > MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
+        raise InputError(
+            f"{where} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
+            f"line is {askew:.1f}° from the tool's axis; {MOST_ASIDE_MM} mm and "
+            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial; "
+            "if it was, correct robot.tool_axis or robot.columns."
+        )
+    _check_sense(readings, axis, robot, where)
+    middle = poses.rotations[(first + last) // 2]
+    across = np.array([turned(side, tuple(middle)) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+    return ReportedWithdrawal(readings, motion, axis, across)
+
+
+def _check_times(poses: PoseTrack, first: int, last: int, where: str) -> None:
+    """Refuse poses that share their times: an interpolation between them has no meaning."""
+    window = slice(first, last + 1)
+    equal = np.diff(poses.times_s[window]) == 0
+    if not equal.any():
+        return
+    same = np.diff(np.hstack([poses.positions_mm, poses.rotations])[window], axis=0) == 0
+    twice = int((equal & same.all(axis=1)).sum())
+    what = f"{equal.sum()} of {last - first + 1} poses of {where} have the time of the one before"
+    at_s = poses.times_s[window][:-1][equal][0]
+    if twice == equal.sum():
+        raise InputError(
+            f"{what}, first at {at_s:.6f} s, and its place, too. Rows or a whole recording are in "
+            "the file twice. Remove the repeated rows."
+        )
+    raise InputError(
+        f"{what}, first at {at_s:.6f} s, but another place. The times are too coarse, or of "
+        "another clock. Write the times with more digits, or name their column in robot.columns."
+    )
+
+
+def _check_travel(travel_mm: float, where: str) -> None:
+    if travel_mm < 1e-9:
+        raise InputError(
+            f"The robot stands still in all frames of {where}; a withdrawal is at least "
+            f"{_LEAST_TRAVEL_MM} mm long. The robot's file has stopped, or it has another column "
+            "or topic of poses. Correct robot.columns or robot.pose_topic, or record again."
+        )
+    if travel_mm < _LEAST_TRAVEL_MM:
+        raise InputError(
+            f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at least "
+            f"{_LEAST_TRAVEL_MM} mm long. If its file is in m (the travel is then "
+            f"{1e3 * travel_mm:.4g} mm), write robot.unit = 'm'; otherwise it stood still."
+        )
+    if travel_mm > _MOST_TRAVEL_MM:
+        raise InputError(
+            f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at most "
+            f"{_MOST_TRAVEL_MM:g} mm long, more than an eye. If its file is in µm (the travel is "
+            f"then {1e-3 * travel_mm:.4g} mm), write robot.unit = 'um'; otherwise leave out the "
+            "frames of other motions."
+        )
+
+
+def _check_sense(
+    readings: "Float[np.ndarray, 'n']",
+    axis: "Float[np.ndarray, '3']",
+    robot: RobotKeys,
+    where: str,
+) -> None:
+    """Refuse an axis that points away from the wall, and a way that leads into it."""
+    if robot.eye_from_robot is not None:
+        height = turned((axis[0], axis[1], axis[2]), robot.eye_from_robot)[2]
+        if height > 0:
+            raise InputError(
+                f"The tool's axis points to the microscope in {where} (z = {height:+.2f} of the "
+                "unit vector in the eye's frame, below 0 towards the wall). Reverse "
+                f"robot.tool_axis (now {robot.tool_axis!r}) or robot.travel_axis, or correct "
+                "robot.eye_from_robot."
+            )
+    begin_mm = robot.touch[0] if isinstance(robot.touch, tuple) else 0.0
+    deep, far = -float(readings.min()), float(readings.max())
+    if robot.touch == "free" or deep <= begin_mm + _DEEPEST_MM:
+        return
+    if far < deep:
+        raise InputError(
+            f"The tip moves along the tool's axis in {where}, {deep:.3g} mm towards the wall, from "
+            f"which it is {begin_mm:.3g} mm away in the first frame; a withdrawal goes against the "
+            "axis. Either the axis points away from the wall: reverse robot.tool_axis (now "
+            f"{robot.tool_axis!r}) or robot.travel_axis. Or the positions count backwards: correct "
+            "the robot's file. Or it is an approach: state robot.touch = 'free'."
+        )
+    raise InputError(
+        f"The tip goes {deep:.3g} mm further towards the wall in {where} than in the first frame, "
+        f"in which it is {begin_mm:.3g} mm away; {_DEEPEST_MM} mm more are allowed. Leave out the "
+        "frames before the contact, or state robot.touch = 'free'."
+    )
