@@ -61,9 +61,8 @@ def _ros1(folder: Path) -> None:
     bag = next((MADE / "ros1").rglob("*.bag"))
     count, recorded = len(list((MADE / "eye" / "frames").glob("*.png"))), folder / "answers.bag"
     given = [
-        f"_microscope:={MADE}/eye/microscope.json",
+        f"_rig:={MADE}/eye/rig.toml",
         f"_calibration:={MADE}/beam.json",
-        "_eye_from_robot:=[0,0,0,1]",
     ]
     node = ["eyespot", "node", *given]
     with RosSession(folder) as session:
@@ -117,13 +116,12 @@ def _ros2(folder: Path) -> None:
         "PYTHONPATH": str(HOME),
     }
     given = [
-        f"-p microscope:={MADE}/eye/microscope.json",
+        f"-p rig:={MADE}/eye/rig.toml",
         f"-p calibration:={MADE}/beam.json",
-        '-p eye_from_robot:="[0, 0, 0, 1]"',
         "-p use_sim_time:=true",
     ]
     command = "eyespot node --ros-args"
-    words = " ".join(given).replace('"[0, 0, 0, 1]"', "[0,0,0,1]").split()
+    words = " ".join(given).split()
     node = subprocess.Popen(
         [_JAZZY, *command.split()[1:], *words],
         cwd=HOME,

@@ -61,10 +61,18 @@ KINDS = (
         "What the robot reported: time, tip, and the unit vector of its axis. `--poses` reads it.",
     ),
     FileKind(
+        "rig",
+        "Rig (TOML)",
+        "Microscope, camera, wall, instrument and robot. `eyespot rig init` writes one with all "
+        "keys; a rendered stack contains one.",
+        models=("eyespot.formats.rig:Rig",),
+    ),
+    FileKind(
         "microscope",
         "Microscope (`microscope.json`)",
         "The camera over the eye. Stacks have one; `eyespot camera` adds the camera's noise. "
-        "Camera calibrations of OpenCV, ROS and Kalibr are read, too (`--microscope`).",
+        "Camera calibrations of OpenCV, ROS and Kalibr are read, too."
+        " A rig file names one of them.",
         models=(
             "eyespot.formats.microscope:_PinholeFile",
             "eyespot.formats.microscope:_TelecentricFile",
@@ -104,7 +112,8 @@ KINDS = (
     FileKind(
         "stated",
         "Stated uncertainties (TOML)",
-        "What a lab knows of its eye, robot and clocks (`--stated`).",
+        "What a lab knows of its eye, robot and clocks, in eyespot 0.1 and 0.2; a rig file has these "
+        "keys now, and `--rig` takes such a file, too.",
         models=("eyespot.formats.stated:Stated",),
     ),
     FileKind(

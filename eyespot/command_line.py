@@ -41,6 +41,10 @@ COMMANDS = {
         "scenes.commands:schema": "Print the JSON schema of scene files, for editors.",
         "scenes.commands:check": "Check whether a scene file can be rendered.",
     },
+    "rig": {
+        "estimator.run.rig_command:init": "Write a rig file with every key and its meaning.",
+        "estimator.run.rig_command:check": "Compare a rig file with a recording, in seconds.",
+    },
     "dataset": {
         "benchmarks.sets.make:make": "Render a labelled set.",
         "benchmarks.sets.read:verify": "List every file that is missing or changed.",
@@ -96,6 +100,7 @@ groups = {"": app} | {
     name: App(name=name, help=about, default_parameter=_PLAIN)
     for name, about in (
         ("scene", "Write and check scene files."),
+        ("rig", "Write a rig file, and check it with a recording."),
         ("dataset", "Labelled sets: make, verify, push. `dataset SPEC` is `dataset make SPEC`."),
         ("rivals", "Compare with other software and a learned estimator; tune and train them."),
         ("study", "Run a study; each writes a report, CSV files and figures."),

@@ -210,8 +210,8 @@ def _readings(
         where = f"{source.name}, frame {frame.index}"
         if poses is not None and math.isnan(frame.time_s):
             raise InputError(
-                f"{where} has no time, so that no pose belongs to it. Leave the poses out, or use"
-                " a bag or a video."
+                f"{where} has no time, so that no pose belongs to it. Leave the poses out, or give "
+                "the times: frames.csv beside the images (file,time_s), or --fps."
             )
         if frame.fault:
             yield frame, Reading(reader.mode, NoSpot(Reason.UNREADABLE))

@@ -371,7 +371,8 @@ def prepared(recording: Recording, options: Options, beam: Calibration | None = 
     of_pixels = options.mode == "pixels" or (options.mode == "auto" and _is_lens(beam))
     if of_pixels and view is not None and view.noise is None and not recording.source.live:
         recording = recording.measured()
-    if recording.poses() is not None and recording.rig.robot.eye_from_robot is None:
+    robot = recording.rig.robot
+    if beam is not None and recording.poses() is not None and robot.eye_from_robot is None:
         say(
             "robot.eye_from_robot of the rig file is not stated, so the beam's axis is not known. "
             "`eyespot rig check` proposes it."
