@@ -33,6 +33,7 @@ from eyespot.estimator.rig import node as rig_node
 from eyespot.estimator.rig.messages import Silence
 from eyespot.estimator.rig.rig import Parameters, Rig
 from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import read_poses
 from tests.support.drawn import drawn_spots
