@@ -1,7 +1,7 @@
 # Everything from a fresh clone; each target sets up what it needs, once.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup validate test test-slow test-wheel check docs bench constraints
+.PHONY: help setup validate test test-slow test-wheel test-oldest check docs bench constraints
 
 # Empty files inside .venv remember what was set up, and vanish with it.
 PACKAGES := .venv/.packages-installed
@@ -16,15 +16,19 @@ setup: $(LIBRARIES) ## set up .venv and the system libraries; nothing is done tw
 validate: $(LIBRARIES) ## the main job: render, track, fit, report, into out/validate
 	.venv/bin/eyespot validate --out out/validate
 
-# Two processes, a file's tests in one of them: they share what the file compiles.
+# Two processes, a file's tests in one of them: they share what the file compiles. The files keep the
+# order of tests/conftest.py. The slowest tests are printed: see "How tests are written".
 test: $(LIBRARIES) ## run the tests
-	.venv/bin/pytest -n 2 --dist loadfile
+	.venv/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 15
 
 test-slow: $(LIBRARIES) ## run the tests that the default run leaves out
 	.venv/bin/pytest -m 'slow and not gpu'
 
 test-wheel: $(PACKAGES) ## build the wheel, install it in a fresh environment, run it there
 	.venv/bin/pytest -m wheel
+
+test-oldest: $(LIBRARIES) ## run a part of the tests with the lowest versions allowed
+	tools/try-oldest
 
 check: $(PACKAGES) ## lint, format, types
 	.venv/bin/ruff check

@@ -48,6 +48,7 @@ MEANINGS = {
         "reason": "Why there is no spot, no distance or a doubtful one: [reasons](messages.md).",
         "sigma_semi_minor_px": "Standard deviation of the semi-minor axis.",
         "schema_version": "Version of the format.",
+        "measured_with": "Versions of eyespot and OpenCV; two of OpenCV may differ by 0.004 px.",
         "significance": "Of a spot that is `too_faint`: its peak above the background over the "
         "scatter of noise and texture round it.",
         "chi_squared": "Mode pixels: per cell; 1 where beam, wall and camera explain the light.",

@@ -182,7 +182,7 @@ class NoSpot:
         return False
 
 
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error "
     "or unreadable",
@@ -191,6 +191,7 @@ HISTORY = {
     "pixels",
     3: "significance of a spot that is too_faint",
     4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
+    5: "measured_with, the versions of eyespot and OpenCV",
 }
 
 _MOST_FRAMES = 2**31
@@ -205,7 +206,7 @@ _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
 _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=True))
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
-_LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance")
+_LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance", "measured_with")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
 COLUMNS = (
     *("frame", "file_name", "time_s", "mode", "status", "reason"),
@@ -217,7 +218,8 @@ COLUMNS = (
 )
 _KINDS: dict[str, type] = {
     **dict.fromkeys(("frame", "schema_version"), int),
-    **dict.fromkeys(("file_name", "mode", "status", "reason", "largest_cause", "wall_memory"), str),
+    **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
+    **dict.fromkeys(("largest_cause", "wall_memory", "measured_with"), str),
 }
 """Type of a column; the others are floats."""
 
@@ -262,6 +264,8 @@ class SpotRecord:
             others.
         doubt: why a spot has no distance or a doubtful one: one of `Reason`; empty if all is well,
             or without a calibration.
+        measured_with: versions of what measured the frame, eyespot and OpenCV: two of OpenCV may
+            differ by 0.004 px. Empty if unknown, as in files up to version 4.
     """
 
     frame: int
@@ -278,6 +282,7 @@ class SpotRecord:
     pose: RecordedPose | None = None
     wall_memory: str = ""
     doubt: str = ""
+    measured_with: str = ""
 
     @property
     def status(self) -> str:
@@ -542,6 +547,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
         pose=pose,
         wall_memory=row.get("wall_memory", ""),
         doubt=row["reason"],
+        measured_with=row.get("measured_with", ""),
     )
 
 

@@ -6,6 +6,7 @@ import signal
 import sys
 from pathlib import Path
 
+import psutil
 import pytest
 from hypothesis import settings
 
@@ -23,9 +24,19 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A shell's background job ignores Ctrl-C, and so would the programs that tests interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+TESTS = Path(__file__).resolve().parent
+LONGEST_FIRST = ("calibration", "benchmarks", "estimator", "scenes", "house", "docs", "optics")
+MOST_MEMORY_BYTES = 3e9  # Of a worker: what it compiled for one file is kept for the next below.
+
 # Derandomised: a test that fails once fails again. No deadline: JAX compiles in the first example.
 settings.register_profile("reproducible", derandomize=True, deadline=None, database=None)
 settings.load_profile("reproducible")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Long files first, so that no worker ends alone; a folder's files share what they compile."""
+    order = {name: rank for rank, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: order.get(item.path.relative_to(TESTS).parts[0], len(order)))
 
 
 def pytest_collection_finish() -> None:
@@ -35,22 +46,14 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(autouse=True, scope="module")
-def _nothing_compiled_is_kept():
-    """Free what a file's tests have compiled: a worker of all files would hold 5 GB of it."""
+def _memory_is_limited():
+    """Free what was compiled where a worker has grown: that of all files would be 5 GB."""
     yield
+    if psutil.Process().memory_info().rss < MOST_MEMORY_BYTES:
+        return
     if "jax" in sys.modules:
         sys.modules["jax"].clear_caches()
     if "drjit" in sys.modules:
         sys.modules["drjit"].flush_kernel_cache()
         sys.modules["drjit"].flush_malloc_cache()
     gc.collect()
-
-
-@pytest.fixture(scope="module")
-def fast_compilation():
-    """Compile without optimising: for a file whose time goes into compiling, not into computing."""
-    import jax
-
-    jax.config.update("jax_disable_most_optimizations", True)
-    yield
-    jax.config.update("jax_disable_most_optimizations", False)

@@ -7,9 +7,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
+from importlib.metadata import version
 from statistics import median
 from typing import TYPE_CHECKING, Any
 
+import cv2
 import numpy as np
 from rich.console import Group
 from rich.table import Table
@@ -35,6 +37,7 @@ _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
 degrees of incidence."""
+_MEASURED_WITH = f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
 _SURE = 5.0  # standard errors of that difference
 
 
@@ -245,6 +248,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         pose=pose,
         wall_memory=found.wall.value if found else "",
         doubt=reading.doubt,
+        measured_with=_MEASURED_WITH,
     )
 
 

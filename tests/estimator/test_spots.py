@@ -6,7 +6,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots, write_spots
+from eyespot.formats.spots import (
+    SCHEMA_VERSION,
+    NoSpot,
+    Reason,
+    Spot,
+    SpotRecord,
+    read_spots,
+    write_spots,
+)
 from tests.support.drawn.made_up import a_spot
 
 _COLUMNS = (
@@ -43,6 +51,7 @@ def _records() -> list[SpotRecord]:
             distance_low_mm=2.4,
             distance_high_mm=2.7,
             largest_cause="touch",
+            measured_with="eyespot 0.2.0, OpenCV 4.12.0",
         ),
         SpotRecord(frame=8, file_name="ü.png", time_s=0.8, mode="literal", result=literal),
         *failures,
@@ -87,7 +96,7 @@ def test_no_spots_make_a_readable_file(tmp_path):
     [
         (lambda text: "a,b\n1,2\n", r"line 1: not a spots file: column 'frame'"),
         (
-            lambda text: text.replace(",4\n", ",99\n", 1),
+            lambda text: text.replace(f",{SCHEMA_VERSION}\n", ",99\n", 1),
             r"line 2: schema is 99; .* Install a newer eyespot",
         ),
         (lambda text: text.replace("66.0", "wide", 1), r"line 2: semi_major_px .* 'wide'"),

@@ -4,6 +4,7 @@ import functools
 import json
 import math
 from contextlib import suppress
+from importlib.metadata import version
 from unittest import mock
 
 import cv2
@@ -92,6 +93,8 @@ def test_the_file_holds_what_the_tracker_measures(tmp_path, frames, images, suff
     assert_same(records, list(track(images, SubpixelSettings())))
     assert [record.file_name for record in records] == [f"{k}.png" for k in range(8)]
     assert {record.mode for record in records} == {"subpixel"}
+    versions = f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
+    assert {record.measured_with for record in records} == {versions}
     assert all(math.isnan(record.distance_mm) for record in records)
 
 

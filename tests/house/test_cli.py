@@ -3,8 +3,6 @@
 import errno
 import importlib.metadata
 import os
-import subprocess
-import sys
 
 import pydantic
 import pytest
@@ -119,25 +117,6 @@ def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, c
     outcome = run_process(command, *arguments, "--out", out, **environment)
     outcome.assert_bad_input("no such file", "apt-get install libllvm19", "--variant scalar_rgb")
     assert not out.exists()
-
-
-def test_files_beside_a_script_may_have_the_names_of_our_packages(tmp_path):
-    for name in ("optics", "scenes", "estimator", "calibration", "benchmarks", "tests", "formats"):
-        path = tmp_path / (f"{name}/__init__.py" if name == "formats" else f"{name}.py")
-        path.parent.mkdir(exist_ok=True)
-        path.write_text("raise RuntimeError(__name__)\n")
-    (tmp_path / "script.py").write_text(
-        "import eyespot\n"
-        "size = {'microscope.width_px': 320, 'microscope.height_px': 240}\n"
-        "scale = {'microscope.scale_mm_px': 0.0134, 'motion.frames': 6, 'source.kind': 'cone'}\n"
-        "eyespot.render(eyespot.Scene(), 'stack', size | scale)\n"
-        "eyespot.fit('stack').save('beam.json')\n"
-        "print(eyespot.track('stack', calibration='beam.json').distance_mm.count())\n"
-    )
-    child = subprocess.run(
-        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert int(child.stdout) >= 4, child.stderr
 
 
 @pytest.mark.parametrize(

@@ -96,6 +96,25 @@ def test_the_command_of_the_wheel_runs(fresh_python):
     assert "validate" in run_away_from_the_checkout(fresh_python, command, "--help")
 
 
+def test_files_beside_a_script_may_have_the_names_of_our_packages(fresh_python, tmp_path):
+    for name in (*PACKAGES, "tests"):
+        path = tmp_path / (f"{name}/__init__.py" if name == "formats" else f"{name}.py")
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("raise RuntimeError(__name__)\n")
+    (tmp_path / "script.py").write_text(
+        "import eyespot\n"
+        "size = {'microscope.width_px': 320, 'microscope.height_px': 240}\n"
+        "scale = {'microscope.scale_mm_px': 0.0134, 'motion.frames': 6, 'source.kind': 'cone'}\n"
+        "eyespot.render(eyespot.Scene(), 'stack', size | scale)\n"
+        "eyespot.fit('stack').save('beam.json')\n"
+        "print(eyespot.track('stack', calibration='beam.json').distance_mm.count())\n"
+    )
+    child = subprocess.run(
+        [fresh_python, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert int(child.stdout) >= 4, child.stderr
+
+
 def test_the_functions_have_their_types(fresh_python):
     script = fresh_python.parent / "typed.py"
     script.write_text(
