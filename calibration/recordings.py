@@ -307,11 +307,20 @@ def _of_stack(folder: Path) -> LogBook:
         kind=_one_of(stack, "scene.phantom.kind", ("eyeball", "plane")),
         tilt=(math.tan(tilt) * math.cos(towards), math.tan(tilt) * math.sin(towards)),
         medium=_one_of(stack, "scene.source.medium", tuple(optics.MEDIA)),
-        fibre_diameter_mm=number("instrument.fibre_diameter_mm"),
+        fibre_diameter_mm=2 * stack_tip_radius(stack),
         microscope=folder / "microscope.json",
         poses=folder / "kinematics.csv",
         begins_at_touch=(motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact"),
     )
+
+
+def stack_tip_radius(stack: Stack) -> float:
+    """Radius of the rim that touched the wall first, mm."""
+    fibre = stack.described("scene.instrument.fibre_diameter_mm", float)
+    if stack.described("scene.source.kind", str) != "cone":
+        return fibre / 2
+    cone = {key: stack.described(f"cone.{key}", float) for key in ("half_angle", "apex_offset")}
+    return optics.tip_radius(fibre_diameter=fibre, **cone)
 
 
 def _one_of(stack: Stack, key: str, known: tuple[str, ...]) -> str:

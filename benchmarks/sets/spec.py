@@ -126,7 +126,11 @@ def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]
     return found
 
 
-HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "scenes are of format 2, with cones no wider than their fibre; a file without `schema` has "
+    "this one",
+}
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
 
@@ -175,7 +179,9 @@ class Unseen(_SpecTable):
 class SetSpec(_SpecTable):
     """The spec of a labelled set."""
 
-    schema_version: Literal[1] = Field(1, alias="schema", description="Version of the format.")
+    schema_version: Literal[1, 2] = Field(
+        2, alias="schema", description="Version of the format, and of the scenes'."
+    )
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$", description="Of the set.")
     description: str = Field(description="For the data card.")
     licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
@@ -235,7 +241,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         with in_file(where, SpecError):
             content = read_toml(Path(str(path)))
-            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
         if isinstance(scene_file := content.get("scene"), str):
             path = Path(source).parent / scene_file
             with in_file(path, SpecError):
@@ -350,7 +356,7 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
                 try:
                     for pair, values in ((None, {}), *pairs.items()):
                         name = "-".join(filter(None, [condition, f"{index:04d}", pair]))
-                        scene = _possible([*own, values], seed, f"{split}/{name}", check)
+                        scene = _possible(spec, [*own, values], seed, f"{split}/{name}", check)
                         labels = {key: scene_value(scene, key) for key in labelled}
                         about = split, name, condition, pair
                         found.append(PlannedStack(*about, scene, labels, redrawn))
@@ -378,10 +384,14 @@ def _drawn(change: Any, quantile: float) -> Any:
 
 
 def _possible(
-    changes: Sequence[Mapping[str, Any]], seed: int, where: str, check: Callable[[Scene], None]
+    spec: SetSpec,
+    changes: Sequence[Mapping[str, Any]],
+    seed: int,
+    where: str,
+    check: Callable[[Scene], None],
 ) -> Scene:
     """The default scene after changes, with seeds of its own; its errors name the stack."""
-    scene = Scene()
+    scene = Scene.model_validate({"schema": spec.schema_version})
     try:
         for values in changes:
             # The kind of motion comes first, because the other keys depend on it.

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot import optics
-from eyespot.calibration.recordings import withdrawal
+from eyespot.calibration.recordings import stack_tip_radius, withdrawal
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
@@ -37,7 +37,8 @@ class Footage:
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
         microscope: the stack's microscope file.
-        instrument: the tool, which can hide the wall and touches it in the first frame.
+        instrument: the tool, which can hide the wall.
+        tip_radius: of the rim that touched the wall first, mm.
         in_view: whether the instrument is visible.
         kind: kind of the wall, "eyeball" or "plane".
         medium_index: n0.
@@ -52,6 +53,7 @@ class Footage:
     noise: CameraNoise
     microscope: MicroscopeFile
     instrument: BareFibre
+    tip_radius: float
     in_view: bool
     kind: str
     medium_index: float
@@ -99,6 +101,7 @@ def read_footage(stack: Stack, *, exposure: str | None = None) -> Footage:
         instrument=BareFibre(
             number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
         ),
+        tip_radius=stack_tip_radius(stack),
         in_view=stack.described("scene.instrument.visible", bool),
         kind=stack.described("scene.phantom.kind", str),
         medium_index=optics.MEDIA[medium],

@@ -18,9 +18,19 @@ from eyespot.formats.inputs import (
     toml_in,
 )
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
+from eyespot.scenes.description.settings import (
+    CONE_AT_THE_TIP,
+    MOTIONS,
+    OF_THE_RETINA,
+    UNNAMED,
+    SceneError,
+)
 
-HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "b of a cone follows from its core, and no cone is wider than its fibre; a file without "
+    "`schema` has this one",
+}
 """What changed with each version of the format that is read."""
 
 _LONGEST_KEY = 100  # characters; ours have 40 at most
@@ -53,6 +63,12 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
         SceneError: a key is unknown, or the changed scene is invalid.
     """
     content = scene.model_dump(mode="json", by_alias=True)
+    given = scene.source.model_fields_set
+    core, apex = CONE_AT_THE_TIP
+    kept = core if f"source.{core}" in changes else apex if apex in given else core
+    content["source"] = {k: v for k, v in content["source"].items() if k not in CONE_AT_THE_TIP}
+    if kept in given:
+        content["source"][kept] = getattr(scene.source, kept)
     if any(key.startswith("viewing.") for key in changes):
         # An eye brings its own retina.
         content["phantom"] = {k: v for k, v in content["phantom"].items() if k not in OF_THE_RETINA}
@@ -114,7 +130,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         with in_file(path, SceneError):
             content = read_toml(path)
-            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
             return content
     except OSError as error:
         raise SceneError(
@@ -167,6 +183,8 @@ def _first_line(model: type[BaseModel]) -> str:
 
 
 def _documented(key: str, field: Any) -> str:
+    if field.default_factory is not None:  # the value follows from others
+        return f"# {key} =  # {field.description}"
     text = tomli_w.dumps({key: field.default}).strip()
     default = text.replace("\n    ", " ").replace(",\n]", " ]")
     choices = get_args(field.annotation)
