@@ -218,7 +218,8 @@ def true_beam(stack: Stack) -> Calibration:
         raise InputError(
             f"{stack.folder} has no scene, so its light source is not known. Give --calibration."
         )
-    return _beam(Scene.model_validate(scene).model_dump_json(include={"source"}))
+    content = Scene.model_validate(scene)
+    return _beam(content.model_dump_json(include={"schema_version", "source"}, by_alias=True))
 
 
 @functools.cache

@@ -325,6 +325,18 @@ class SceneError(InputError):
     """A scene file is missing, invalid or impossible to render; the text says what to change."""
 
 
+class OutsideWindow(SceneError):
+    """A spot leaves the microscope's window.
+
+    Attributes:
+        needed_px: width and height of a window that shows it whole.
+    """
+
+    def __init__(self, message: str, needed_px: tuple[int, int]) -> None:
+        super().__init__(message)
+        self.needed_px = needed_px
+
+
 Length = Annotated[float, Field(ge=0, le=1e4)]
 Place = Annotated[float, Field(ge=-1e4, le=1e4)]
 """A coordinate, or another length with a sign, mm."""
