@@ -36,6 +36,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.manifest import (
     MANIFEST,
+    changes,
     differences,
     fingerprint,
     read_manifest,
@@ -182,6 +183,21 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
             f"{_AGAIN}"
         )
     return sorted(labelled.stacks, key=lambda stack: stack.split)
+
+
+def check_unchanged(stacks: Sequence[SetStack]) -> None:
+    """Refuse a set or a stack whose files are not those that its manifest lists.
+
+    Files beside them are ignored, and a folder without a manifest, which others made, is accepted.
+
+    Raises:
+        SetError: something is missing or changed; the message lists it.
+    """
+    folder = stacks[0].folder.parents[1] if stacks[0].split else stacks[0].folder
+    if (folder / MANIFEST).is_file():
+        listed = read_manifest(folder, remedy="Copy it again.")
+        if problems := list(changes(folder, listed)):
+            raise SetError(_listed(folder, problems))
 
 
 def set_files(stacks: Sequence[SetStack]) -> list[Path]:

@@ -42,7 +42,7 @@ _LARGEST = 1e12  # of either end of an interval, so that widths and quotients ar
 
 
 class _SpecTable(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -73,7 +73,16 @@ def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-_Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+def _tuple(value: object) -> object:
+    """TOML's lists as the tuples of the models."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+_Interval = Annotated[
+    tuple[float, float],
+    BeforeValidator(_tuple, json_schema_input_type=tuple[float, float]),
+    AfterValidator(_ordered),
+]
 
 
 class Uniform(_SpecTable):
@@ -91,7 +100,7 @@ class LogUniform(_SpecTable):
 class Choice(_SpecTable):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
+    choice: Annotated[tuple[Any, ...], BeforeValidator(_tuple), AfterValidator(_finite)] = Field(
         min_length=2, max_length=4096
     )
 

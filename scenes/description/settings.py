@@ -1,6 +1,7 @@
 """The tables of a scene file, each key with its unit, range and default."""
 
 import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -29,9 +30,20 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class SceneTable(BaseModel):
-    """A table of a scene file: frozen, without other keys, with finite numbers."""
+    """A table of a scene file: frozen, without other keys, with finite numbers.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    No value is converted: `true` is no number, and "off" is not false.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lists_are_tuples(cls, content: Any) -> Any:
+        """TOML and JSON have lists for our tuples."""
+        if not isinstance(content, Mapping):
+            return content
+        return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
 class Withdrawal(SceneTable):
