@@ -471,6 +471,7 @@ class SourceSettings(SceneTable):
     )
     cone_apex_offset_mm: Place = Field(
         default_factory=lambda known: _apex_offset_mm(**known),
+        examples=[-5.117],
         description="b, from the tip to the apex of the ideal cone along the beam. Without this "
         "key it follows from the core: -cone_k * cone_core_radius_mm.",
     )

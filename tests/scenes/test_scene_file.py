@@ -10,6 +10,7 @@ import pytest
 import tomli_w
 from pydantic import ValidationError
 
+from eyespot.formats.inputs import InputError
 from eyespot.scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
 from eyespot.scenes.world.world import World
 from tests.support.command_line import printed
@@ -111,7 +112,7 @@ def test_a_change_leaves_all_other_keys_alone():
     ],
 )
 def test_a_change_that_cannot_be_is_named(change, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(InputError, match=message):
         load_scene(None, [change])
 
 
