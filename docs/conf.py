@@ -130,6 +130,8 @@ myst_nb.core.render.coalesce_streams = _whole_streams
 
 def _run_pages(folder: str) -> None:
     """Run the cells of pages that changed; myst-nb finds their outputs, and reports failures."""
+    # Every bash starts with these, so a cell fails with any of its commands.
+    os.environ["SHELLOPTS"] = "errexit:nounset:pipefail"
     for name in ("jupyter_cache", "traitlets"):
         logging.getLogger(name).setLevel(logging.WARNING)
     cache = get_cache(folder)

@@ -333,16 +333,19 @@ def csv_rows(
             raise InputError(f"{path}: not a text file: {error}.") from None
 
 
+_NUMBER = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?|nan|NaN")
+
+
 def number_in(cell: str, name: str) -> float:
     """The finite number in a cell; NaN in an empty one.
 
     Raises:
         InputError: not a number, or not finite; without the place.
     """
-    try:
-        value = float(cell) if cell else math.nan
-    except ValueError:
-        value = math.inf
+    value = math.nan
+    if cell:
+        # Python would also read 1_0 and digits of other scripts.
+        value = float(cell) if _NUMBER.fullmatch(cell.strip(" ")) else math.inf
     if math.isinf(value):
         raise InputError(f"{name} must be a finite number; got {shortened(cell)}.")
     return value

@@ -9,7 +9,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from eyespot.formats.inputs import Strict, check_schema, in_file, object_in, read_text, validated
+from eyespot.formats.inputs import (
+    Strict,
+    check_schema,
+    in_file,
+    inside,
+    object_in,
+    read_text,
+    validated,
+)
 from eyespot.formats.whole_files import write_text
 
 MANIFEST = "manifest.json"
@@ -72,10 +80,16 @@ def differences(folder: Path, listed: Mapping[str, Fingerprint]) -> Iterator[str
             yield f"{name} is {kind}, which eyespot does not write"
         elif name != MANIFEST and name not in listed:
             yield f"{name} is not in {MANIFEST}"
+    yield from changes(folder, {k: v for k, v in listed.items() if found.get(k, "file") == "file"})
+
+
+def changes(folder: Path, listed: Mapping[str, Fingerprint]) -> Iterator[str]:
+    """What is missing or changed of the files that a manifest lists."""
     for name, known in listed.items():
-        if name not in found:
+        path = inside(folder, name)
+        if not path.is_file():
             yield f"{name} is missing, though {MANIFEST} lists it"
-        elif found[name] == "file" and fingerprint(folder / name) != known:
+        elif fingerprint(path) != known:
             yield f"{name} differs from its checksum in {MANIFEST}"
 
 

@@ -90,7 +90,7 @@ def documented(key: str, field: Any) -> str:
     choices = get_args(field.annotation)
     names = [repr(c) for c in choices if isinstance(c, str | int)]
     notes = [n for n in (" | ".join(names[len(names) == 1 :]), field.description) if n]
-    if default is None:
+    if default is None or field.default_factory is not None:
         (example,) = field.examples or ("",)
         return f"# {named} = {example}  # {'. '.join(notes)}"
     plain = default.model_dump() if isinstance(default, BaseModel) else default

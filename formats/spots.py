@@ -196,6 +196,10 @@ HISTORY = {
 
 _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6
+_ROUNDING = 1e-6
+"""Relative: how far two values of one fact may differ."""
+_UNIT = 1e-3
+"""Of a unit vector's length, as people round it."""
 
 _UPPER = np.triu_indices(5)
 _ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
@@ -208,6 +212,12 @@ _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=Tr
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
 _LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance", "measured_with")
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
+_LIMITS = {
+    **dict.fromkeys(("coverage", "inlier_fraction", "saturated"), (0.0, 1.0 + _ROUNDING)),
+    **dict.fromkeys(("edge_width_px", "sigma_semi_minor_px"), (0.0, _LARGEST_PX)),
+    "sigma_distance_mm": (0.0, 1e9),
+}
+"""Least and largest value of columns."""
 COLUMNS = (
     *("frame", "file_name", "time_s", "mode", "status", "reason"),
     *_VALUES,
@@ -509,10 +519,46 @@ def _check_columns(names: Collection[str]) -> None:
 
 
 def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
-    """The symmetric matrix with these values at and above its diagonal."""
+    """The symmetric matrix with these values at and above its diagonal; NaN if it is unknown.
+
+    Raises:
+        InputError: no covariance has these values.
+    """
     upper = np.zeros((5, 5))
     upper[_UPPER] = [values[name] for name in names]
-    return upper + np.triu(upper, 1).T
+    matrix = upper + np.triu(upper, 1).T
+    if np.isnan(matrix).any():
+        return matrix
+    variances = np.diag(matrix)
+    if np.any(variances < 0) or np.abs(matrix).max() > _LARGEST_PX**2:
+        raise InputError(
+            f"variances must lie from 0 to {_LARGEST_PX**2:g}; got {variances.tolist()}. Write the "
+            "spots again."
+        )
+    # Pixels and radians differ in scale, so the correlations are what must be definite.
+    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
+    if np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() < -_ROUNDING:
+        raise InputError(
+            f"covariances ({names[0]} and the next) must be those of some errors: no correlation "
+            "may be above 1. Write the spots again."
+        )
+    return matrix
+
+
+def folded_angle(angle_rad: float) -> float:
+    """An ellipse's angle in (-pi/2, pi/2], where every half turn gives the same ellipse.
+
+    Raises:
+        InputError: more than a turn, which is likely to be in degrees.
+    """
+    if not abs(angle_rad) <= 2 * math.pi + _ROUNDING:
+        raise InputError(
+            f"angle_rad must lie within a turn, 2 pi; got {angle_rad:g} rad. Write radians, not "
+            "degrees."
+        )
+    if -math.pi / 2 < angle_rad <= math.pi / 2:
+        return angle_rad
+    return math.pi / 2 - (math.pi / 2 - angle_rad) % math.pi
 
 
 def _record(row: dict[str, str]) -> SpotRecord:
@@ -526,6 +572,14 @@ def _record(row: dict[str, str]) -> SpotRecord:
             f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
             f"{shortened(row['frame'])}."
         )
+    for name, (low, high) in _LIMITS.items():
+        if values[name] < low or values[name] > high:  # false for NaN
+            raise InputError(f"{name} must lie from {low:g} to {high:g}; got {values[name]:g}.")
+    if values["distance_low_mm"] > values["distance_high_mm"]:
+        raise InputError(
+            "distance_low_mm must not exceed distance_high_mm; got "
+            f"{values['distance_low_mm']:g} and {values['distance_high_mm']:g} mm."
+        )
     known = [reason.value for reason in Reason]
     if row["reason"] not in ("", *known):
         raise InputError(
@@ -535,6 +589,8 @@ def _record(row: dict[str, str]) -> SpotRecord:
     if not math.isnan(values["tip_x_mm"]):
         place, covariance = [values[name] for name in _POSE], _covariance(values, _POSE_COVARIANCES)
         tip_mm, axis = np.array(place[:3]), np.array(place[3:])
+        if not abs(np.linalg.norm(axis) - 1) < _UNIT:
+            raise InputError(f"axis must be a unit vector; got {axis.tolist()}.")
         pose = RecordedPose(tip_mm, axis, covariance, values["chi_squared"])
     return SpotRecord(
         frame=int(frame),
@@ -564,13 +620,11 @@ def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
             raise InputError(
                 f"{name} of a spot must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
             )
-    if not abs(values["angle_rad"]) <= 4.0:
-        raise InputError(f"angle_rad must lie in (-pi/2, pi/2]; got {values['angle_rad']} rad.")
-    negative = [f"cov_{name}_{name}" for name in PARAMETERS if values[f"cov_{name}_{name}"] < 0]
-    if negative or any(abs(values[name]) > _LARGEST_PX**2 for name in _COVARIANCES):
+    major, minor = values["semi_major_px"], values["semi_minor_px"]
+    if minor > major * (1 + _ROUNDING):
         raise InputError(
-            f"{(negative or ['a covariance'])[0]} must be a variance, from 0 to "
-            f"{_LARGEST_PX**2:g}. Write the spots again."
+            f"semi_minor_px must not exceed semi_major_px; got {minor:g} and {major:g} px."
         )
+    values |= {"angle_rad": folded_angle(values["angle_rad"])}
     measured = {name: values[name] for name in (*_ELLIPSE, *_QUALITY)}
     return Spot(covariance=_covariance(values, _COVARIANCES), **measured)

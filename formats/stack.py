@@ -29,7 +29,7 @@ from typing import Annotated, Any, Self, TypeVar
 import cv2
 import numpy as np
 import tomli_w
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic import Strict as StrictType
 
 from eyespot.formats.images import read_image
@@ -105,6 +105,31 @@ _BOUND = (
 )
 
 
+_ELLIPSES = ("cone", "half_max", "spread_cone", "spread_half_max")
+_ROUNDING = 1e-6
+"""Relative, and in mm: how far two labels of one fact may differ."""
+_UNIT = 1e-3
+"""Of a unit vector's length, as people round it."""
+_LARGEST_PX = 1e5
+"""Semi-axis of a spot; our largest window has 8,192 px."""
+_LARGEST_MM = 1e4
+_RIGHT = math.pi / 2 + 1e-9
+_LIMITS: dict[str, tuple[float, float]] = {
+    **dict.fromkeys(("d_mm", "nearest_mm", "c_mm"), (0.0, _LARGEST_MM)),
+    **dict.fromkeys(("exposure_s", "speed_mm_s", "relative_power"), (0.0, _LARGEST)),
+    **dict.fromkeys(("visible_fraction", "saturated_fraction"), (0.0, 1.0)),
+    **dict.fromkeys(("azimuth_rad", "incidence_azimuth_rad"), (-2 * math.pi, 2 * math.pi)),
+    "phi_rad": (0.0, math.pi),
+    "incidence_rad": (0.0, _RIGHT),
+    **{f"{kind}_semi_major_px": (1e-6, _LARGEST_PX) for kind in _ELLIPSES},
+    **{f"{kind}_semi_minor_px": (1e-6, _LARGEST_PX) for kind in _ELLIPSES},
+    **{f"{kind}_angle_rad": (-_RIGHT, _RIGHT) for kind in _ELLIPSES},
+    **{f"bound_{name}_px": (0.0, _LARGEST) for name in ("x", "y", "semi_major", "semi_minor")},
+    "bound_d_mm": (0.0, _LARGEST),
+}
+"""Least and largest value of labels; others lie within `_LARGEST`."""
+
+
 class FrameLabels(Strict):
     """True values of one image; lengths mm, angles rad, eye frame; image quantities px.
 
@@ -173,6 +198,29 @@ class FrameLabels(Strict):
     bound_semi_major_px: float = _rare(_BOUND)
     bound_semi_minor_px: float = _rare(_BOUND)
     bound_d_mm: float = _rare("The same of the distance from that ellipse, beam known, mm.")
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        """Refuse what no image can have; what is unknown is NaN or infinite."""
+        for name, value in self:
+            low, high = _LIMITS.get(name, (-_LARGEST, _LARGEST))
+            known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
+            if known and not low <= value <= high:
+                raise InputError(f"{name} must lie from {low:g} to {high:g}; got {value:g}")
+        for kind in _ELLIPSES:
+            minor, major = (getattr(self, f"{kind}_semi_{part}_px") for part in ("minor", "major"))
+            if minor > major * (1 + _ROUNDING):
+                raise InputError(
+                    f"{kind}_semi_minor_px must not exceed {kind}_semi_major_px; got {minor:g} and "
+                    f"{major:g} px"
+                )
+        if abs(math.hypot(*self.axis) - 1) > _UNIT:
+            raise InputError(f"axis must be a unit vector; got {list(self.axis)}")
+        if self.nearest_mm > self.d_mm * (1 + _ROUNDING) + _ROUNDING:
+            raise InputError(
+                f"nearest_mm must not exceed d_mm; got {self.nearest_mm:g} and {self.d_mm:g} mm"
+            )
+        return self
 
     def row(self) -> dict[str, Any]:
         """The fields of a line, without those that this scene does not have."""
@@ -307,6 +355,9 @@ def read_stack(folder: Path) -> Stack:
     """
     folder = Path(folder)
     try:
+        with in_file(folder):
+            for name in ("stack.toml", "metadata.jsonl", "microscope.json", "kinematics.csv"):
+                inside(folder, name)
         with in_file(folder / "stack.toml"):
             description = read_toml(folder / "stack.toml")
             check_schema(description.get("schema"), HISTORY, remedy=_AGAIN)
@@ -319,18 +370,21 @@ def read_stack(folder: Path) -> Stack:
     lines = text.removesuffix("\n").split("\n") if text else []
     frames = {f"frames/{path.name}" for path in (folder / "frames").glob("*.png")}
     found: dict[str, FrameLabels] = {}
+    moments: set[tuple[int, str]] = set()
     for number, line in enumerate(lines, 1):
         with in_file(f"{folder / 'metadata.jsonl'}, line {number}"):
             row = validated(FrameLabels, object_in(line), remedy=_AGAIN)
             for name in (row.file_name, row.mask_file_name):
                 inside(folder, name)
-            for name, value in row:
-                # What is unknown is NaN or infinite; with other numbers nothing could be computed.
-                known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
-                if known and not abs(value) <= _LARGEST:
-                    raise InputError(
-                        f"{name} must be a number within {_LARGEST:g}; got {value}. {_AGAIN}"
-                    )
+            if row.mask_file_name in frames:
+                raise InputError(f"{row.mask_file_name} is a frame, not a mask. {_AGAIN}")
+            moment = row.frame, row.exposure
+            if moment in moments:
+                raise InputError(
+                    f"frame {row.frame} has another line with exposure {shortened(row.exposure)}. "
+                    f"{_AGAIN}"
+                )
+            moments.add(moment)
             if row.file_name in found:
                 raise InputError(f"{row.file_name} has a line already.")
             if row.file_name not in frames:

@@ -3,6 +3,7 @@ from .beam import beam_at_spot as beam_at_spot
 from .beam import contact_distance as contact_distance
 from .beam import perpendicular_frame as perpendicular_frame
 from .beam import slope as slope
+from .beam import tip_radius as tip_radius
 from .camera import Camera as Camera
 from .camera import Microscope as Microscope
 from .camera import microscope as microscope

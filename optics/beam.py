@@ -1,5 +1,7 @@
 """The fibre's beam: a cone, given by tip and axis, by spot and distance, or through a trocar."""
 
+import math
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -99,6 +101,20 @@ def beam_at_spot(
         half_angle=half_angle,
         apex_offset=apex_offset,
     )
+
+
+def tip_radius(*, fibre_diameter: float, half_angle: float, apex_offset: float) -> float:
+    """Radius of the rim that touches the wall first, mm: the fibre's.
+
+    The ideal cone of an old file may be wider at the tip than its fibre (-b tan(alpha)). Its edge
+    is then the rim, because no light reaches a point of the wall behind the tip.
+
+    Args:
+        fibre_diameter: mm.
+        half_angle: alpha, rad.
+        apex_offset: b, mm.
+    """
+    return max(fibre_diameter / 2, -apex_offset * math.tan(half_angle))
 
 
 def contact_distance(

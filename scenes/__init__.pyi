@@ -12,6 +12,7 @@ from .rendering.render import Renderer as Renderer
 from .stacks.stack import LiveCamera as LiveCamera
 from .stacks.stack import check_scene as check_scene
 from .stacks.stack import least_bytes as least_bytes
+from .stacks.stack import noise_bytes as noise_bytes
 from .stacks.stack import render_image as render_image
 from .stacks.stack import render_stack as render_stack
 from .stacks.stack import write_preview as write_preview

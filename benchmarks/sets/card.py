@@ -15,6 +15,7 @@ from matplotlib.patches import Ellipse
 
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.sets import croissant
+from eyespot.benchmarks.sets.asked import asked_and_drawn
 from eyespot.benchmarks.sets.read import LabelledSet, Row, rows
 from eyespot.formats.whole_files import write_text, written_whole
 
@@ -166,6 +167,7 @@ def write_card(labelled: LabelledSet) -> None:
         (*about, *np.quantile(labels[column], [0.0, 0.5, 1.0]))
         for column, about in QUANTITIES.items()
     ]
+    asked = asked_and_drawn(labelled)
     histograms(labels, labelled.folder / "histograms.png")
     samples(images, labelled.folder / "samples.png")
     text = (
@@ -181,6 +183,9 @@ def write_card(labelled: LabelledSet) -> None:
             ranges=ranges,
             bounded="bound_semi_minor_px" in labels,
             varied=sorted(labelled.stacks[0].parameters),
+            parameters=page.rows_of(asked.parameters),
+            pairs=page.rows_of(asked.pairs),
+            left_out=labelled.description.get("left_out", []),
         )
     )
     write_text(labelled.folder / "README.md", text, replace=True)

@@ -12,11 +12,10 @@ import importlib.metadata
 import json
 import os
 import re
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -36,7 +35,15 @@ from eyespot.benchmarks.sets.read import (
     verify_set,
     write_set_manifest,
 )
-from eyespot.benchmarks.sets.spec import PlannedStack, SetSpec, load_spec, plan
+from eyespot.benchmarks.sets.spec import (
+    Draw,
+    PlannedStack,
+    SetSpec,
+    draw,
+    impossible_report,
+    load_spec,
+    refuse_impossible,
+)
 from eyespot.benchmarks.sets.workers import cores, local_workers, running_scheduler
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import duration, say
@@ -83,68 +90,41 @@ def render_planned(scene: Mapping[str, Any], folder: str, wanted: Mapping[str, s
                 raise
 
 
-# Estimates number of images, size and time of a set from a few rendered frames.
+# Estimates number of images, size and time of a set without rendering.
 
-_TIMED = 5  # frames rendered of a stack
+_START_S = 4.0
+"""Processor time before a stack's first image, s: the wall's picture, the light, the kernels."""
+_IMAGE_S = 0.2
+"""Processor time of an image of 640 x 480 px with 4 samples, s."""
+_PNG_EXCESS = 1.4
+"""Size of our PNG files over the entropy of their noise (8 bits, a lens and a cone)."""
+_USUAL_LEVEL = 0.1
+"""Mean level of an image over full scale: little of it is lit."""
 
 
 class CostEstimate(NamedTuple):
-    """Expected cost of a set without its data card, from a number of tried images."""
+    """Expected cost of a set without its data card."""
 
     stacks: int
     images: int
     size_bytes: float
     processor_s: float
-    tried: int
-
-
-class _Enough(Exception):
-    """Ends the rendering of a trial stack."""
 
 
 def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
-    """Render a few frames of a stack of each condition, and one without condition, and scale up.
+    """Number and size of a set's images, and the processor time of usual ones.
 
-    Processor time is measured, because it hardly depends on other processes.
+    Traced light, bounds and colours with their own lines of sight take longer.
     """
-    groups: dict[str | None, list[PlannedStack]] = {}
+    images, size, seconds = 0, 0.0, 0.0
     for stack in planned:
-        groups.setdefault(stack.condition, []).append(stack)
-    size = seconds = 0.0
-    images = tried = 0
-    for stacks in groups.values():
-        _trial(stacks[-1].scene, images=1)  # compiles kernels, which a worker does once
-        number, first_s, next_s, image_bytes = _trial(stacks[0].scene, images=_TIMED)
-        counts = [
-            scenes.frame_count(stack.scene) * len(stack.scene.exposures.kinds) for stack in stacks
-        ]
-        seconds += sum(first_s + (count - 1) * next_s for count in counts)
-        images += sum(counts)
-        size += sum(counts) * image_bytes
-        tried += number
-    return CostEstimate(len(planned), images, size, seconds, tried)
-
-
-def _trial(scene: scenes.Scene, *, images: int) -> tuple[int, float, float, float]:
-    """Number of the first images of a scene; processor s to the first, of each next; its bytes."""
-    moments: list[float] = []
-
-    def image_done() -> None:
-        moments.append(time.process_time())
-        if len(moments) == images:
-            raise _Enough
-
-    with tempfile.TemporaryDirectory() as folder:
-        begin = time.process_time()
-        with suppress(_Enough):
-            scenes.render_stack(scene, Path(folder) / "stack", progress=image_done)
-        # Other threads write the images, so writing ends after the last `image_done`.
-        rest = time.process_time() - moments[0]
-        files = [path for path in Path(folder).rglob("*") if path.is_file()]
-        size = sum(path.stat().st_size for path in files)
-        written = sum(path.parent.name == "frames" for path in files)
-    later = max(len(moments) - 1, 1)
-    return len(moments), moments[0] - begin, rest / later, size / max(written, 1)
+        scene, microscope = stack.scene, stack.scene.microscope
+        count = scenes.frame_count(scene) * len(scene.exposures.kinds)
+        pixels = microscope.width_px * microscope.height_px
+        images += count
+        size += count * _PNG_EXCESS * scenes.noise_bytes(scene, level=_USUAL_LEVEL)
+        seconds += _START_S + count * _IMAGE_S * pixels * microscope.samples / (640 * 480 * 4)
+    return CostEstimate(len(planned), images, size, seconds)
 
 
 # Uploads a set to a repository of the Hugging Face Hub.
@@ -212,8 +192,8 @@ def make_set(
 ) -> LabelledSet:
     """Render the missing stacks of a set; the run that renders the last stack completes the set.
 
-    Impossible scenes are found before anything is rendered, and drawn again. Unless stacks of other
-    shards are missing, the set is complete.
+    Impossible scenes are found before anything is rendered, and refused or left out, as the spec
+    says. Unless stacks of other shards are missing, the set is complete.
 
     Args:
         out: the set's folder: new, empty, or with a part of this set.
@@ -225,15 +205,17 @@ def make_set(
         SetError: `out` contains something else.
         InputError: the disk has too little space.
         OSError: the disk is full or cannot be written; what is done is kept.
-        SceneError: see `plan`.
+        SceneError: see `refuse_impossible`.
     """
     out = Path(out).absolute()
-    planned = plan(spec, scenes.check_scene)
-    if redrawn := sum(stack.redrawn > 0 for stack in planned):
-        say(f"{redrawn} of {len(planned)} stacks are drawn again; their scenes were impossible.")
+    drawn = draw(spec, scenes.check_scene)
+    refuse_impossible(spec, drawn)
+    if drawn.impossible:
+        say(f"Left out: {impossible_report(drawn)}")
+    planned = drawn.stacks
     share = planned[shard[0] - 1 :: shard[1]]
     missing = [stack for stack in share if not _folder(out, stack).is_dir()]
-    _claim(out, spec, planned)
+    _claim(out, spec, drawn)
     with bar("Rendering stacks", total=len(share)) as advance:
         advance(len(share) - len(missing))
         if missing:
@@ -291,7 +273,7 @@ def _render(
         )
 
 
-def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
+def _claim(out: Path, spec: SetSpec, drawn: Draw) -> None:
     """Write set.json into a new folder, or check that it belongs to the same set."""
     content = {
         "schema": SCHEMA,
@@ -306,9 +288,13 @@ def _claim(out: Path, spec: SetSpec, planned: list[PlannedStack]) -> None:
                 **({"pair": stack.pair} if stack.pair else {}),
                 "parameters": stack.parameters,
             }
-            for stack in planned
+            for stack in drawn.stacks
         ],
     }
+    if drawn.impossible:
+        content["left_out"] = [
+            {**one._asdict(), "problem": str(one.problem)} for one in drawn.impossible
+        ]
     text = json.dumps(content, indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)
     file = out / "set.json"
@@ -389,10 +375,6 @@ def make(
         part, parts = map(int, match.groups()) if match else (0, 0)
         if not 1 <= part <= parts:
             raise InputError(f"--shard must be I/N, with I from 1 to N; got {shard!r}.")
-    with in_file(shortened(spec)[1:-1]):
-        planned = (plan(settings, scenes.check_scene) if dry_run else plan(settings))[
-            part - 1 :: parts
-        ]
     if scheduler is not None and workers is not None:
         raise InputError(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
@@ -400,12 +382,16 @@ def make(
         )
     count = workers or cores()
     if dry_run:
-        found = estimate(planned)
+        drawn = draw(settings, scenes.check_scene)
+        refuse_impossible(settings, drawn)
+        if drawn.impossible:
+            print(f"Left out: {impossible_report(drawn)}")
+        found = estimate(drawn.stacks[part - 1 :: parts])
         processor, wall = duration(found.processor_s), duration(found.processor_s / count)
         print(
             f"{found.images:,} images in {found.stacks:,} stacks, "
             f"{decimal(round(found.size_bytes))}, about {processor} of processor time, {wall} with "
-            f"{count} workers on one core each. Estimated from {found.tried} images."
+            f"{count} workers on one core each."
         )
         return
     if out is None:

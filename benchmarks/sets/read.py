@@ -36,6 +36,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.manifest import (
     MANIFEST,
+    changes,
     differences,
     fingerprint,
     read_manifest,
@@ -184,6 +185,21 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
     return sorted(labelled.stacks, key=lambda stack: stack.split)
 
 
+def check_unchanged(stacks: Sequence[SetStack]) -> None:
+    """Refuse a set or a stack whose files are not those that its manifest lists.
+
+    Files beside them are ignored, and a folder without a manifest, which others made, is accepted.
+
+    Raises:
+        SetError: something is missing or changed; the message lists it.
+    """
+    folder = stacks[0].folder.parents[1] if stacks[0].split else stacks[0].folder
+    if (folder / MANIFEST).is_file():
+        listed = read_manifest(folder, remedy="Copy it again.")
+        if problems := list(changes(folder, listed)):
+            raise SetError(_listed(folder, problems))
+
+
 def set_files(stacks: Sequence[SetStack]) -> list[Path]:
     """set.json and LICENSE of the stacks' set; nothing for a single stack."""
     folder = stacks[0].folder.parents[1]
@@ -218,7 +234,8 @@ def true_beam(stack: Stack) -> Calibration:
         raise InputError(
             f"{stack.folder} has no scene, so its light source is not known. Give --calibration."
         )
-    return _beam(Scene.model_validate(scene).model_dump_json(include={"source"}))
+    content = Scene.model_validate(scene)
+    return _beam(content.model_dump_json(include={"schema_version", "source"}, by_alias=True))
 
 
 @functools.cache

@@ -1,11 +1,13 @@
 """The spec file (TOML) of a labelled set (docs/datasets.md), and the stacks that it plans."""
 
 import math
+import re
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from pydantic import (
@@ -32,6 +34,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.settings_files import parsed_change, problem_sentence
 from eyespot.scenes import Scene, SceneError, changed
+from eyespot.scenes.description.settings import OutsideWindow
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
@@ -39,7 +42,7 @@ _LARGEST = 1e12  # of either end of an interval, so that widths and quotients ar
 
 
 class _SpecTable(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -70,7 +73,16 @@ def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-_Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+def _tuple(value: object) -> object:
+    """TOML's lists as the tuples of the models."""
+    return tuple(value) if isinstance(value, list) else value
+
+
+_Interval = Annotated[
+    tuple[float, float],
+    BeforeValidator(_tuple, json_schema_input_type=tuple[float, float]),
+    AfterValidator(_ordered),
+]
 
 
 class Uniform(_SpecTable):
@@ -88,7 +100,7 @@ class LogUniform(_SpecTable):
 class Choice(_SpecTable):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], AfterValidator(_finite)] = Field(
+    choice: Annotated[tuple[Any, ...], BeforeValidator(_tuple), AfterValidator(_finite)] = Field(
         min_length=2, max_length=4096
     )
 
@@ -126,7 +138,11 @@ def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]
     return found
 
 
-HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "scenes are of format 2, with cones no wider than their fibre; a file without `schema` has "
+    "this one",
+}
 SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 """Scene keys that have a different value in every stack."""
 
@@ -175,7 +191,9 @@ class Unseen(_SpecTable):
 class SetSpec(_SpecTable):
     """The spec of a labelled set."""
 
-    schema_version: Literal[1] = Field(1, alias="schema", description="Version of the format.")
+    schema_version: Literal[1, 2] = Field(
+        2, alias="schema", description="Version of the format, and of the scenes'."
+    )
     name: str = Field(pattern=r"^[a-z0-9][a-z0-9.-]{0,99}$", description="Of the set.")
     description: str = Field(description="For the data card.")
     licence: str = Field("CC-BY-4.0", description="Licence of the images and labels (SPDX name).")
@@ -187,6 +205,11 @@ class SetSpec(_SpecTable):
     vary: _Changes = Field({}, description="Distributions by scene key, drawn anew for each stack.")
     adverse: Adverse | None = Field(None, description="A split with difficult conditions.")
     unseen: Unseen | None = Field(None, description="A split that differs from all others.")
+    impossible: Literal["refuse", "leave out"] = Field(
+        "refuse",
+        description="What happens if a drawn scene cannot be rendered: the set is refused, or made "
+        "without these stacks, which set.json and the data card list.",
+    )
     pairs: dict[_Condition, Annotated[dict[str, Any], BeforeValidator(_dotted)]] | None = Field(
         None, description="Every stack again with these values, by the end of the partner's name."
     )
@@ -235,7 +258,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         with in_file(where, SpecError):
             content = read_toml(Path(str(path)))
-            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
         if isinstance(scene_file := content.get("scene"), str):
             path = Path(source).parent / scene_file
             with in_file(path, SpecError):
@@ -275,8 +298,6 @@ def _siblings(path: list[str]) -> list[str]:
 _MOST_STACKS = 2**20
 """Largest number of stacks in a set; with it, the seeds of two sets never overlap."""
 
-_MOST_DRAWS = 16  # if one of two draws is possible, one of 65,536 stacks has none
-
 
 @dataclass(frozen=True)
 class PlannedStack:
@@ -292,20 +313,94 @@ class PlannedStack:
     pair: str | None
     scene: Scene
     parameters: dict[str, Any]  # values of the scene keys that vary within the set, by dotted name
-    redrawn: int  # draws before this one that gave an impossible scene
+
+
+class ImpossibleStack(NamedTuple):
+    """A stack that was drawn and cannot be rendered, with the condition that its scene fails.
+
+    Attributes:
+        parameters: what was drawn, by dotted scene key.
+    """
+
+    split: str
+    name: str
+    parameters: dict[str, Any]
+    problem: SceneError
+
+
+class Draw(NamedTuple):
+    """All stacks that a spec asks for."""
+
+    stacks: list[PlannedStack]
+    impossible: list[ImpossibleStack]
 
 
 def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> list[PlannedStack]:
-    """The stacks of a set, in order.
+    """The stacks of a set, in order, without those that the spec leaves out.
+
+    Raises:
+        SceneError: as `draw`; or a scene is impossible and the spec does not leave such out.
+    """
+    drawn = draw(spec, check)
+    refuse_impossible(spec, drawn)
+    return drawn.stacks
+
+
+def refuse_impossible(spec: SetSpec, drawn: Draw) -> None:
+    """Refuse a set that would not be distributed as its spec says.
+
+    Raises:
+        SceneError: how many scenes fail which condition, and the window that shows all spots.
+    """
+    if drawn.impossible and not drawn.stacks:
+        raise SceneError(impossible_report(drawn))
+    if drawn.impossible and spec.impossible == "refuse":
+        raise SceneError(
+            f"{impossible_report(drawn)} A set without them would not be distributed as its spec "
+            'says. Narrow [vary], or write impossible = "leave out"; the data card then shows what '
+            "is missing."
+        )
+
+
+def impossible_report(drawn: Draw) -> str:
+    """How many scenes are impossible, an example of each condition, and the window to ask for."""
+    first: dict[str, ImpossibleStack] = {}
+    counts = Counter(_condition(one.problem) for one in drawn.impossible)
+    for one in drawn.impossible:
+        first.setdefault(_condition(one.problem), one)
+    if len(first) == 1 and not drawn.stacks:  # not the draws are wrong, but what they share
+        one = drawn.impossible[0]
+        return f"{one.split}/{one.name}: {one.problem}"
+    examples = [
+        f"{counts[what]}: {one.split}/{one.name}: {one.problem}" for what, one in first.items()
+    ]
+    total = len(drawn.stacks) + len(drawn.impossible)
+    said = f"{len(drawn.impossible)} of {total} stacks are impossible. {at_most_three(examples)}"
+    leaving = [e.problem for e in drawn.impossible if isinstance(e.problem, OutsideWindow)]
+    if leaving:
+        width, height = (max(sizes) for sizes in zip(*(e.needed_px for e in leaving), strict=True))
+        said += (
+            f" One window of {width} x {height} px shows all of these spots: --set "
+            f"microscope.width_px={width} --set microscope.height_px={height}."
+        )
+    return said
+
+
+def _condition(problem: SceneError) -> str:
+    """A condition that a scene fails: the message without its numbers."""
+    return re.sub(r"[-+]?\d[\d.e+-]*", "#", str(problem))
+
+
+def draw(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> Draw:
+    """The stacks that a spec asks for, in order, possible and impossible ones.
 
     Every group of stacks uses its own block of one scrambled Sobol sequence (Owen 1998; Sobol
     1967). The length of a block is a power of two, so each block covers the distributions evenly.
-    The n-th point of the sequence has the n-th seed. A stack with an impossible scene is drawn
-    again, at random.
+    The n-th point of the sequence has the n-th seed. `check` raises SceneError if a scene is
+    impossible; then its partners count as impossible, too.
 
     Raises:
-        SceneError: a key is unknown, or all draws of a stack are impossible, which `check` says by
-            raising one.
+        InputError: too many stacks.
     """
     groups: list[tuple[str, str | None, int, dict[str, Any]]] = [
         (split, None, count, {}) for split, count in spec.splits
@@ -335,34 +430,27 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
         # The sequence is balanced over powers of two.
         sequence = qmc.Sobol(len(drawn), rng=np.random.default_rng(spec.seed))
         points = sequence.random_base2(math.ceil(math.log2(block * len(groups))))
-    planned: list[PlannedStack] = []
+    found = Draw([], [])
     for number, (split, condition, stacks, changes) in enumerate(groups):
         for index in range(stacks):
             place = number * block + index
-            point, impossible = points[place], list[SceneError]()
-            for redrawn in range(_MOST_DRAWS if drawn else 1):
-                quantiles = dict(zip(drawn, point, strict=True))
-                own = [
-                    {key: _drawn(change, quantiles.get(key, 0.0)) for key, change in of.items()}
-                    for of in (spec.scene, spec.vary, changes)
-                ]
-                seed, found = spec.seed * _MOST_STACKS + place, []
-                try:
-                    for pair, values in ((None, {}), *pairs.items()):
-                        name = "-".join(filter(None, [condition, f"{index:04d}", pair]))
-                        scene = _possible([*own, values], seed, f"{split}/{name}", check)
-                        labels = {key: scene_value(scene, key) for key in labelled}
-                        about = split, name, condition, pair
-                        found.append(PlannedStack(*about, scene, labels, redrawn))
-                    planned += found
-                    break
-                except SceneError as error:
-                    impossible.append(error)
-                    random = np.random.default_rng((spec.seed, place, redrawn))
-                    point = random.random(len(drawn))
-            else:
-                raise impossible[0]
-    return planned
+            quantiles = dict(zip(drawn, points[place], strict=True))
+            own = [
+                {key: _drawn(change, quantiles.get(key, 0.0)) for key, change in of.items()}
+                for of in (spec.scene, spec.vary, changes)
+            ]
+            seed, partners = spec.seed * _MOST_STACKS + place, []
+            try:
+                for pair, values in ((None, {}), *pairs.items()):
+                    name = "-".join(filter(None, [condition, f"{index:04d}", pair]))
+                    scene = _possible(spec, [*own, values], seed, check)
+                    labels = {key: scene_value(scene, key) for key in labelled}
+                    partners.append(PlannedStack(split, name, condition, pair, scene, labels))
+                found.stacks.extend(partners)
+            except SceneError as problem:
+                values = {key: value for of in own for key, value in of.items() if key in labelled}
+                found.impossible.append(ImpossibleStack(split, name, values, problem))
+    return found
 
 
 def _drawn(change: Any, quantile: float) -> Any:
@@ -378,21 +466,19 @@ def _drawn(change: Any, quantile: float) -> Any:
 
 
 def _possible(
-    changes: Sequence[Mapping[str, Any]], seed: int, where: str, check: Callable[[Scene], None]
+    spec: SetSpec,
+    changes: Sequence[Mapping[str, Any]],
+    seed: int,
+    check: Callable[[Scene], None],
 ) -> Scene:
-    """The default scene after changes, with seeds of its own; its errors name the stack."""
-    scene = Scene()
-    try:
-        for values in changes:
-            # The kind of motion comes first, because the other keys depend on it.
-            scene = changed(
-                scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind"))
-            )
-        own = [key for key in SEED_KEYS if scene_value(scene, key) is not None]
-        scene = changed(scene, dict.fromkeys(own, seed))
-        check(scene)
-    except SceneError as error:
-        raise SceneError(f"{where}: {error}") from error
+    """The default scene after changes, with seeds of its own."""
+    scene = Scene.model_validate({"schema": spec.schema_version})
+    for values in changes:
+        # The kind of motion comes first, because the other keys depend on it.
+        scene = changed(scene, dict(sorted(values.items(), key=lambda v: v[0] != "motion.kind")))
+    own = [key for key in SEED_KEYS if scene_value(scene, key) is not None]
+    scene = changed(scene, dict.fromkeys(own, seed))
+    check(scene)
     return scene
 
 

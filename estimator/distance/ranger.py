@@ -112,17 +112,24 @@ class Ranger:
         """
         direction = None if axis is None else _unit(axis)
         if self.model == "exact":
-            return self._exact(spot, direction, axis_sigma_rad)
-        if self.model == "area":
-            x, y = np.array([spot.x_px]), np.array([spot.y_px])
-            with np.errstate(invalid="ignore"):
-                off = np.isnan(self._on_wall(self._eye({}), x, y, plane=True)).any()
-            if direction is None or off:
-                return Range(distance_mm=math.nan, sigma_mm=math.nan)
-            return self._areas.of(spot, axis=direction, axis_sigma_rad=axis_sigma_rad)
-        if self.model == "lens":
-            return self._lens(spot, frame, exposure_s)
-        return self._closed_form(self.model, spot, spot.covariance)
+            found = self._exact(spot, direction, axis_sigma_rad)
+        elif self.model == "area":
+            found = self._area(spot, direction, axis_sigma_rad)
+        elif self.model == "lens":
+            found = self._lens(spot, frame, exposure_s)
+        else:
+            found = self._closed_form(self.model, spot, spot.covariance)
+        if found.distance_mm > self._farthest_mm:
+            return Range(distance_mm=math.nan, sigma_mm=math.nan)
+        return found
+
+    @property
+    def _farthest_mm(self) -> float:
+        """Distance beyond which the tip would not be in the eye, or not below the microscope."""
+        view = self.microscope
+        if view.plane_normal is None:
+            return 2 * max((view.eye_radius_mm, *(view.retina_semi_axes_mm or ())))
+        return abs(view.pinhole_height_mm + view.eye_radius_mm)
 
     def _check(self) -> None:
         model, c, radius = self.model, self.eccentricity_mm, self.microscope.eye_radius_mm
@@ -220,6 +227,15 @@ class Ranger:
         pixels = np.stack([u + own * (x - u), v + own * (y - v)], axis=-1)
         camera, wall = self._path
         return np.asarray(wall_point(camera, wall, pixels)).T
+
+    def _area(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
+        """The distance along a known axis at which the spot has its centre and area."""
+        x, y = np.array([spot.x_px]), np.array([spot.y_px])
+        with np.errstate(invalid="ignore"):
+            off = np.isnan(self._on_wall(self._eye({}), x, y, plane=True)).any()
+        if axis is None or off:
+            return Range(distance_mm=math.nan, sigma_mm=math.nan)
+        return self._areas.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
 
     def _exact(self, spot: Spot, axis: np.ndarray | None, axis_sigma_rad: float) -> Range:
         """The pose whose cone leaves the spot's ellipse on the wall."""

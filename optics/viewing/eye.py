@@ -4,6 +4,7 @@ Both are read from files, those of the package and those of a user. An eye's fil
 asphericities, thicknesses and indices, with their source.
 """
 
+import itertools
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -56,23 +57,44 @@ def _tuple(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
+_LARGEST = 1e3
+"""Of any number in an eye's file: mm, mm per dioptre, or an asphericity."""
+_LONGEST_EYE_MM = 60.0
+"""Twice the longest eyes (axial length 36 mm)."""
+
+
+def _moderate(value: tuple[float, float]) -> tuple[float, float]:
+    if not max(map(abs, value)) <= _LARGEST:
+        raise InputError(f"must lie within {_LARGEST:g}")
+    return value
+
+
 def _not_flat(value: tuple[float, float]) -> tuple[float, float]:
     if value[0] == 0.0:
         raise InputError("a radius of curvature must not be 0 mm")
     return value
 
 
+def _length(value: tuple[float, float]) -> tuple[float, float]:
+    if not 0.0 < value[0] <= _LONGEST_EYE_MM:
+        raise InputError(f"a length in an eye must lie in (0, {_LONGEST_EYE_MM:g}] mm")
+    return value
+
+
 Number = Annotated[
     tuple[float, float],
     BeforeValidator(_pair, json_schema_input_type=float | tuple[float, float]),
+    AfterValidator(_moderate),
 ]
 """A number, or [at 0 D, change per dioptre of refraction]."""
 
 Radius = Annotated[Number, AfterValidator(_not_flat)]
+Length = Annotated[Number, AfterValidator(_length)]
 Pair = Annotated[tuple[float, float], BeforeValidator(_tuple)]
 Terms = Annotated[tuple[float, float, float], BeforeValidator(_tuple)]
 Index = Annotated[float, Field(ge=1.0, le=4.0)]
-Layers = Annotated[list[float], Field(min_length=1)]
+Layers = Annotated[list[Annotated[float, Field(gt=0.0, le=_LONGEST_EYE_MM)]], Field(min_length=1)]
+Wavelength = Annotated[float, Field(ge=100.0, le=2000.0)]
 
 
 class CorneaFile(Strict):
@@ -80,7 +102,7 @@ class CorneaFile(Strict):
 
     front_radius_mm: Radius = Field(description="Radius of curvature of the front surface.")
     front_asphericity: Number = Field(description="Q of the front surface; 0 is a sphere.")
-    thickness_mm: Number = Field(description="On the axis.")
+    thickness_mm: Length = Field(description="On the axis.")
     back_radius_mm: Radius = Field(description="Radius of curvature of the back surface.")
     back_asphericity: Number = Field(description="Q of the back surface.")
 
@@ -88,7 +110,7 @@ class CorneaFile(Strict):
 class LensFile(Strict):
     """The crystalline lens; layers of a gradient lens meet in planes."""
 
-    depth_mm: Number = Field(description="Of the front vertex below the cornea's.")
+    depth_mm: Length = Field(description="Of the front vertex below the cornea's.")
     front_radius_mm: Radius = Field(description="Radius of curvature of the front surface.")
     front_asphericity: Number = Field(description="Q of the front surface; 0 is a sphere.")
     thickness_mm: Layers = Field(description="Of each layer, on the axis.")
@@ -102,7 +124,7 @@ class LensFile(Strict):
 class IndicesFile(Strict):
     """Indices at wavelengths, or at one wavelength with a dispersion common to all media."""
 
-    wavelength_nm: list[float] = Field(
+    wavelength_nm: list[Wavelength] = Field(
         min_length=1, description="Where the indices are known; they are interpolated."
     )
     dispersion: Pair = Field((0.0, 0.0), description="Change of all indices per µm and µm².")
@@ -112,7 +134,9 @@ class IndicesFile(Strict):
     vitreous: list[Index] = Field(description="Index at each wavelength.")
 
     @model_validator(mode="after")
-    def _one_index_a_wavelength(self) -> Self:
+    def _one_index_for_each_of_rising_wavelengths(self) -> Self:
+        if any(b <= a for a, b in itertools.pairwise(self.wavelength_nm)):
+            raise InputError("wavelength_nm must increase from one wavelength to the next")
         for indices in (self.cornea, self.aqueous, *self.lens, self.vitreous):
             if len(indices) != len(self.wavelength_nm):
                 raise InputError("each medium needs one index for each wavelength")
@@ -145,8 +169,8 @@ class EyeFile(Strict):
     refractions_d: Pair = Field(
         (0.0, 0.0), description="Least and largest refraction that the eye may have, D."
     )
-    axial_length_mm: Number = Field(description="From the cornea's vertex to the retina.")
-    retina_semi_axes_mm: Annotated[tuple[Number, Number, Number], BeforeValidator(_tuple)] = Field(
+    axial_length_mm: Length = Field(description="From the cornea's vertex to the retina.")
+    retina_semi_axes_mm: Annotated[tuple[Length, Length, Length], BeforeValidator(_tuple)] = Field(
         description="Across (x, y) and along the axis (z)."
     )
     cornea: CorneaFile = Field(description="Two conic surfaces.")

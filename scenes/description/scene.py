@@ -12,6 +12,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from eyespot.formats.inputs import InputError
 from eyespot.scenes.description.settings import (
+    CONE_AT_THE_TIP,
     REAL_PINHOLE_HEIGHT_MM,
     CameraSettings,
     Clocks,
@@ -72,7 +73,7 @@ class Unrest(SceneTable):
 
 _EFFECTIVE: tuple[tuple[str, str, str, tuple[object, ...]], ...] = (
     ("lens", "source", "kind", ("lens", "photons")),
-    ("cone_k cone_apex_offset_mm", "source", "kind", ("cone",)),
+    (f"cone_k {' '.join(CONE_AT_THE_TIP)}", "source", "kind", ("cone",)),
     ("photons_per_pixel", "source", "kind", ("photons",)),
     ("wall_image wall_image_mm", "phantom", "wall", ("image",)),
     ("spread_mm", "phantom", "spread", ("own",)),
@@ -83,10 +84,19 @@ _EFFECTIVE: tuple[tuple[str, str, str, tuple[object, ...]], ...] = (
 """Keys of a table, and the values of another of its keys with which they have an effect."""
 
 
+_OLD_APEX_OFFSET_MM = -5.117
+"""b of a scene of format 1 that does not give it, whatever its k."""
+
+WIDEST_CORE = 1.03
+"""Largest radius of a cone at the tip over the fibre's. The paper's k 20 and b -5.117 mm give
+0.256 mm for its fibre of 0.5 mm. At 30 degrees that moves the touch by 3 um, a sixth of its
+sigma."""
+
+
 class Scene(SceneTable):
     """One trial: all settings that an image stack depends on."""
 
-    schema_version: Literal[1] = Field(1, alias="schema")
+    schema_version: Literal[1, 2] = Field(2, alias="schema")
     seed: Seed = Field(0, description="Random seed of the camera noise.")
     phantom: Phantom = Phantom()
     source: SourceSettings = SourceSettings()
@@ -127,12 +137,25 @@ class Scene(SceneTable):
             chosen = value if isinstance(value, tuple) else (value,)
             if not {*choices} & {*chosen}:
                 for key in keys.split():
-                    field = type(getattr(self, table)).model_fields[key]
-                    if getattr(getattr(self, table), key) != field.default:
+                    given = getattr(self, table)
+                    field = type(given).model_fields[key]
+                    usual = field.get_default(call_default_factory=True, validated_data=vars(given))
+                    if getattr(given, key) != usual:
                         found.append(
                             f"{table}.{key} has no effect with {table}.{switch} = {value!r}"
                         )
         return found
+
+    @model_validator(mode="before")
+    @classmethod
+    def _old_cone(cls, content: Any) -> Any:
+        """The b of a scene of format 1, where it did not follow from the core."""
+        if not isinstance(content, Mapping) or content.get("schema", 2) != 1:
+            return content
+        source = content.get("source", {})
+        if not isinstance(source, Mapping) or {*CONE_AT_THE_TIP} & {*source}:
+            return content
+        return {**content, "source": {**source, "cone_apex_offset_mm": _OLD_APEX_OFFSET_MM}}
 
     @model_validator(mode="before")
     @classmethod
@@ -169,6 +192,19 @@ class Scene(SceneTable):
         if isinstance(microscope, Mapping) and microscope.get("pinhole_height_mm", usual) == usual:
             microscope = {**microscope, "pinhole_height_mm": REAL_PINHOLE_HEIGHT_MM}
         return {**content, "phantom": {**phantom, **retina}, "microscope": microscope}
+
+    @model_validator(mode="after")
+    def _cone_leaves_the_fibre(self) -> "Scene":
+        source, fibre = self.source, self.instrument.fibre_diameter_mm / 2
+        wide = source.cone_core_radius_mm > WIDEST_CORE * fibre
+        if self.schema_version > 1 and source.kind == "cone" and wide:
+            raise InputError(
+                "the cone must not be wider at the tip than the fibre it comes from; got a radius "
+                f"of {source.cone_core_radius_mm:.3f} mm (-b/k) in a fibre of {fibre:.3f} mm. "
+                "Remove source.cone_apex_offset_mm, lower source.cone_core_radius_mm, or raise "
+                "instrument.fibre_diameter_mm. A scene or set of eyespot 0.2 says schema = 1."
+            )
+        return self
 
     @model_validator(mode="after")
     def _looks_through_what_it_can(self) -> "Scene":

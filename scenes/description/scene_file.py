@@ -24,9 +24,19 @@ from eyespot.formats.settings_files import (
     table_lines,
 )
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
+from eyespot.scenes.description.settings import (
+    CONE_AT_THE_TIP,
+    MOTIONS,
+    OF_THE_RETINA,
+    UNNAMED,
+    SceneError,
+)
 
-HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
+HISTORY = {
+    1: "the format of eyespot 0.1",
+    2: "b of a cone follows from its core, and no cone is wider than its fibre; a file without "
+    "`schema` has this one",
+}
 """What changed with each version of the format that is read."""
 
 
@@ -57,6 +67,12 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
         SceneError: a key is unknown, or the changed scene is invalid.
     """
     content = scene.model_dump(mode="json", by_alias=True)
+    given = scene.source.model_fields_set
+    core, apex = CONE_AT_THE_TIP
+    kept = core if f"source.{core}" in changes else apex if apex in given else core
+    content["source"] = {k: v for k, v in content["source"].items() if k not in CONE_AT_THE_TIP}
+    if kept in given:
+        content["source"][kept] = getattr(scene.source, kept)
     if any(key.startswith("viewing.") for key in changes):
         # An eye brings its own retina.
         content["phantom"] = {k: v for k, v in content["phantom"].items() if k not in OF_THE_RETINA}
@@ -99,7 +115,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         with in_file(path, SceneError):
             content = read_toml(path)
-            check_schema(content.get("schema", 1), HISTORY, remedy="Write 1.")
+            check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
             return content
     except OSError as error:
         raise SceneError(

@@ -1,5 +1,7 @@
 """The tables of a scene file, each key with its unit, range and default."""
 
+import math
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AllowInfNan, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
@@ -28,9 +30,20 @@ Seed = Annotated[int, Field(ge=0, lt=2**63)]
 
 
 class SceneTable(BaseModel):
-    """A table of a scene file: frozen, without other keys, with finite numbers."""
+    """A table of a scene file: frozen, without other keys, with finite numbers.
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    No value is converted: `true` is no number, and "off" is not false.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _lists_are_tuples(cls, content: Any) -> Any:
+        """TOML and JSON have lists for our tuples."""
+        if not isinstance(content, Mapping):
+            return content
+        return {key: tuple(v) if isinstance(v, list) else v for key, v in content.items()}
 
 
 class Withdrawal(SceneTable):
@@ -324,6 +337,18 @@ class SceneError(InputError):
     """A scene file is missing, invalid or impossible to render; the text says what to change."""
 
 
+class OutsideWindow(SceneError):
+    """A spot leaves the microscope's window.
+
+    Attributes:
+        needed_px: width and height of a window that shows it whole.
+    """
+
+    def __init__(self, message: str, needed_px: tuple[int, int]) -> None:
+        super().__init__(message)
+        self.needed_px = needed_px
+
+
 Length = Annotated[float, Field(ge=0, le=1e4)]
 Place = Annotated[float, Field(ge=-1e4, le=1e4)]
 """A coordinate, or another length with a sign, mm."""
@@ -411,6 +436,19 @@ class Phantom(SceneTable):
         return self.radius_mm * mean ** (0.5 / p)
 
 
+PAPER_CORE_MM = 0.25585
+"""-b/k of the default cone, whose k 20 and b -5.117 mm are the paper's."""
+CONE_AT_THE_TIP = ("cone_core_radius_mm", "cone_apex_offset_mm")
+"""Two keys for one fact; the one that is not given follows from the other."""
+
+
+def _apex_offset_mm(
+    *, cone_k: float = 0.0, cone_core_radius_mm: float = 0.0, **rest: object
+) -> float:
+    """b of a cone that leaves a core, mm; 0 if a key that it follows from is refused."""
+    return round(-cone_k * cone_core_radius_mm, 9)
+
+
 class SourceSettings(SceneTable):
     """The fibre's light."""
 
@@ -428,13 +466,35 @@ class SourceSettings(SceneTable):
     cone_k: float = Field(
         20.0, ge=0.1, le=1000, description="k = 1/tan(half-angle) of the ideal cone."
     )
+    cone_core_radius_mm: Annotated[float, Field(ge=0, le=10)] = Field(
+        PAPER_CORE_MM, description="Radius of the ideal cone at the tip, -b/k."
+    )
     cone_apex_offset_mm: Place = Field(
-        -5.117, description="b, from the tip to the apex of the ideal cone along the beam."
+        default_factory=lambda known: _apex_offset_mm(**known),
+        examples=[-5.117],
+        description="b, from the tip to the apex of the ideal cone along the beam. Without this "
+        "key it follows from the core: -cone_k * cone_core_radius_mm.",
     )
     power_mw: _Any = Field(1.0, description="Optical power that leaves the fibre's core.")
     medium: Literal["air", "water", "vitreous"] = Field(
         "air", description="Medium between the fibre and the wall."
     )
+
+    @model_validator(mode="after")
+    def _core_and_apex_agree(self) -> "SourceSettings":
+        """Derive the core's radius from a given b; refuse two that contradict each other."""
+        core = max(0.0, -self.cone_apex_offset_mm / self.cone_k)
+        if self.model_fields_set >= {*CONE_AT_THE_TIP}:
+            if not math.isclose(core, self.cone_core_radius_mm, rel_tol=1e-6, abs_tol=1e-9):
+                raise InputError(
+                    "cone_core_radius_mm and cone_apex_offset_mm contradict each other; got "
+                    f"{self.cone_core_radius_mm:g} mm and b = {self.cone_apex_offset_mm:g} mm, "
+                    f"which is {core:g} mm at the tip for cone_k = {self.cone_k:g}. Remove one of "
+                    "them."
+                )
+        elif "cone_apex_offset_mm" in self.model_fields_set:
+            self.__dict__["cone_core_radius_mm"] = core  # the instance is frozen from here on
+        return self
 
 
 class SpotSettings(SceneTable):

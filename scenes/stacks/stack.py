@@ -22,6 +22,7 @@ from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.rendering.images import images_of
 from eyespot.scenes.rendering.render import Renderer
 from eyespot.scenes.stacks.bound import Bounds
+from eyespot.scenes.walls.picture import wall_colour
 from eyespot.scenes.world.labels import paper_exposure, spot_labels
 from eyespot.scenes.world.motion import frame_count, kinematics, longest_exposure
 from eyespot.scenes.world.world import World
@@ -34,6 +35,10 @@ def metered_time(scene: Scene, camera: CameraSensor, light: np.ndarray, mask: np
     """
     return min(camera.metered_s(light, mask), longest_exposure(scene))
 
+
+_ROUGH_PX = 128
+"""Pixels across a drawn wall of which only the mean colour is needed; it is that of the full
+picture to 0.03 % (seeds 1 and 2)."""
 
 # Frames that may wait for noise and encoding. More would only use memory.
 _QUEUE = 4
@@ -220,23 +225,39 @@ def check_scene(scene: Scene) -> None:
     """
     world = World(scene)
     world.check()
-    paper_exposure(world)
+    needs_colour = "paper" in scene.exposures.kinds or scene.phantom.wall == "image"
+    if needs_colour and scene.phantom.wall in ("printed paper", "retina"):
+        world.wall_colour = wall_colour(scene.phantom, pixels=_ROUGH_PX)
+    if needs_colour:
+        paper_exposure(world)
 
 
-def least_bytes(scene: Scene) -> float:
-    r"""Least size of a scene's stack on disk: that of the noise in its images.
+def noise_bytes(scene: Scene, *, level: float = 0.0) -> float:
+    r"""Entropy of the noise in one image of a scene, bytes.
 
-    No lossless format makes Gaussian noise of $\sigma$ DN smaller than its entropy of
-    $\log_2(\sigma \sqrt{2 \pi e})$ bits a sample (Shannon 1948). Half of it is counted, because
-    dark and saturated pixels clip half of their noise or all of it.
+    Gaussian noise of $\sigma$ DN has $\log_2(\sigma \sqrt{2 \pi e})$ bits a sample (Shannon 1948).
+
+    Args:
+        level: mean light of the image over full scale, whose shot noise is added to the camera's.
     """
     camera, microscope = scene.camera, scene.microscope
     size = {"height": microscope.height_px, "width": microscope.width_px}
-    sigma_dn = 0.0 if camera.jpeg_quality else camera.read_noise_e * camera.system_gain
+    variance_e2 = camera.read_noise_e**2 + level * camera.full_well_e
+    sigma_dn = math.sqrt(variance_e2) * camera.system_gain
     bits = max(math.log2(sigma_dn * math.sqrt(2 * math.pi * math.e)), 0.0) if sigma_dn else 0.0
-    image = math.prod(camera.sensor_shape(**size)) * bits / 8 / 2
-    linear = 3 * math.prod(size.values()) * _LINEAR_BYTES if scene.exposures.keep_linear else 0
-    return frame_count(scene) * len(scene.exposures.kinds) * (image + linear)
+    return math.prod(camera.sensor_shape(**size)) * bits / 8
+
+
+def least_bytes(scene: Scene) -> float:
+    """Least size of a scene's stack on disk: no lossless file is smaller than its noise's entropy.
+
+    Half of that is counted, because dark and saturated pixels clip half of their noise or all of
+    it; none of it after a JPEG.
+    """
+    noise = 0.0 if scene.camera.jpeg_quality else noise_bytes(scene) / 2
+    pixels = scene.microscope.width_px * scene.microscope.height_px
+    linear = 3 * pixels * _LINEAR_BYTES if scene.exposures.keep_linear else 0
+    return frame_count(scene) * len(scene.exposures.kinds) * (noise + linear)
 
 
 def render_image(

@@ -81,15 +81,15 @@ PHOTOGRAPH_MM = 4.9
 """Its width: 510 px of a field of 45°, of which a pixel is 9.6 um of retina. It is 8.7 mm high."""
 
 
-def wall_colour(phantom: Phantom) -> np.ndarray:
+def wall_colour(phantom: Phantom, *, pixels: int = PICTURE_PX) -> np.ndarray:
     """Mean linear reflectance of the wall per colour channel."""
     if phantom.wall == "uniform":
         return np.full(3, phantom.reflectance)
-    return wall_picture(phantom).mean(axis=(0, 1), dtype=float)
+    return wall_picture(phantom, pixels=pixels).mean(axis=(0, 1), dtype=float)
 
 
-def wall_picture(phantom: Phantom) -> np.ndarray:
-    """Linear reflectance on a plane about the pole, `PICTURE_PX` x `PICTURE_PX` x 3; row 0 at +Y.
+def wall_picture(phantom: Phantom, *, pixels: int = PICTURE_PX) -> np.ndarray:
+    """Linear reflectance on a plane about the pole, pixels x pixels x 3; row 0 at +Y.
 
     Raises:
         SceneError: phantom.wall_image cannot be read.
@@ -99,20 +99,20 @@ def wall_picture(phantom: Phantom) -> np.ndarray:
     elif phantom.wall == "photograph":
         path, width_mm = PHOTOGRAPH, PHOTOGRAPH_MM
     else:
-        return _fundus(phantom.texture_seed, phantom.wall)
+        return _fundus(phantom.texture_seed, phantom.wall, pixels)
     return wall_image(
         path,
         width_mm=width_mm,
         white=phantom.reflectance,
         extent_mm=PICTURE_MM,
-        pixels=PICTURE_PX,
+        pixels=pixels,
     )
 
 
 @functools.lru_cache(maxsize=2)
-def _fundus(seed: int, palette: Any) -> np.ndarray:
+def _fundus(seed: int, palette: Any, pixels: int) -> np.ndarray:
     # All trials of a run have the same wall.
-    return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=PICTURE_PX, palette=palette)
+    return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=pixels, palette=palette)
 
 
 _LEAST = 0.0031308  # of a reflectance in a random wall

@@ -227,17 +227,22 @@ class SceneGeometry:
         )
         return np.asarray(beam.tip), np.asarray(beam.axis)
 
+    @property
+    def tip_radius(self) -> float:
+        """Radius of the tip's rim, mm."""
+        source, fibre = self.scene.source, self.scene.instrument.fibre_diameter_mm
+        if source.kind != "cone":
+            return fibre / 2
+        return optics.tip_radius(
+            fibre_diameter=fibre,
+            half_angle=math.atan(1.0 / source.cone_k),
+            apex_offset=source.cone_apex_offset_mm,
+        )
+
     @cached_property
     def contact_distance(self) -> float:
-        """d = |SO| at which the rim of the tip touches the wall at [spot], mm.
-
-        An ideal cone may be wider there than the fibre; then its edge is the rim, since no light
-        reaches a point of the wall behind the tip.
-        """
-        source = self.scene.source
-        rim = self.scene.instrument.fibre_diameter_mm / 2
-        if source.kind == "cone":
-            rim = max(rim, -source.cone_apex_offset_mm / source.cone_k)
+        """d = |SO| at which the rim of the tip touches the wall at [spot], mm."""
+        rim = self.tip_radius
         if isinstance(self.wall, optics.Ellipsoid):
             # The first point of the rim that meets the wall when it moves along the axis.
             spot, axis = self.aim

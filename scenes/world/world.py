@@ -15,7 +15,7 @@ from eyespot import optics
 from eyespot.formats.whole_files import cache_file, kept_arrays
 from eyespot.optics.viewing.camera import PathCamera
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.description.settings import OutsideWindow, SceneError
 from eyespot.scenes.walls.picture import wall_colour, wall_spread
 from eyespot.scenes.world.geometry import (
     SceneGeometry,
@@ -368,8 +368,15 @@ def _check_spots(world: World, truth: optics.SpotTruth) -> None:
     if not inside.all() and not any(settings.window_offset_px):
         first = int(np.argmin(inside.all(axis=(1, 2))))
         low, high = contours_px[first].min(axis=0), contours_px[first].max(axis=0)
-        raise SceneError(
+        centre = np.array([width - 1, height - 1]) / 2
+        halves = np.abs(contours_px - centre).max(axis=(0, 1)) + 0.5
+        # Cameras' windows are multiples of 16; a pixel of margin is for rounding.
+        wide, tall = (16 * math.ceil(2 * (half + 1) / 16) for half in halves)
+        needed = max(wide, width), max(tall, height)
+        raise OutsideWindow(
             f"at {times[first]:.3f} s the spot leaves the {width} x {height} px window: it reaches "
             f"from ({low[0]:.0f}, {low[1]:.0f}) to ({high[0]:.0f}, {high[1]:.0f}) px. Shorten the "
-            "path in [motion], or raise microscope.width_px and height_px or scale_mm_px."
+            f"path in [motion], raise microscope.scale_mm_px, or set width_px = {needed[0]} and "
+            f"height_px = {needed[1]}.",
+            needed,
         )

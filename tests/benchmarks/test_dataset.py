@@ -19,7 +19,7 @@ from eyespot.benchmarks.sets.make import estimate, make_set
 from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
-from eyespot.scenes import SceneError, check_scene
+from eyespot.scenes import SceneError
 from tests.support.command_line import EYESPOT
 from tests.support.drawn.drawn_sets import digests
 
@@ -207,18 +207,31 @@ def test_verify_names_every_file_that_is_missing_changed_or_does_not_belong(copy
         assert f"{copy}: {line}" in told
 
 
-def test_scenes_that_cannot_be_are_drawn_again_before_any_is_rendered(spec_file, tmp_path):
-    # At k < 15, b = -5.117 and d = 5.9 mm the spot is 1.47 mm wide; 72 px of 0.02 mm show 1.44 mm.
+def test_a_set_with_impossible_scenes_is_refused_before_any_is_rendered(spec_file, tmp_path):
+    # At d = 5.9 mm and k < 12.7 the spot is wider than the 1.44 mm that 72 px of 0.02 mm show.
     changes = ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9"]
-    wide = load_spec(spec_file, changes)
-    assert any(stack.scene.source.cone_k < 15 for stack in plan(wide))
-    possible = plan(wide, check_scene)
-    assert all(stack.scene.source.cone_k > 15 for stack in possible)
-    assert len(possible) == len(plan(wide))
-    never = load_spec(spec_file, [*changes, "source.cone_k = 14"])
+    with pytest.raises(SceneError, match=r"\d of 5 stacks are impossible.* One window of"):
+        make_set(load_spec(spec_file, changes), tmp_path / "set", workers=here())
+    never = load_spec(spec_file, [*changes, "source.cone_k = 10"])
     with pytest.raises(SceneError, match=r"\w+/0000: .*the spot leaves the 96 x 72 px window"):
         make_set(never, tmp_path / "set", workers=here())
     assert not (tmp_path / "set").exists()
+
+
+def test_stacks_that_are_left_out_are_listed_in_the_set_and_its_card(spec_file, tmp_path):
+    (tmp_path / "spec.toml").write_text('impossible = "leave out"\n' + spec_file.read_text())
+    changes = ["microscope.scale_mm_px = 0.02", "motion.start_mm = 5.9", "motion.frames = 1"]
+    spec = load_spec(tmp_path / "spec.toml", changes)
+    out = make_set(spec, tmp_path / "set", workers=here()).folder
+    left_out = json.loads((out / "set.json").read_text())["left_out"]
+    assert 0 < len(left_out) < 5
+    card = (out / "README.md").read_text()
+    assert f"**{len(left_out)} stacks were left out**" in card
+    for one in left_out:
+        # The spot is wider by 1/cos(30 degrees) along the tilt: 1.44 mm at k 15.7.
+        assert one["parameters"]["source.cone_k"] < 15.7
+        assert f"| {one['split']}/{one['name']} | {one['problem']} |" in card
+    verify_set(out)
 
 
 def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):

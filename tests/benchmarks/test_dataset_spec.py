@@ -1,13 +1,26 @@
 """Specs of labelled sets: what is refused, and how stacks are drawn."""
 
+import itertools
 import math
+import re
 from collections import Counter
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from eyespot.benchmarks.sets.spec import SEED_KEYS, SetSpec, SpecError, load_spec, named_specs, plan
+from eyespot.benchmarks.sets.asked import asked_and_drawn
+from eyespot.benchmarks.sets.read import LabelledSet, SetStack
+from eyespot.benchmarks.sets.spec import (
+    SEED_KEYS,
+    SetSpec,
+    SpecError,
+    draw,
+    load_spec,
+    named_specs,
+    plan,
+)
 from eyespot.scenes import Scene, SceneError, changed, check_scene, scene_toml
 
 PLAIN = """\
@@ -77,21 +90,64 @@ def test_a_scene_key_that_does_not_exist_is_answered_with_the_nearest_one(load):
         plan(load(PLAIN.replace("cone_k", "cone_l")))
 
 
-def test_an_impossible_scene_is_drawn_again_and_the_others_stay(load):
-    def narrow(scene):
-        if scene.spot.eccentricity_mm > 6.0:
-            raise SceneError("too far out")
+def near(scene):
+    if scene.spot.eccentricity_mm > 6.0:
+        raise SceneError(f"{scene.spot.eccentricity_mm:.3f} mm is too far out")
 
-    spec = load(PLAIN)
-    before, after = plan(spec), plan(spec, narrow)
-    assert max(stack.scene.spot.eccentricity_mm for stack in after) <= 6.0
-    again = [stack for stack in after if stack.redrawn]
+
+def test_a_set_whose_scenes_are_not_all_possible_is_refused(load):
     # Each split's points are even, so that a fourth of the eccentricities of 0 to 8 is above 6.
-    assert len(again) == len(before) // 4
-    assert [a for a in after if not a.redrawn] == [
-        b for b in before if b.scene.spot.eccentricity_mm <= 6.0
+    with pytest.raises(SceneError, match=r"4 of 16 stacks are impossible.*too far out") as caught:
+        plan(load(PLAIN), near)
+    assert "Narrow [vary]" in str(caught.value)
+
+
+def test_impossible_scenes_are_left_out_with_their_condition_if_the_spec_says_so(load):
+    spec = load('impossible = "leave out"\n' + PLAIN)
+    drawn = draw(spec, near)
+    assert [stack for stack in plan(spec) if stack in drawn.stacks] == drawn.stacks
+    assert len(drawn.stacks) == 12
+    for one in drawn.impossible:
+        assert one.parameters["spot.eccentricity_mm"] > 6.0
+        assert f"{one.parameters['spot.eccentricity_mm']:.3f} mm is too far out" == str(one.problem)
+
+
+def test_the_window_that_a_refusal_proposes_shows_every_spot(load):
+    # At k 4 and d = 6 mm the spot is 2 (0.256 + 6/4) = 3.5 mm wide, 524 px of 0.0067 mm.
+    spec = load(PLAIN.replace("[0.0, 8.0]", "[0.0, 2.0]").replace("[5.0, 80.0]", "[4.0, 8.0]"))
+    with pytest.raises(SceneError) as caught:
+        plan(spec, check_scene)
+    sizes = re.findall(r"--set microscope\.(\w+)=(\d+)", str(caught.value))
+    changes = {f"microscope.{key}": int(value) for key, value in sizes}
+    assert [*changes] == ["microscope.width_px", "microscope.height_px"]
+    wide = spec.model_copy(update={"scene": spec.scene | changes})
+    assert len(plan(wide, check_scene)) == 16
+
+
+def test_the_card_says_which_combinations_are_missing():
+    """Wide tilts of one lens are missing: a cell of half an interval and a lens is empty."""
+    vary = {"spot.incidence_deg": {"uniform": [0, 40]}, "source.lens": {"choice": ["a", "b"]}}
+    stacks = [
+        SetStack(
+            split="train",
+            name=f"{lens}{tilt}",
+            condition=None,
+            parameters={"spot.incidence_deg": tilt, "source.lens": lens},
+            folder=Path(),
+        )
+        for tilt, lens in itertools.product(np.arange(0.5, 40.0), "ab")
+        if lens == "b" or tilt < 20
     ]
-    assert len({stack.scene.spot.eccentricity_mm for stack in after}) == len(after)
+    names = {"name": "x", "licence": "y", "description": {"spec": {"vary": vary}}}
+    found = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
+    tilt, lens = found.parameters.itertuples(index=False)
+    assert (tilt.asked, tilt.drawn) == ("uniform, 0 to 40", "0.5 to 39.5")
+    # Of 60 stacks 40 tilt by less than 20 degrees, half of the interval; a step is 1/60.
+    assert tilt.difference == pytest.approx(40 / 60 - 0.5, abs=1 / 60)
+    assert lens.drawn == "a: 20, b: 40"
+    assert lens.difference == pytest.approx(2 / 3 - 1 / 2)
+    (pair,) = found.pairs.itertuples(index=False)
+    assert (pair.cell, pair.asked, pair.drawn) == ("20 to 40 with a", 0.25, 0.0)
 
 
 def test_an_impossible_draw_names_its_stack_before_anything_is_rendered(load):
@@ -158,7 +214,7 @@ def test_no_two_stacks_share_noise_wall_motion_or_place(name):
 @pytest.mark.parametrize("name", named_specs())
 def test_every_scene_of_a_named_set_can_be_rendered(name):
     spec = load_spec(name)
-    assert plan(spec, check_scene) == plan(spec)  # none is drawn again
+    assert plan(spec, check_scene) == plan(spec)  # none is impossible
 
 
 def test_no_two_named_sets_share_a_seed_or_lack_the_licence():

@@ -317,6 +317,24 @@ def stacks(stack):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("old", [False, True])
+def test_a_cone_far_wider_than_the_papers_is_read_without_an_offset(tmp_path, old):
+    """An old file's default b makes a cone of 0.44 mm, which touches before its fibre does."""
+    scene = {
+        "schema": 1 if old else 2,
+        "source": {"kind": "cone", "cone_k": 11.6},
+        "motion": {"frames": 6},
+        "spot": {"eccentricity_mm": 1.5},
+        "exposures": {"kinds": ["metered"]},
+    }
+    stack = scenes.render_stack(scene_of(scene), tmp_path / "stack")
+    printed("fit", stack.folder, "--out", tmp_path / "cone.json")
+    found = read_calibration(tmp_path / "cone.json")
+    # The touch is known to 0.02 mm; a touch of the wrong rim moves b by 0.12 mm.
+    assert found.values["b"] == pytest.approx(-5.117 if old else -11.6 * 0.25585, abs=0.03)
+
+
+@pytest.mark.slow
 def test_the_cone_that_was_rendered_is_found(stacks, tmp_path):
     out = tmp_path / "cone.json"
     printed("fit", *stacks, "--out", out)

@@ -2,6 +2,9 @@
 
 import doctest
 import importlib
+import os
+import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -27,3 +30,20 @@ def test_the_models_have_examples():
     assert {"eyespot.optics.models", "eyespot.optics.contour", "eyespot.optics.distance"} <= set(
         MODULES
     )
+
+
+@pytest.mark.parametrize("page", sorted((HOME / "docs" / "tutorials").glob("*.md")), ids=str)
+def test_a_tutorial_hides_no_failure_of_its_commands(page):
+    text = page.read_text(encoding="utf-8")
+    # head ends before its source does, which then fails; /dev/null takes the message.
+    assert not re.search(r"2>\s*/dev/null|\|\s*head\b|\|\|\s*true", text)
+
+
+def test_a_cell_of_a_tutorial_fails_with_any_of_its_commands():
+    conf = (HOME / "docs" / "conf.py").read_text(encoding="utf-8")
+    (options,) = re.findall(r'os\.environ\["SHELLOPTS"\] = "(.+)"', conf)
+    environment = {"PATH": os.environ["PATH"], "SHELLOPTS": options}
+    for hidden in ("false | sed -n 1,3p; echo on", "false; echo on", "echo $undefined; echo on"):
+        done = subprocess.run(["bash", "-c", hidden], env=environment, capture_output=True)
+        assert done.returncode
+        assert b"on" not in done.stdout

@@ -100,7 +100,9 @@ def test_calibrations_of_0_1_are_read():
 
 
 def test_a_scene_and_a_spec_of_0_1_are_read():
-    assert load_scene(OLD / "scene.toml") == Scene()
+    scene = load_scene(OLD / "scene.toml")
+    assert scene == Scene.model_validate({"schema": 1})
+    assert scene.source == Scene().source
     spec = load_spec(OLD / "spec.toml")
     assert (spec.name, spec.splits.train) == ("small-v1", 1)
 

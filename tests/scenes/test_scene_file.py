@@ -2,14 +2,17 @@
 
 import contextlib
 import json
+import math
 import tomllib
 
 import jsonschema
 import pytest
+import tomli_w
 from pydantic import ValidationError
 
 from eyespot.formats.inputs import InputError
-from eyespot.scenes import Scene, changed, load_scene, scene_schema, scene_template
+from eyespot.scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
+from eyespot.scenes.world.world import World
 from tests.support.command_line import printed
 
 
@@ -25,7 +28,8 @@ from tests.support.command_line import printed
         ({"schema": 1, "motion": {"kind": "recorded", "file": "poses.csv"}}, True),
         ({"schema": 1, "motion": {"kind": "recorded", "damping": 0.5}}, False),
         ({"schema": 1, "motion": {"kind": "flight"}}, False),
-        ({"schema": 2}, False),
+        ({"schema": 2}, True),
+        ({"schema": 3}, False),
         ({"schema": 1, "spot": {"incidense_deg": 30}}, False),
         ({"schema": 1, "camera": {"bit_depth": 17}}, False),
         ({"schema": 1, "camera": {"response": 2.2, "bayer": "RGGB"}}, True),
@@ -110,3 +114,48 @@ def test_a_change_leaves_all_other_keys_alone():
 def test_a_change_that_cannot_be_is_named(change, message):
     with pytest.raises(InputError, match=message):
         load_scene(None, [change])
+
+
+WIDE = {"kind": "cone", "cone_k": 11.6, "cone_apex_offset_mm": -5.117}
+
+
+def test_the_default_cone_is_the_papers():
+    assert (Scene().source.cone_k, Scene().source.cone_apex_offset_mm) == (20.0, -5.117)
+
+
+def test_the_apex_follows_from_the_core_unless_it_is_given():
+    wide = Scene.model_validate({"source": {"kind": "cone", "cone_k": 8.27}})
+    # -b/k is the radius at the tip, whatever k is.
+    assert wide.source.cone_apex_offset_mm == pytest.approx(-8.27 * 0.25585)
+    narrower = changed(wide, {"source.cone_k": 12.0})
+    assert narrower.source.cone_apex_offset_mm == pytest.approx(-12.0 * 0.25585)
+    given = changed(wide, {"source.cone_apex_offset_mm": -1.2})
+    assert given.source.cone_core_radius_mm == pytest.approx(1.2 / 8.27)
+    assert changed(given, {"source.cone_k": 12.0}).source.cone_apex_offset_mm == -1.2
+    with pytest.raises(ValidationError, match=r"contradict each other; got 0\.2 mm and b = -3 mm"):
+        Scene.model_validate({"source": {"cone_core_radius_mm": 0.2, "cone_apex_offset_mm": -3}})
+
+
+def test_a_new_cone_that_is_wider_than_its_fibre_is_refused_with_both_radii(tmp_path):
+    with pytest.raises(ValidationError, match=r"radius of 0\.441 mm .* in a fibre of 0\.250 mm"):
+        Scene.model_validate({"source": WIDE})
+    # Light of a lens does not use the ideal cone.
+    assert Scene.model_validate({"source": WIDE | {"kind": "lens"}})
+    file = tmp_path / "scene.toml"
+    file.write_text(tomli_w.dumps({"source": WIDE}))
+    with pytest.raises(SceneError, match="wider at the tip"):
+        load_scene(file)
+
+
+def test_an_old_cone_that_is_wider_than_its_fibre_touches_with_its_own_edge(tmp_path):
+    file = tmp_path / "scene.toml"
+    spot = {"incidence_deg": 30.0}
+    old = {"schema": 1, "source": WIDE, "phantom": {"kind": "plane"}, "spot": spot}
+    file.write_text(tomli_w.dumps(old))
+    # On a plane the rim of a tip that leans by iota touches at d = rho tan(iota).
+    assert World(load_scene(file)).contact_distance == pytest.approx(
+        5.117 / 11.6 * math.tan(math.pi / 6)
+    )
+    new = changed(Scene(), {"source.kind": "cone", "phantom.kind": "plane"})
+    narrow = changed(new, {"source.cone_core_radius_mm": 0.2})
+    assert World(narrow).contact_distance == pytest.approx(0.25 * math.tan(math.pi / 6))

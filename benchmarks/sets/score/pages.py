@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
-from eyespot.benchmarks.sets.read import Mode, stacks_of
+from eyespot.benchmarks.sets.read import Mode, check_unchanged, stacks_of
 from eyespot.benchmarks.sets.score import judging
 from eyespot.benchmarks.sets.score import spots as spots_of_set
 from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
@@ -290,6 +290,7 @@ def run(
             whole.mkdir()
             require_space(out, _LEAST_BYTES)
         stacks = stacks_of(folder)
+        check_unchanged(stacks)
         chosen = [entry for entry in stacks if split in (None, entry.split)]
         if not chosen:
             known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))

@@ -36,7 +36,7 @@ from eyespot.formats.inputs import (
     validated,
 )
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
+from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, folded_angle, read_spots
 from eyespot.formats.stack import FrameLabels
 
 NAME = "sample-v2"  # of the small set that comes with eyespot
@@ -59,7 +59,6 @@ _DISTANCE = ("distance_mm", "sigma_distance_mm")
 _SIGMAS = tuple(f"sigma_{name}" for name in (*ELLIPSE, _ANGLE))
 COLUMNS = ("file_name", *ELLIPSE, _ANGLE, *_SIGMAS, *_DISTANCE)
 _LARGEST_PX = 1e6
-_LARGEST_RAD = 4.0  # an angle of 0 to pi is accepted, too
 
 
 def read_any_spots(path: Path) -> list[SpotRecord]:
@@ -135,13 +134,10 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
             f"semi_major_px must be at least semi_minor_px; got {values['semi_major_px']} and "
             f"{values['semi_minor_px']} px. Swap them; they are halves of the axes."
         )
-    if abs(values[_ANGLE]) > _LARGEST_RAD:
-        raise InputError(
-            f"{_ANGLE} must lie in (-pi/2, pi/2]; got {values[_ANGLE]}. Write radians, not degrees."
-        )
+    angle = values[_ANGLE] if math.isnan(values[_ANGLE]) else folded_angle(values[_ANGLE])
     covariance = np.diag([values[name] ** 2 for name in _SIGMAS])
     x, y, major, minor = (values[name] for name in ELLIPSE)
-    return plain_spot(x, y, major, minor, values[_ANGLE], covariance)
+    return plain_spot(x, y, major, minor, angle, covariance)
 
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
@@ -305,15 +301,25 @@ def entry_of(spots: Path) -> ScoredEstimator:
     name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
     file = spots / _ABOUT
     if not file.is_file():
-        return ScoredEstimator(name=name, spots=spots)
+        return ScoredEstimator(name=_checked_name(name), spots=spots)
     with in_file(file):
         about = validated(_About, object_in(read_text(file)), remedy="See docs/leaderboard.md.")
     stated = about.model_dump(include={"command", "ms_per_frame"})
     versions, seed = about.versions, "" if about.seed is None else str(about.seed)
     if not isinstance(versions, str):
         versions = ", ".join(f"{package} {version}" for package, version in versions.items())
-    named = about.name or name
+    named = _checked_name(about.name or name)
     return ScoredEstimator(name=named, spots=spots, versions=versions, seed=seed, **stated)
+
+
+def _checked_name(name: str) -> str:
+    """A name for tables, which a spreadsheet would run as a formula if it began with a sign."""
+    if name[:1] in "=+-@\t\r":
+        raise InputError(
+            f"an entry's name must begin with a letter or a digit; got {shortened(name)}. Rename "
+            "its spots file, or set `name` in its entry.json."
+        )
+    return name
 
 
 def entries_in(folder: Path) -> list[ScoredEstimator]:

@@ -141,7 +141,7 @@ def cone(seed: int, folder: Path) -> dict[str, Any]:
     scene = _view(rng, 5.0, 0.0) | {
         "source.kind": "cone",
         "source.cone_k": k,
-        "source.cone_apex_offset_mm": -k * rng.uniform(0.22, 0.28),
+        "source.cone_apex_offset_mm": -k * rng.uniform(0.22, 0.25),
         "motion.frames": int(rng.integers(5, 61)),
         "motion.travel_mm": 6.0,
         "microscope.width_px": 448,

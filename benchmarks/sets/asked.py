@@ -1,0 +1,97 @@
+"""What a spec asked for against what its stacks have: of each parameter, and of each pair."""
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from pydantic import TypeAdapter
+
+from eyespot.benchmarks.sets.read import LabelledSet
+from eyespot.benchmarks.sets.spec import Choice, Distribution, LogUniform, Uniform
+
+_SPLITS = ("train", "validation", "test")
+"""Splits that have the distributions of [vary]; the others change them."""
+
+
+class Asked(NamedTuple):
+    """The parameters of a set's common splits against their distributions.
+
+    Attributes:
+        parameters: one row a parameter: name, asked, drawn, and the largest difference of the two
+            cumulative distributions.
+        pairs: one row a pair of parameters: the cell of halves (of an interval) and values (of a
+            choice) that lacks most stacks, and the shares of stacks that were asked and drawn.
+    """
+
+    parameters: pd.DataFrame
+    pairs: pd.DataFrame
+
+
+def asked_and_drawn(labelled: LabelledSet) -> Asked:
+    """Compare the stacks of a set with [vary] of its spec; empty tables if nothing varies."""
+    asked = labelled.description["spec"].get("vary", {})
+    vary = TypeAdapter(dict[str, Distribution]).validate_python(asked)
+    stacks = [s.parameters for s in labelled.stacks if s.split in _SPLITS and s.pair is None]
+    found = {key: [own[key] for own in stacks] for key in vary} if stacks else {}
+    parameters = [(key, *_parameter(vary[key], values)) for key, values in found.items()]
+    cells = {key: _cells(vary[key], values) for key, values in found.items()}
+    pairs = [
+        (first, second, *_emptiest(cells[first], cells[second]))
+        for first, second in itertools.combinations(cells, 2)
+    ]
+    return Asked(
+        pd.DataFrame(parameters, columns=["parameter", "asked", "drawn", "difference"]),
+        pd.DataFrame(pairs, columns=["first", "second", "cell", "asked", "drawn"]),
+    )
+
+
+def _quantiles(interval: Uniform | LogUniform, values: Sequence[float]) -> np.ndarray:
+    """Where values lie in an interval: 0 at its lower end, 1 at its upper, evenly if as asked."""
+    x = np.array(values, float)
+    if isinstance(interval, LogUniform):
+        low, high = np.log(interval.log_uniform)
+        return (np.log(x) - low) / (high - low)
+    low, high = interval.uniform
+    return (x - low) / (high - low)
+
+
+def _parameter(change: Distribution, values: Sequence[Any]) -> tuple[str, str, float]:
+    """What was asked, what was drawn, and the largest difference of their distributions."""
+    if isinstance(change, Choice):
+        counts = [sum(value == one for value in values) for one in change.choice]
+        drawn = ", ".join(f"{one}: {n}" for one, n in zip(change.choice, counts, strict=True))
+        share = np.array(counts) / len(values)
+        return f"one of {len(counts)}", drawn, float(np.abs(share - 1 / len(counts)).max())
+    (kind, (low, high)) = next(iter(change.model_dump().items()))
+    quantiles = np.sort(_quantiles(change, values))
+    steps = np.arange(len(values) + 1) / len(values)
+    # Kolmogorov's distance, from both sides of each step.
+    distance = max(np.abs(quantiles - steps[:-1]).max(), np.abs(quantiles - steps[1:]).max())
+    named = f"{kind.replace('_', '-')}, {low:g} to {high:g}"
+    return named, f"{min(values):.4g} to {max(values):.4g}", float(distance)
+
+
+def _cells(change: Distribution, values: Sequence[Any]) -> tuple[list[str], np.ndarray]:
+    """Names of a parameter's equally likely cells, and each stack's cell."""
+    if isinstance(change, Choice):
+        places = [change.choice.index(value) for value in values]
+        return [str(one) for one in change.choice], np.array(places)
+    upper = _quantiles(change, values) >= 0.5
+    (low, high) = next(iter(change.model_dump().values()))
+    middle = math.sqrt(low * high) if isinstance(change, LogUniform) else (low + high) / 2
+    return [f"{low:g} to {middle:.4g}", f"{middle:.4g} to {high:g}"], upper.astype(int)
+
+
+def _emptiest(
+    first: tuple[list[str], np.ndarray], second: tuple[list[str], np.ndarray]
+) -> tuple[str, float, float]:
+    """The pair of cells with the fewest stacks, and the shares asked and drawn."""
+    (rows, i), (columns, j) = first, second
+    counts = np.zeros((len(rows), len(columns)))
+    np.add.at(counts, (i, j), 1)
+    row, column = np.unravel_index(np.argmin(counts), counts.shape)
+    name = f"{rows[row]} with {columns[column]}"
+    return name, 1 / counts.size, float(counts[row, column] / counts.sum())
