@@ -131,6 +131,8 @@ GREY = -1
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Weights of red, green and blue, as in cv2's RGB2GRAY."""
 
+_VIDEO_BLACK, VIDEO_WHITE = 16 / 255, 235 / 255
+"""Black and white of video, as fractions of full scale (ITU-R BT.601)."""
 _BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
 
 
@@ -155,11 +157,13 @@ class Response:
             in uint16; by default the largest of an unsigned dtype, 1 for floats. Frames that were
             shifted to the upper bits, or reduced to 8 bits, end at what corresponds to it. Spots
             may be clipped below it, see `clip_level`.
+        limited: whether black lies at 16/255 and white at 235/255 of full scale (ITU-R BT.601).
     """
 
     curve: Literal["linear", "srgb", "gamma"] = "linear"
     gamma: float = 2.2
     full_scale: float | None = None
+    limited: bool = False
 
     def __post_init__(self) -> None:
         """Reject curves that cannot be inverted."""
@@ -204,9 +208,14 @@ class Response:
             f"the image has values up to {most:g}. Correct it, or give another --full-scale."
         )
 
+    @property
+    def is_straight(self) -> bool:
+        """Whether values are light already."""
+        return self.curve == "linear" and not self.limited
+
     def light(self, values: np.ndarray, full_scale: float) -> np.ndarray:
         """Invert the curve: float32 light in units in which full scale is `full_scale`."""
-        if self.curve == "linear":
+        if self.is_straight:
             return values.astype(np.float32)
         if values.dtype == np.uint8:
             table = self._inverted(np.arange(256, dtype=np.float32) / np.float32(full_scale))
@@ -215,6 +224,12 @@ class Response:
         return self._inverted(fraction) * np.float32(full_scale)
 
     def _inverted(self, fraction: np.ndarray) -> np.ndarray:
+        if self.limited:
+            fraction = (fraction - np.float32(_VIDEO_BLACK)) / np.float32(
+                VIDEO_WHITE - _VIDEO_BLACK
+            )
+        if self.curve == "linear":
+            return fraction
         # Floats may exceed full scale, but not grow without limit.
         exponent = self.gamma if self.curve == "gamma" else 2.4
         fraction = np.clip(fraction, np.float32(0), np.float32(_BRIGHTEST ** (1 / exponent)))
@@ -227,7 +242,7 @@ class Response:
         if channel != GREY:
             return self.light(cv2.extractChannel(values, channel), full_scale)
         # A straight curve need not be inverted before the mean.
-        straight = self.curve == "linear"
+        straight = self.is_straight
         colours = values if straight else self.light(values, full_scale)
         if colours.dtype == np.float64:
             colours = colours.astype(np.float32)

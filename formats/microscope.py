@@ -310,7 +310,7 @@ def _numbers(*shape: int) -> PlainValidator:
     )
 
 
-def _curve(value: object) -> Response:
+def response_of(value: object) -> Response:
     """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
     if value == "linear" or value == "srgb":
         return Response(curve=value)
@@ -335,7 +335,8 @@ class _PinholeFile(Strict):
     pinhole_height_mm: _Millimetres | None = None
     eye_radius_mm: _Millimetres
     response: Annotated[
-        Response, PlainValidator(_curve, json_schema_input_type=Literal["linear", "srgb"] | float)
+        Response,
+        PlainValidator(response_of, json_schema_input_type=Literal["linear", "srgb"] | float),
     ]
     full_scale: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
     paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None

@@ -1,7 +1,6 @@
 from .description.scene import Scene as Scene
 from .description.scene_file import changed as changed
 from .description.scene_file import load_scene as load_scene
-from .description.scene_file import parsed_change as parsed_change
 from .description.scene_file import scene_schema as scene_schema
 from .description.scene_file import scene_template as scene_template
 from .description.scene_file import scene_toml as scene_toml

@@ -30,8 +30,8 @@ from eyespot.formats.inputs import (
     read_toml,
     shortened,
 )
-from eyespot.scenes import Scene, SceneError, changed, parsed_change
-from eyespot.scenes.description.scene_file import problem_sentence
+from eyespot.formats.settings_files import parsed_change, problem_sentence
+from eyespot.scenes import Scene, SceneError, changed
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 

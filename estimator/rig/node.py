@@ -20,7 +20,7 @@ from eyespot.estimator.rig.messages import (
     messages_of,
     status_message,
 )
-from eyespot.estimator.rig.rig import Parameters, Rig, opened_rig
+from eyespot.estimator.rig.rig import ImageReader, Parameters, opened_rig
 from eyespot.estimator.rig.ros1 import Ros1
 from eyespot.estimator.rig.ros2 import Ros2
 from eyespot.formats.inputs import InputError
@@ -36,7 +36,7 @@ def ros_here() -> type[Ros1] | type[Ros2]:
 class Connection:
     """Subscribes the rig to images and poses, and publishes its outputs."""
 
-    def __init__(self, ros: Ros1 | Ros2, rig: Rig, parameters: Parameters) -> None:
+    def __init__(self, ros: Ros1 | Ros2, rig: ImageReader, parameters: Parameters) -> None:
         from geometry_msgs.msg import Transform
         from sensor_msgs import msg as sensor
 

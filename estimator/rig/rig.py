@@ -104,7 +104,7 @@ class RigOutput(NamedTuple):
     details: dict[str, str]
 
 
-class Rig:
+class ImageReader:
     """Measures images in the order of arrival, with the last spot and the latest poses.
 
     Args:
@@ -152,19 +152,19 @@ class Rig:
 
 
 @contextmanager
-def opened_rig(parameters: Parameters) -> Iterator[Rig]:
+def opened_rig(parameters: Parameters) -> Iterator[ImageReader]:
     """The rig, and its recording, which is complete when the block ends.
 
     Raises:
-        InputError: as `Rig`, or the recording cannot be made.
+        InputError: as `ImageReader`, or the recording cannot be made.
         OSError: a file cannot be read or written.
     """
     if parameters.rerun is None:
-        yield Rig(parameters)
+        yield ImageReader(parameters)
         return
     microscope = parameters.microscope_file()
     with recording_of(parameters.rerun, name="rig", microscope=microscope) as recording:
-        yield Rig(parameters, recording.add_reading)
+        yield ImageReader(parameters, recording.add_reading)
 
 
 def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:

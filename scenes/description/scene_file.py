@@ -1,29 +1,33 @@
 """Scene files (TOML): reading, changing, writing, the commented template and the JSON schema."""
 
-import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import tomli_w
 from pydantic import BaseModel, ValidationError
 
 from eyespot.formats.inputs import (
-    InputError,
     at_most_three,
     check_schema,
     in_file,
     read_toml,
     shortened,
-    toml_in,
+)
+from eyespot.formats.settings_files import (
+    documented,
+    first_line,
+    merged,
+    nested,
+    parsed_change,
+    problem_sentence,
+    table_lines,
 )
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import MOTIONS, OF_THE_RETINA, UNNAMED, SceneError
 
 HISTORY = {1: "the format of eyespot 0.1; a file without `schema` has this one"}
 """What changed with each version of the format that is read."""
-
-_LONGEST_KEY = 100  # characters; ours have 40 at most
 
 
 def load_scene(path: Path | None, changes: Sequence[str] = ()) -> Scene:
@@ -58,27 +62,8 @@ def changed(scene: Scene, changes: Mapping[str, Any]) -> Scene:
         content["phantom"] = {k: v for k, v in content["phantom"].items() if k not in OF_THE_RETINA}
     for key, value in changes.items():
         text = str(value) if isinstance(value, Path) else value
-        content = _merged(content, _nested(key.split("."), text))
+        content = _merged(content, nested(key.split("."), text))
     return _validated(content, "the changed scene")
-
-
-def parsed_change(change: str) -> dict[str, Any]:
-    """A change "table.key=value" as nested tables; a value that is not TOML is a string.
-
-    Raises:
-        SceneError: the change is not "key=value".
-    """
-    key, equals, text = (part.strip() for part in change.partition("="))
-    if not (key and equals) or len(key) > _LONGEST_KEY:
-        raise SceneError(
-            f"a change must have the form table.key=value; got {shortened(change)}. Name a key of "
-            "the scene file."
-        )
-    try:
-        value = toml_in(f"value = {text}")["value"]
-    except InputError:
-        value = text
-    return _nested(key.split("."), value)
 
 
 def scene_toml(scene: Scene) -> str:
@@ -122,24 +107,14 @@ def _read(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _nested(path: Sequence[str], value: Any) -> dict[str, Any]:
-    for part in reversed(path):
-        value = {part: value}
-    return value
-
-
 def _merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """The content with the changed values; a new kind of motion drops the keys of the old one."""
-    merged = dict(content)
-    kind = change.get("kind")
-    if isinstance(kind, str) and kind in MOTIONS and kind != content.get("kind", UNNAMED):
-        merged.clear()
-    for key, value in change.items():
-        old = merged.get(key)
-        if isinstance(value, Mapping) and isinstance(old, Mapping):
-            value = _merged(old, value)
-        merged[key] = value
-    return merged
+    motion = change.get("motion")
+    kind = motion.get("kind") if isinstance(motion, Mapping) else None
+    old = content.get("motion", {})
+    if kind in MOTIONS and isinstance(old, Mapping) and kind != old.get("kind", UNNAMED):
+        content = {**content, "motion": {}}
+    return merged(content, change)
 
 
 def _validated(content: Mapping[str, Any], where: str) -> Scene:
@@ -150,29 +125,13 @@ def _validated(content: Mapping[str, Any], where: str) -> Scene:
         raise SceneError(at_most_three(problems)) from error
 
 
-def _table(name: str, model: type[BaseModel]) -> list[str]:
+def _table(name: str, model: type[BaseModel]) -> Iterator[str]:
     """A table of the template; the other kinds of motion follow as comments."""
-    lines = ["", f"# {_first_line(model)}", f"[{name}]"]
-    lines += [_documented(key, field) for key, field in model.model_fields.items()]
+    yield from table_lines(name, model)
     for other in MOTIONS.values() if model in MOTIONS.values() else ():
         if other is not model:
-            keys = [_documented(key, field) for key, field in other.model_fields.items()]
-            lines += ["", f"# Or: {_first_line(other)}", f"# [{name}]"]
-            lines += [f"# {key}" for key in keys]
-    return lines
-
-
-def _first_line(model: type[BaseModel]) -> str:
-    return (model.__doc__ or "").splitlines()[0]
-
-
-def _documented(key: str, field: Any) -> str:
-    text = tomli_w.dumps({key: field.default}).strip()
-    default = text.replace("\n    ", " ").replace(",\n]", " ]")
-    choices = get_args(field.annotation)
-    names = [repr(c) for c in choices if isinstance(c, str | int)]
-    notes = [n for n in (" | ".join(names[len(names) == 1 :]), field.description) if n]
-    return f"{default}  # {'. '.join(notes)}" if notes else default
+            yield from ("", f"# Or: {first_line(other)}", f"# [{name}]")
+            yield from (f"# {documented(*item)}" for item in other.model_fields.items())
 
 
 def _sentence(problem: Any) -> str:
@@ -184,27 +143,6 @@ def _sentence(problem: Any) -> str:
         where = ".".join(map(str, path))
         return f"{where}.kind: must be one of {kinds}; got {shortened(problem['ctx']['tag'])}"
     return problem_sentence(problem, path, siblings=lambda: _siblings(problem["loc"]))
-
-
-def problem_sentence(
-    problem: Any, path: Sequence[int | str], *, siblings: Callable[[], list[str]]
-) -> str:
-    """A sentence for one error that pydantic found in a file.
-
-    Args:
-        problem: an item of `ValidationError.errors()`.
-        path: path of the key in the file.
-        siblings: gives the known keys of that table, to suggest one for an unknown key.
-    """
-    where = shortened(".".join(str(part) for part in path))[1:-1]
-    if problem["type"] == "extra_forbidden":
-        key = str(path[-1])[:_LONGEST_KEY]  # a comparison takes the product of the lengths
-        near = difflib.get_close_matches(key, siblings(), n=1)
-        hint = f"; did you mean {near[0]!r}?" if near else ""
-        return f"unknown key {where!r}{hint}"
-    if problem["type"] == "value_error":  # our own message, which gives the value
-        return ": ".join(filter(None, [where, problem["msg"].removeprefix("Value error, ")]))
-    return f"{where}: {problem['msg']}; got {shortened(problem['input'])}"
 
 
 def _siblings(location: tuple[int | str, ...]) -> list[str]:

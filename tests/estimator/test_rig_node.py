@@ -31,8 +31,9 @@ from eyespot.estimator import LiteralSettings
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.rig import node as rig_node
 from eyespot.estimator.rig.messages import Silence
-from eyespot.estimator.rig.rig import Parameters, Rig
+from eyespot.estimator.rig.rig import ImageReader, Parameters
 from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import read_poses
 from tests.support.drawn import drawn_spots
@@ -71,7 +72,7 @@ def microscope_in(folder: Path) -> Path:
 
 
 def test_a_disc_in_an_image_message_is_read_where_it_was_drawn():
-    reading = Rig(Parameters()).output(grey_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
+    reading = ImageReader(Parameters()).output(grey_message(disc(150.25, 110.5, 40.0)), 1.0, 0)
     # Clean sub-pixel edges: the estimator's own tests hold 0.02 px; 8-bit rounding adds no more.
     assert reading.centre == pytest.approx((150.25, 110.5, 1.0), abs=0.05)
     assert reading.axes[:2] == pytest.approx((40.0, 40.0), abs=0.05)
@@ -80,7 +81,7 @@ def test_a_disc_in_an_image_message_is_read_where_it_was_drawn():
 
 
 def test_a_dark_image_is_no_spot_and_says_why():
-    reading = Rig(Parameters()).output(grey_message(DARK), 1.0, 0)
+    reading = ImageReader(Parameters()).output(grey_message(DARK), 1.0, 0)
     np.testing.assert_equal(reading.centre, (math.nan, math.nan, 0.0))
     np.testing.assert_equal(reading.axes, (math.nan,) * 3)
     assert reading.doubt == "none_found"
@@ -88,7 +89,7 @@ def test_a_dark_image_is_no_spot_and_says_why():
 
 
 def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline():
-    rig = Rig(Parameters())
+    rig = ImageReader(Parameters())
     images = [disc(80, 120, 40), disc(240, 120, 40), disc(240, 120, 40)]
     doubts = [rig.output(grey_message(image), float(n), 0).doubt for n, image in enumerate(images)]
     assert doubts == ["", "ambiguous", ""]
@@ -99,7 +100,7 @@ def test_a_spot_that_jumps_is_doubted_once_as_it_is_offline():
 def test_the_distance_is_in_metres_and_doubted_behind_the_wall(tmp_path, radius_px, doubt):
     microscope = microscope_in(tmp_path)
     parameters = Parameters(microscope=microscope, calibration=calibrated(tmp_path, "planar"))
-    reading = Rig(parameters).output(grey_message(disc(159.5, 119.5, radius_px)), 1.0, 0)
+    reading = ImageReader(parameters).output(grey_message(disc(159.5, 119.5, radius_px)), 1.0, 0)
     # d = delta k e1' + b; an error of 0.05 px is one of 13 um.
     truth_mm = 0.0134 * 20 * radius_px - 5.117
     assert reading.distance_m == pytest.approx(truth_mm / 1e3, abs=13e-6)
@@ -116,7 +117,7 @@ def test_the_distance_is_in_metres_and_doubted_behind_the_wall(tmp_path, radius_
     ],
 )
 def test_the_pose_of_an_image_is_the_last_of_its_run_that_came_before(received_s, image_s, age_s):
-    rig = Rig(Parameters())
+    rig = ImageReader(Parameters())
     for moment_s in received_s:
         rig.poses.take(pose_message(), moment_s)
     details = rig.output(grey_message(disc(150, 110, 40)), image_s, 0).details
@@ -153,7 +154,7 @@ def test_images_that_stop_are_reported_once_with_the_cause_and_so_is_their_retur
 
 def test_a_pose_that_is_none_is_refused():
     with pytest.raises(ValueError, match="unit quaternion"):
-        Rig(Parameters()).poses.take(pose_message(qw=0.0), 1.0)
+        ImageReader(Parameters()).poses.take(pose_message(qw=0.0), 1.0)
 
 
 def test_parameters_are_taken_as_ros_hands_them_over():
@@ -182,18 +183,20 @@ def test_parameters_are_taken_as_ros_hands_them_over():
 )
 def test_parameters_that_make_no_sense_are_named(given, told):
     with pytest.raises(ValueError, match=told):
-        Rig(Parameters.of(given))
+        ImageReader(Parameters.of(given))
 
 
 def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path):
     microscope = microscope_in(tmp_path)
-    turned = Rig(Parameters(microscope=microscope)).output(grey_message(DARK.T.copy()), 1.0, 0)
+    turned = ImageReader(Parameters(microscope=microscope)).output(
+        grey_message(DARK.T.copy()), 1.0, 0
+    )
     assert "240x320 px" in turned.doubt
-    outside = Rig(Parameters(start=(320.0, 10.0))).output(grey_message(DARK), 1.0, 0)
+    outside = ImageReader(Parameters(start=(320.0, 10.0))).output(grey_message(DARK), 1.0, 0)
     assert "start (320, 10) px lies outside" in outside.doubt
     unknown = grey_message(DARK)
     unknown.encoding = "jpeg"
-    third = Rig(Parameters()).output(unknown, 1.0, 0)
+    third = ImageReader(Parameters()).output(unknown, 1.0, 0)
     assert "encoding" in third.doubt
     for output in (turned, outside, third):
         assert output.level == "ERROR"
@@ -201,7 +204,7 @@ def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path):
 
 
 def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(monkeypatch, caplog):
-    rig, image = Rig(Parameters()), grey_message(disc(150.25, 110.5, 40.0))
+    rig, image = ImageReader(Parameters()), grey_message(disc(150.25, 110.5, 40.0))
 
     def with_a_bug(*_: object) -> None:  # stands in for a bug, of which we know none
         raise ZeroDivisionError("here")
@@ -215,7 +218,7 @@ def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(monkeypa
 
 
 def test_images_between_two_measured_ones_are_counted_as_skipped():
-    rig, counts = Rig(Parameters()), []
+    rig, counts = ImageReader(Parameters()), []
     for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2
         details = rig.output(grey_message(DARK), 1.0, number).details
         counts.append((int(details["images"]), int(details["skipped_images"])))

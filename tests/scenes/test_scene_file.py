@@ -8,7 +8,8 @@ import jsonschema
 import pytest
 from pydantic import ValidationError
 
-from eyespot.scenes import Scene, SceneError, changed, load_scene, scene_schema, scene_template
+from eyespot.formats.inputs import InputError
+from eyespot.scenes import Scene, changed, load_scene, scene_schema, scene_template
 from tests.support.command_line import printed
 
 
@@ -107,5 +108,5 @@ def test_a_change_leaves_all_other_keys_alone():
     ],
 )
 def test_a_change_that_cannot_be_is_named(change, message):
-    with pytest.raises(SceneError, match=message):
+    with pytest.raises(InputError, match=message):
         load_scene(None, [change])

@@ -1,0 +1,478 @@
+"""The rig file (TOML): microscope, camera, wall, instrument, robot and what is known of them.
+
+A person writes it once for a rig; `eyespot rig init` gives every key with its default and meaning.
+A rendered stack contains one. A microscope.json, a camera calibration or a file of stated
+uncertainties of eyespot 0.1 and 0.2 is taken where a rig file is asked for.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, AllowInfNan, Field, ValidationError, model_validator
+from pydantic import Strict as StrictType
+
+from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml
+from eyespot.formats.microscope import MicroscopeFile, read_microscope, response_of
+from eyespot.formats.poses import unit_quaternion
+from eyespot.formats.settings_files import merged, parsed_change, problems_of, table_lines
+from eyespot.formats.stated import USUAL_SHAKE_PX, Stated
+
+SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.3"}
+
+Medium = Literal["air", "water", "vitreous"]
+_Length = Annotated[float, Field(gt=0, le=1e6)]
+_Sigma = Annotated[float, Field(ge=0, le=1e6)]
+_Share = Annotated[float, Field(ge=0, lt=1)]
+_Pixels = Annotated[int, Field(ge=1, le=2**20)]
+_Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Pair = Annotated[tuple[_Number, _Number], StrictType(False)]
+_Vector = Annotated[tuple[_Number, _Number, _Number], StrictType(False)]
+_TOUCH_SIGMA_MM = 0.02
+"""Accuracy with which an operator finds the contact; the paper's own trials scatter more."""
+
+
+def _unit(vector: tuple[float, float, float]) -> tuple[float, float, float]:
+    length = math.hypot(*vector)
+    if not length > 0:
+        raise InputError(f"must not be the zero vector; got {list(vector)}")
+    x, y, z = (part / length for part in vector)
+    return x, y, z
+
+
+_Direction = Annotated[_Vector, AfterValidator(_unit)]
+_Turn = Annotated[
+    Annotated[tuple[_Number, _Number, _Number, _Number], StrictType(False)],
+    AfterValidator(unit_quaternion),
+]
+
+
+class MicroscopeKeys(Strict):
+    """The microscope: numbers of a pinhole, or a file that has them."""
+
+    id: str = Field(
+        "",
+        max_length=80,
+        description="Name of microscope and zoom. What a calibration and a reading share cancels "
+        "in distances: scale_sigma counts where the names differ.",
+    )
+    calibration: str | None = Field(
+        None,
+        examples=['"camera.yaml"'],
+        description="Camera file of OpenCV, ROS or Kalibr, or a microscope.json; relative to this "
+        "file. The keys below complete it.",
+    )
+    width_px: _Pixels | None = Field(None, examples=["640"], description="Width of the images.")
+    height_px: _Pixels | None = Field(None, examples=["480"], description="Height of the images.")
+    scale_mm_px: _Length | None = Field(
+        None, examples=["0.0067"], description="Size of a pixel at the height of the retinal pole."
+    )
+    scale_sigma: _Share = Field(
+        0.0, description="Relative standard uncertainty of scale_mm_px; 0: taken as exact."
+    )
+    principal_point_px: _Pair | None = Field(
+        None,
+        examples=["[319.5, 239.5]"],
+        description="Where the microscope's axis meets the image, right and down from the centre "
+        "of the first pixel (default: the middle). A cropped image shifts it.",
+    )
+    distortion: Annotated[tuple[_Number, ...], StrictType(False)] = Field(
+        (), description="Coefficients of the lens's distortion in OpenCV's order."
+    )
+    pinhole_height_mm: Annotated[float, AllowInfNan()] | None = Field(
+        None,
+        examples=["200.0"],
+        description="Height of the pinhole above the eyeball's centre; inf: telecentric.",
+    )
+    pinhole_height_sigma_mm: _Sigma = Field(0.0, description="Standard uncertainty of the height.")
+
+
+class CameraKeys(Strict):
+    """The camera: what the images' values mean, and their noise."""
+
+    bit_depth: Annotated[int, Field(ge=8, le=16)] = Field(
+        8, description="Bits that the camera uses per channel."
+    )
+    full_scale: Annotated[float, Field(gt=0, le=1e12)] | None = Field(
+        None,
+        examples=["4095.0"],
+        description="Largest value (default: of the bit depth, if this is above 8).",
+    )
+    black_level_dn: Annotated[float, Field(ge=0, le=1e5)] = Field(
+        0.0, description="Mean value of a dark image."
+    )
+    response: Literal["linear", "srgb"] | Annotated[float, Field(gt=0, le=100)] | None = Field(
+        None,
+        examples=['"linear"'],
+        description="'linear' | 'srgb' | the exponent of a gamma curve (default: the file's, else "
+        "linear).",
+    )
+    limited_range: bool = Field(
+        False, description="Whether black is at 16 and white at 235 of 255, as in video."
+    )
+    noise: Literal["recording"] | CameraSheet | None = Field(
+        None,
+        examples=['"recording"'],
+        description="'recording': measured in the images themselves; or a table "
+        "[camera.noise] with full_well_e, read_noise_e, ..., as `eyespot camera` measures it "
+        "(default: of the microscope.json if it has one, else recording).",
+    )
+
+
+class WallKeys(Strict):
+    """The wall that the light falls on, and the medium before it."""
+
+    kind: Literal["eyeball", "plane"] | None = Field(
+        None, examples=['"eyeball"'], description="Shape of the wall (default: the file's)."
+    )
+    normal: _Direction = Field(
+        (0.0, 0.0, 1.0),
+        description="Normal of a plane, towards the microscope; 0, 0, 1 is square to its axis.",
+    )
+    radius_mm: _Length | None = Field(
+        None,
+        examples=["12.0"],
+        description="Radius of the eyeball (of the layer that sends the light back); the pole of "
+        "any wall lies at -radius_mm.",
+    )
+    radius_sigma_mm: _Sigma = Field(0.0, description="Standard uncertainty of the radius.")
+    medium: Medium | None = Field(
+        None, examples=['"vitreous"'], description="Medium between the tip and the wall."
+    )
+
+
+class InstrumentKeys(Strict):
+    """The instrument: the fibre that carries the light."""
+
+    fibre_diameter_mm: _Length = Field(
+        0.5, description="Diameter of the tip's face, whose rim touches the wall first."
+    )
+    fibre_length_mm: _Length = Field(6.0, description="Length of bare fibre before the shaft.")
+    core_radius_mm: _Length | None = Field(
+        None,
+        examples=["0.25"],
+        description="Radius of the core that the light fills. With robot.touch = 'free' the "
+        "distances rest on it.",
+    )
+    core_radius_sigma: _Share = Field(0.01, description="Relative uncertainty of core_radius_mm.")
+    visible: bool = Field(True, description="Whether the images show the instrument.")
+
+
+class BeamKeys(Strict):
+    """The beam, if it was calibrated."""
+
+    calibration: str | None = Field(
+        None,
+        examples=['"beam.json"'],
+        description="File of `eyespot fit`, relative to this file; gives distances.",
+    )
+    calibration_freedom: Annotated[float, Field(gt=0)] | None = Field(
+        None,
+        examples=["20.0"],
+        description="Degrees of freedom of the calibration (default: infinite).",
+    )
+
+
+class RobotKeys(Strict):
+    """The robot that moves the instrument, and its file of poses."""
+
+    eye_from_robot: _Turn | None = Field(
+        None,
+        examples=["[0.0, 0.0, 0.0, 1.0]"],
+        description="Unit quaternion (x, y, z, w) that turns the robot's frame into the eye's, "
+        "whose z points at the microscope; 0, 0, 0, 1 if they agree.",
+    )
+    tool_axis: Literal["+x", "-x", "+y", "-y", "+z", "-z"] = Field(
+        "+z", description="Axis of the tool's frame along which the light leaves it."
+    )
+    tip_mm: _Vector = Field(
+        (0.0, 0.0, 0.0),
+        description="The tip in the tool's frame, for robots that report their flange.",
+    )
+    unit: Literal["mm", "m", "um"] = Field("mm", description="Unit of the positions in its file.")
+    columns: dict[str, str] = Field(
+        {},
+        description="Names of a CSV's columns, such as { time_s = 'stamp', x = 'px', rx = 'rx' }. "
+        "Known: time_s; x, y, z; qx, qy, qz, qw or rx, ry, rz (rotation vector, rad) or axis_x, "
+        "axis_y, axis_z; travel (of a stage).",
+    )
+    travel_axis: _Direction | None = Field(
+        None,
+        examples=["[0.5, 0.0, -0.866]"],
+        description="Direction of a stage that reports its travel alone: from the tip towards the "
+        "wall, in the robot's frame. The travel counts away from the wall.",
+    )
+    scale_sigma: _Share = Field(
+        0.0, description="Relative uncertainty of its distances; 0: taken as exact."
+    )
+    touch: Literal["contact", "free"] | _Pair = Field(
+        "contact",
+        description="Distance of the tip in the first frame: 'contact' (its rim touches the wall), "
+        "'free' (unknown; a cone's b then rests on instrument.core_radius_mm), or [MEAN, SIGMA], "
+        "mm.",
+    )
+    touch_sigma_mm: _Sigma = Field(
+        _TOUCH_SIGMA_MM, description="Standard uncertainty of the contact."
+    )
+    axis_sigma_deg: Annotated[float, Field(ge=0, lt=90)] = Field(
+        1.0, description="Standard uncertainty of the beam's axis, across itself."
+    )
+    incidence_deg: _Pair = Field(
+        (0.0, 32.0),
+        description="Least and largest incidence of the beam where no axis is known.",
+    )
+    clock_offset_s: _Number = Field(
+        0.0, description="Added to the poses' times to get those of the images."
+    )
+    clock_sigma_s: _Sigma = Field(0.0, description="Standard uncertainty of that offset.")
+    image_topic: str | None = Field(
+        None, examples=['"/camera/image_raw"'], description="Image topic of a bag or a ROS."
+    )
+    pose_topic: str | None = Field(
+        None, examples=['"/robot/pose"'], description="Pose topic of a bag or a ROS."
+    )
+
+
+class UnrestKeys(Strict):
+    """What does not keep still."""
+
+    shake_px: _Sigma = Field(
+        USUAL_SHAKE_PX,
+        description="Standard deviation of the image's shake along each side, where the mode "
+        "pixels has not seen it yet.",
+    )
+
+
+class ViewingKeys(Strict):
+    """What a viewing lens and the eye's optics add."""
+
+    size_per_mm: _Sigma = Field(
+        0.0,
+        description="Part by which the viewing path changes the size of a spot beyond the pinhole, "
+        "per mm of eccentricity; 0.00065 behind a flat contact lens after `fit --model eye`.",
+    )
+
+
+class Rig(Strict):
+    """A rig, as its file describes it.
+
+    Relative names of files are those beside the rig file (`folder`).
+    """
+
+    schema_version: int = Field(SCHEMA, alias="schema")
+    microscope: MicroscopeKeys = MicroscopeKeys()
+    camera: CameraKeys = CameraKeys()
+    wall: WallKeys = WallKeys()
+    instrument: InstrumentKeys = InstrumentKeys()
+    beam: BeamKeys = BeamKeys()
+    robot: RobotKeys = RobotKeys()
+    unrest: UnrestKeys = UnrestKeys()
+    viewing: ViewingKeys = ViewingKeys()
+    folder: Path = Field(Path(), exclude=True, repr=False)
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        low, high = self.robot.incidence_deg
+        if not 0 <= low <= high < 90:
+            raise InputError(
+                f"robot.incidence_deg must be two angles from 0 to 90 degrees; got {[low, high]}"
+            )
+        if isinstance(self.robot.touch, tuple) and not self.robot.touch[1] > 0:
+            raise InputError(f"robot.touch needs a positive sigma; got {list(self.robot.touch)} mm")
+        return self
+
+    @cached_property
+    def view(self) -> MicroscopeFile | None:
+        """The microscope and the wall, for the estimator; None if the file has no microscope.
+
+        Raises:
+            InputError: a number is missing, contradicts another, or is impossible.
+            OSError: the calibration file cannot be read.
+        """
+        own, wall = self.microscope, self.wall
+        normal = wall.normal if wall.kind == "plane" else None
+        height, radius = own.pinhole_height_mm, wall.radius_mm
+        if own.calibration is not None:
+            found = read_microscope(
+                self.folder / own.calibration,
+                pinhole_height_mm=height,
+                eye_radius_mm=radius,
+                plane_normal=normal,
+            )
+            if wall.kind == "eyeball" and found.plane_normal is not None:
+                found = replace(found, plane_normal=None)
+        elif own.scale_mm_px is None:
+            return None
+        else:
+            for name in ("width_px", "height_px", "pinhole_height_mm"):
+                if getattr(own, name) is None:
+                    raise InputError(f"microscope.{name} is missing. Add it, or a calibration.")
+            if radius is None or height is None:
+                raise InputError("wall.radius_mm is missing. Add it; the pole lies at -radius_mm.")
+            found = _pinhole(own, radius, height, normal)
+        return replace(found, response=self._response(found), noise=self._noise(found))
+
+    def _response(self, found: MicroscopeFile) -> Response:
+        own = self.camera
+        response = found.response if own.response is None else response_of(own.response)
+        full_scale = own.full_scale or found.response.full_scale
+        if full_scale is None and own.bit_depth > 8:
+            full_scale = float((1 << own.bit_depth) - 1)
+        return replace(response, full_scale=full_scale, limited=own.limited_range)
+
+    def _noise(self, found: MicroscopeFile) -> CameraNoise | None:
+        """As the file states it; None if it is to be measured in the recording."""
+        noise = self.camera.noise
+        if noise is None:
+            return found.noise
+        response = replace(self._response(found), full_scale=None)
+        return CameraNoise(noise, response) if isinstance(noise, CameraSheet) else None
+
+    @property
+    def calibration_file(self) -> Path | None:
+        """The beam's calibration; None if the rig has none."""
+        return None if self.beam.calibration is None else self.folder / self.beam.calibration
+
+    @property
+    def stated(self) -> Stated:
+        """The uncertainties that no measurement contains, as a budget takes them."""
+        robot, sigma = self.robot, 0.0
+        if self.microscope.pinhole_height_sigma_mm and self.view is not None:
+            sigma = self.microscope.pinhole_height_sigma_mm * self.view.inverse_working_distance**2
+        return Stated(
+            eye_radius_sigma_mm=self.wall.radius_sigma_mm,
+            inverse_working_distance_sigma=sigma,
+            size_per_mm=self.viewing.size_per_mm,
+            axis_sigma_deg=robot.axis_sigma_deg,
+            incidence_deg=robot.incidence_deg,
+            clock_sigma_s=robot.clock_sigma_s,
+            shake_px=self.unrest.shake_px,
+            calibration_freedom=self.beam.calibration_freedom,
+        )
+
+    def changed(self, changes: Sequence[str] | Mapping[str, Any], *, where: str = "rig") -> "Rig":
+        """The rig with other values: "table.key=value", or {"table.key": value}.
+
+        Raises:
+            InputError: an unknown key, or a value that no rig has.
+        """
+        if not changes:
+            return self
+        content = self.model_dump(mode="json", by_alias=True, exclude_unset=True)
+        if isinstance(changes, Mapping):
+            changes = [f"{key}={value!r}" for key, value in changes.items()]
+        for change in changes:
+            content = merged(content, parsed_change(change))
+        return rig_in(content, where=where, folder=self.folder)
+
+
+def _pinhole(
+    own: MicroscopeKeys, radius_mm: float, height_mm: float, normal: _Vector | None
+) -> MicroscopeFile:
+    """The microscope of numbers."""
+    import numpy as np
+
+    width, height = own.width_px or 0, own.height_px or 0
+    scale = own.scale_mm_px or math.nan
+    u, v = own.principal_point_px or ((width - 1) / 2, (height - 1) / 2)
+    telecentric = math.isinf(height_mm)
+    focal = math.inf if telecentric else (height_mm + radius_mm) / scale
+    if telecentric and any(own.distortion):
+        raise InputError(
+            f"microscope.distortion needs a pinhole at a finite height; got {list(own.distortion)} "
+            "with pinhole_height_mm = inf. Undistort the images first."
+        )
+    return MicroscopeFile(
+        width_px=width,
+        height_px=height,
+        camera_matrix=None
+        if telecentric
+        else np.array([[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]]),
+        distortion=np.array(own.distortion or (0.0, 0.0, 0.0, 0.0)),
+        scale_mm_px=scale,
+        principal_point_px=(u, v),
+        pinhole_height_mm=height_mm,
+        eye_radius_mm=radius_mm,
+        plane_normal=normal,
+    )
+
+
+def rig_in(content: Mapping[str, Any], *, where: str, folder: Path = Path()) -> Rig:
+    """The rig that the content of a file describes.
+
+    Raises:
+        InputError: an unknown key, or a value that no rig has; the text suggests the nearest key.
+    """
+    with in_file(where):
+        check_schema(content.get("schema", SCHEMA), HISTORY, remedy=f"Write {SCHEMA}.")
+    try:
+        return Rig.model_validate({**content, "folder": folder})
+    except ValidationError as error:
+        raise InputError(problems_of(error, where, Rig)) from error
+
+
+def read_rig(path: str | Path, changes: Sequence[str] = ()) -> Rig:
+    """Read a rig file, or a file of an older version that has a part of it.
+
+    Args:
+        path: a rig file (TOML); a microscope.json or a camera calibration; or a file of stated
+            uncertainties (TOML).
+        changes: "table.key=value", as of `--set`.
+
+    Raises:
+        InputError: none of these, or wrong; the text names file, key, value and remedy.
+        OSError: the file cannot be read.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".toml":
+        rig = Rig.model_validate({"microscope": {"calibration": path.name}, "folder": path.parent})
+        return rig.changed(changes, where=f"{path}")
+    with in_file(path):
+        content = read_toml(path)
+        if content and content.keys() <= Stated.model_fields.keys():
+            content = _of_stated(content)
+    rig = rig_in(content, where=f"{path}", folder=path.parent)
+    return rig.changed(changes, where=f"{path}")
+
+
+_OF_STATED = {
+    "eye_radius_sigma_mm": "wall.radius_sigma_mm",
+    "size_per_mm": "viewing.size_per_mm",
+    "axis_sigma_deg": "robot.axis_sigma_deg",
+    "incidence_deg": "robot.incidence_deg",
+    "clock_sigma_s": "robot.clock_sigma_s",
+    "touch_sigma_mm": "robot.touch_sigma_mm",
+    "shake_px": "unrest.shake_px",
+    "calibration_freedom": "beam.calibration_freedom",
+}
+"""Where the keys of a file of stated uncertainties (eyespot 0.1 and 0.2) stand in a rig file."""
+
+
+def _of_stated(content: Mapping[str, Any]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in content.items():
+        if name not in _OF_STATED:
+            raise InputError(
+                f"{name} has no place in a rig file. State microscope.pinhole_height_sigma_mm."
+            )
+        table, key = _OF_STATED[name].split(".")
+        found.setdefault(table, {})[key] = value
+    return found
+
+
+def rig_template() -> str:
+    """A rig file with every key, its default and its meaning; what has no default is a comment."""
+    lines = [
+        "# A rig for eyespot. Lengths are in mm, angles in degrees, times in s.",
+        "# `eyespot rig check RIG RECORDING` compares it with a recording.",
+        f"schema = {SCHEMA}",
+    ]
+    for name, field in Rig.model_fields.items():
+        if isinstance(field.default, Strict):
+            lines += table_lines(name, type(field.default))
+    return "\n".join(lines) + "\n"

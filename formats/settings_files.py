@@ -1,0 +1,121 @@
+"""Files of settings that people write (TOML): changes by key, the template, and what is wrong.
+
+Scene files and rig files share this: every key has a default and a meaning, `--set KEY=VALUE`
+changes one, and an unknown key names the nearest known one.
+"""
+
+import difflib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, get_args
+
+import tomli_w
+from pydantic import BaseModel, ValidationError
+
+from eyespot.formats.inputs import InputError, at_most_three, shortened, toml_in
+
+_LONGEST_KEY = 100  # characters; ours have 40 at most
+
+
+def parsed_change(change: str) -> dict[str, Any]:
+    """A change "table.key=value" as nested tables; a value that is not TOML is a string.
+
+    Raises:
+        InputError: the change is not "key=value".
+    """
+    key, equals, text = (part.strip() for part in change.partition("="))
+    if not (key and equals) or len(key) > _LONGEST_KEY:
+        raise InputError(
+            f"a change must have the form table.key=value; got {shortened(change)}. Name a key of "
+            "the file."
+        )
+    try:
+        value = toml_in(f"value = {text}")["value"]
+    except InputError:
+        value = text
+    return nested(key.split("."), value)
+
+
+def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
+    """A value in the tables that lead to it."""
+    for part in reversed(path):
+        value = {part: value}
+    return value
+
+
+def merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
+    """The content with the changed values."""
+    found = dict(content)
+    for key, value in change.items():
+        old = found.get(key)
+        if isinstance(value, Mapping) and isinstance(old, Mapping):
+            value = merged(old, value)
+        found[key] = value
+    return found
+
+
+def first_line(model: type[BaseModel]) -> str:
+    """The first line of a table's docstring."""
+    return (model.__doc__ or "").splitlines()[0]
+
+
+def table_lines(name: str, model: type[BaseModel]) -> Iterator[str]:
+    """A table of a template: what it is, and each key with its default and its meaning."""
+    yield from ("", f"# {first_line(model)}", f"[{name}]")
+    for key, field in model.model_fields.items():
+        yield documented(key, field)
+
+
+def documented(key: str, field: Any) -> str:
+    """A key with its default; one without a default is a comment that shows its form."""
+    named, default = field.alias or key, field.default
+    choices = get_args(field.annotation)
+    names = [repr(c) for c in choices if isinstance(c, str | int)]
+    notes = [n for n in (" | ".join(names[len(names) == 1 :]), field.description) if n]
+    if default is None:
+        (example,) = field.examples or ("",)
+        return f"# {named} = {example}  # {'. '.join(notes)}"
+    plain = default.model_dump() if isinstance(default, BaseModel) else default
+    text = tomli_w.dumps({named: plain}).strip() if plain != {} else f"{named} = {{}}"
+    text = text.replace("\n    ", " ").replace(",\n]", " ]")
+    return f"{text}  # {'. '.join(notes)}" if notes else text
+
+
+def problems_of(error: ValidationError, where: str, model: type[BaseModel]) -> str:
+    """What pydantic found wrong in a file, in at most three lines."""
+
+    def sentence(problem: Any) -> str:
+        path = problem["loc"]
+        return problem_sentence(problem, path, siblings=lambda: _siblings(model, path))
+
+    return at_most_three([f"{where}: {sentence(problem)}" for problem in error.errors()])
+
+
+def _siblings(model: type[BaseModel], location: Sequence[int | str]) -> list[str]:
+    """The known keys of the table that contains a key."""
+    for part in location[:-1]:
+        field = model.model_fields.get(str(part))
+        if field is None or not isinstance(field.default, BaseModel):
+            return []
+        model = type(field.default)
+    return [field.alias or name for name, field in model.model_fields.items()]
+
+
+def problem_sentence(
+    problem: Any, path: Sequence[int | str], *, siblings: Callable[[], list[str]]
+) -> str:
+    """A sentence for one error that pydantic found in a file.
+
+    Args:
+        problem: an item of `ValidationError.errors()`.
+        path: path of the key in the file.
+        siblings: gives the known keys of that table, to suggest one for an unknown key.
+    """
+    where = shortened(".".join(str(part) for part in path))[1:-1]
+    if problem["type"] == "extra_forbidden":
+        key = str(path[-1])[:_LONGEST_KEY]  # a comparison takes the product of the lengths
+        near = difflib.get_close_matches(key, siblings(), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        return f"unknown key {where!r}{hint}"
+    if problem["type"] == "value_error":  # our own message, which gives the value
+        return ": ".join(filter(None, [where, problem["msg"].removeprefix("Value error, ")]))
+    return f"{where}: {problem['msg']}; got {shortened(problem['input'])}"
