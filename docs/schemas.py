@@ -112,8 +112,8 @@ KINDS = (
     FileKind(
         "stated",
         "Stated uncertainties (TOML)",
-        "What a lab knows of its eye, robot and clocks, in eyespot 0.1 and 0.2; a rig file has these "
-        "keys now, and `--rig` takes such a file, too.",
+        "What a lab knows of its eye, robot and clocks, in eyespot 0.1 and 0.2. A rig file has "
+        "these keys now, and `--rig` takes such a file, too.",
         models=("eyespot.formats.stated:Stated",),
     ),
     FileKind(

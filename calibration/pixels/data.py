@@ -12,10 +12,6 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot import optics
-<<<<<<< HEAD
-=======
-from eyespot.calibration.recordings import stack_tip_radius, withdrawal
->>>>>>> faults
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.recording import Recording
@@ -38,14 +34,8 @@ class Footage:
         motion: unit vector against the tip's motion, towards the wall, reported by the robot.
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
-<<<<<<< HEAD
         microscope: and wall, by the rig.
         instrument: the tool, which can hide the wall and touches it in the first frame.
-=======
-        microscope: the stack's microscope file.
-        instrument: the tool, which can hide the wall.
-        tip_radius: of the rim that touched the wall first, mm.
->>>>>>> faults
         in_view: whether the instrument is visible.
         kind: kind of the wall, "eyeball" or "plane".
         medium_index: n0.
@@ -61,7 +51,6 @@ class Footage:
     noise: CameraNoise
     microscope: MicroscopeFile
     instrument: BareFibre
-    tip_radius: float
     in_view: bool
     kind: str
     medium_index: float
@@ -110,23 +99,12 @@ def footage_of(source: Any) -> Footage:
         motion=motion,
         axis=axis,
         noise=noise,
-<<<<<<< HEAD
         microscope=view,
         instrument=BareFibre(instrument.fibre_diameter_mm / 2, instrument.fibre_length_mm),
         in_view=instrument.visible,
         kind="eyeball" if view.plane_normal is None else "plane",
         medium_index=optics.MEDIA[rig.wall.medium],
         touch_sigma=rig.robot.touch_sigma_mm,
-=======
-        microscope=microscope,
-        instrument=BareFibre(
-            number("instrument.fibre_diameter_mm") / 2, number("instrument.fibre_length_mm")
-        ),
-        tip_radius=stack_tip_radius(stack),
-        in_view=stack.described("scene.instrument.visible", bool),
-        kind=stack.described("scene.phantom.kind", str),
-        medium_index=optics.MEDIA[medium],
->>>>>>> faults
     )
 
 

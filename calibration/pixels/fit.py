@@ -158,7 +158,7 @@ def fit_image(
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
     place, radius = bright_spot(footage)
-    file, rim = footage.microscope, footage.tip_radius
+    file, rim = footage.microscope, footage.instrument.fibre_radius
     camera = file.camera()
     undistorted = place if camera is None else camera.undistorted(place)[0]
     sigma = footage.touch_sigma

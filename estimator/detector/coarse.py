@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.ellipse import AffineEllipse
-from eyespot.estimator.detector.tuning import Channel, Search, Verdict
+from eyespot.estimator.detector.tuning import Channel, Search, Small, Verdict
 from eyespot.estimator.image import clip_level
 from eyespot.formats.camera import GREY, GREY_WEIGHTS, Window
 
@@ -195,6 +195,47 @@ def bright_regions(
         smooth = smooth.copy()
         cv2.drawContours(smooth, painted, -1, background, cv2.FILLED)
         cv2.drawContours(smooth, painted, -1, background, 3)
+
+
+def bright_points(coarse: Coarse, *, min_area: float) -> Iterator[Bright]:
+    """Regions that stand out and are narrower than the largest small spot, brightest first.
+
+    They exceed half of the height over what an opening (Serra 1982) leaves of the light. A point is
+    `lobed` if as much of the window as its own area is as bright elsewhere.
+    """
+    smooth = cv2.medianBlur(coarse.levels, 3)
+    widest = np.ones((Small.OPENING_PX, Small.OPENING_PX), np.uint8)
+    below = cv2.morphologyEx(smooth, cv2.MORPH_OPEN, widest)
+    above = smooth - below
+    for _ in range(Search.REGIONS):
+        _, top, _, place = cv2.minMaxLoc(above)
+        if top < Search.FAINTEST_STEP:
+            return
+        _, labels = cv2.connectedComponents((above > top / 2).view(np.uint8))
+        mask = labels == labels[place[::-1]]
+        rows, columns = np.nonzero(mask)
+        reach = 1 + int(max(np.ptp(rows), np.ptp(columns)))
+        around = np.s_[
+            max(int(rows.min()) - reach, 0) : int(rows.max()) + reach + 1,
+            max(int(columns.min()) - reach, 0) : int(columns.max()) + reach + 1,
+        ]
+        if len(rows) >= min_area:
+            half = float(below[mask].mean()) + top / 2
+            elsewhere = int(
+                np.count_nonzero(smooth > half) - np.count_nonzero(smooth[around] > half)
+            )
+            middle = np.array([coarse.x0 + columns.mean(), coarse.y0 + rows.mean()])
+            # A uniform ellipse has a quarter of its squared axes as variances.
+            spread = np.cov(columns, rows) + np.eye(2) / 12
+            values, axes = np.linalg.eigh(spread)
+            yield Bright(
+                [AffineEllipse(middle, axes * (2 * np.sqrt(values)))],
+                (half + top / 2) * coarse.unit,
+                (half - top / 2) * coarse.unit,
+                mask,
+                lobed=elsewhere > Verdict.RIVAL * len(rows),
+            )
+        above[around] = 0
 
 
 def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.ndarray) -> bool:

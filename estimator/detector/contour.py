@@ -23,12 +23,27 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from eyespot.estimator.detector.coarse import Bright, Coarse, bright_regions, channel_for
+from eyespot.estimator.detector.coarse import (
+    Bright,
+    Coarse,
+    bright_points,
+    bright_regions,
+    channel_for,
+)
 from eyespot.estimator.detector.edges import EdgeFit, fit_edge
 from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import dark_radius
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import RAYS, Capture, Hollow, Refine, Search, Sharp, Texture
+from eyespot.estimator.detector.tuning import (
+    RAYS,
+    Capture,
+    Hollow,
+    Refine,
+    Search,
+    Sharp,
+    Small,
+    Texture,
+)
 from eyespot.formats.camera import GREY, Window
 from eyespot.formats.spots import NoSpot, Reason
 
@@ -63,6 +78,11 @@ class Region:
         """The ellipse round the region, good to a few px."""
         return self.bright.ellipses[0]
 
+    @property
+    def is_small(self) -> bool:
+        """Whether the pixel grid hides too much of profiles along rays."""
+        return self.ellipse.axes()[1] < Small.LARGEST_PX
+
     def fills_its_ellipse(self) -> float:
         """Fraction of the ellipse round the region that the region takes up."""
         semi_major, semi_minor, _ = self.ellipse.axes()
@@ -76,41 +96,70 @@ def regions_in(
 
     The window is where the spot's body may lie; its edge is followed beyond.
     """
-    window = window.on_grid(settings.stride)
-    if min(window.of(frame, settings.stride).shape[:2]) < 5:  # the 3x3 median needs neighbours
+    stride = Search.STRIDE
+    window = window.on_grid(stride)
+    if min(window.of(frame, stride).shape[:2]) < 5:  # the 3x3 median needs neighbours
         return
-    full_scale = settings.response.full_scale_of(frame)
-    grey = coarse_of(frame, window, GREY, settings)
-    smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
+    grey = coarse_of(frame, window, GREY, settings, stride)
+    smallest = Search.SMALLEST_AREA * math.pi * Small.LARGEST_PX**2
     for bright in bright_regions(grey, min_contrast=settings.min_contrast, min_area=smallest):
         if bright is None:
             yield NoSpot(Reason.TOO_SMALL)
-            continue
-        mask = bright.mask.view(np.uint8)
-        channel, clips, full = channel_for(frame, window, settings.stride, mask, full_scale)
-        coarse, faint = grey, bright.is_below(settings.min_contrast)
-        if channel != GREY:
-            coarse = coarse_of(frame, window, channel, settings)
-            bright = bright.relevelled(coarse)
-        yield Region(frame, settings, full_scale, coarse, channel, clips, full, bright, faint)
+        else:
+            yield _region(frame, window, grey, bright, settings)
+
+
+def small_regions_in(
+    frame: np.ndarray, window: Window, settings: SubpixelSettings
+) -> Iterator[Region]:
+    """Bright regions of a window that are too small for profiles along rays, brightest first."""
+    if min(window.of(frame).shape[:2]) < 5:
+        return
+    grey = coarse_of(frame, window, GREY, settings, 1)
+    smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
+    for bright in bright_points(grey, min_area=smallest):
+        yield _region(frame, window, grey, bright, settings)
+
+
+def _region(
+    frame: np.ndarray, window: Window, grey: Coarse, bright: Bright, settings: SubpixelSettings
+) -> Region:
+    """A bright region of a grey window, in the channel in which it is to be measured."""
+    full_scale, stride = settings.response.full_scale_of(frame), grey.stride
+    mask = bright.mask.view(np.uint8)
+    channel, clips, full = channel_for(frame, window, stride, mask, full_scale)
+    coarse, faint = grey, bright.is_below(settings.min_contrast)
+    if channel != GREY:
+        coarse = coarse_of(frame, window, channel, settings, stride)
+        bright = bright.relevelled(coarse)
+    return Region(frame, settings, full_scale, coarse, channel, clips, full, bright, faint)
 
 
 def region_at(
-    last: EdgeFit, channel: int, frame: np.ndarray, settings: SubpixelSettings
+    ellipse: AffineEllipse,
+    half: float,
+    width: float,
+    channel: int,
+    frame: np.ndarray,
+    settings: SubpixelSettings,
 ) -> Region | None:
     """The region that exceeds the last spot's half level near its contour.
 
     None where there is nothing like it, where another channel than the last one shows it better
     now, and for a broad edge, whose background is too far away for a search nearby.
+
+    Args:
+        ellipse, half, width: of the last spot; its edge's width in radii.
     """
-    ellipse, levels, stride = last.ellipse, last.levels, settings.stride
-    if levels.width > Refine.BROAD:
+    small = ellipse.axes()[1] < Small.LARGEST_PX
+    if width > Refine.BROAD and not small:
         return None
-    reach = dark_radius(levels.width) + Search.AROUND
+    stride = 1 if small else Search.STRIDE
+    reach = dark_radius(width) + Search.AROUND
     x, y = ellipse.centre.tolist()
     window = Window.around(x, y, *ellipse.scaled(reach).half_extent(), frame).on_grid(stride)
-    coarse = coarse_of(frame, window, channel, settings)
-    mask = (coarse.levels > levels.half / coarse.unit).view(np.uint8)
+    coarse = coarse_of(frame, window, channel, settings, stride)
+    mask = (coarse.levels > half / coarse.unit).view(np.uint8)
     moments = cv2.moments(mask, binaryImage=True)
     semi_major, semi_minor, _ = ellipse.axes()
     filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
@@ -129,10 +178,10 @@ def region_at(
 
 
 def coarse_of(
-    frame: np.ndarray, window: Window, channel: int, settings: SubpixelSettings
+    frame: np.ndarray, window: Window, channel: int, settings: SubpixelSettings, stride: int
 ) -> Coarse:
-    """The light of a window in one channel, of every `settings.stride`-th pixel, in 8 bits."""
-    stride, response = settings.stride, settings.response
+    """The light of a window in one channel, of every `stride`-th pixel, in 8 bits."""
+    response = settings.response
     values = window.of(frame, stride)
     light = response.channel(values, channel, response.full_scale_of(frame))
     return Coarse.of_signal(light, stride=stride, x0=window.x0, y0=window.y0)
@@ -276,7 +325,9 @@ def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
             patch, fit = even, again
     if fit and not fit.levels.sees_background:
         frame = region.frame
-        whole = coarse_of(frame, Window.whole(frame), region.channel, region.settings)
+        whole = coarse_of(
+            frame, Window.whole(frame), region.channel, region.settings, Search.STRIDE
+        )
         fit = fit_edge(patch, whole, ellipse, *levels)
     if fit and fit.levels.width <= Refine.BROAD:
         lit, half, width = fit.seen & ~fit.shaded, fit.levels.half, fit.levels.width

@@ -32,9 +32,17 @@ from eyespot.estimator.detector.ellipse import (
     refitted,
 )
 from eyespot.estimator.detector.levels import RADII, RADIUS_STEP, background_of
-from eyespot.estimator.detector.tuning import Motion, Refine, Reflection, Verdict
-from eyespot.formats.camera import LensDistortion
-from eyespot.formats.spots import NoSpot
+from eyespot.estimator.detector.pixel_fit import SmallSpot, fit_to_pixels
+from eyespot.estimator.detector.tuning import (
+    Motion,
+    Refine,
+    Reflection,
+    Saturated,
+    Small,
+    Verdict,
+)
+from eyespot.formats.camera import GREY, LensDistortion, Window
+from eyespot.formats.spots import NoSpot, Reason
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)
@@ -301,6 +309,28 @@ def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
     return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
 
 
+def small_spot_in(region: Region) -> SmallSpot | NoSpot:
+    """The spot that is fitted to the pixels of a small region; clipped pixels are left out."""
+    frame, start = region.frame, region.ellipse
+    half_width, half_height = start.scaled(Small.REACH).half_extent()
+    x, y = start.centre.tolist()
+    window = Window.around(x, y, half_width + 3, half_height + 3, frame)
+    values = window.of(frame)
+    light = region.settings.response.channel(values, region.channel, region.full_scale)
+    planes = np.atleast_3d(values)
+    used = slice(None) if region.channel == GREY else slice(region.channel, region.channel + 1)
+    clips = np.array(region.clips)[used] * (1 - 1e-6)
+    clipped = np.array((planes[:, :, used] >= clips).any(axis=2), np.uint8)
+    # A pixel is more likely to be left out if its noise is bright: so its neighbours are, too.
+    left_out = cv2.dilate(clipped, np.ones((3, 3))).view(bool)
+    spot = fit_to_pixels(np.where(left_out, np.nan, light), window.x0, window.y0, start)
+    if spot is None:
+        return NoSpot(Reason.NONE_FOUND)
+    area = math.pi * abs(np.linalg.det(spot.ellipse.shape))
+    hidden = np.count_nonzero(left_out) > Saturated.MOST_HIDDEN * area
+    return NoSpot(Reason.SATURATED) if hidden else spot
+
+
 class MeasuredRegion(NamedTuple):
     """What was measured of a bright region with a contour.
 
@@ -326,7 +356,10 @@ def measured_in(region: Region) -> MeasuredRegion | NoSpot:
     if fit.levels.width > Motion.SMEARED and not is_coarse(fit):
         fit = at_mid_exposure(patch_round(region, fit.ellipse, fit.levels.width), fit)
     rim = rim_on(region, fit)
-    return MeasuredRegion(contour, fit, rim, _undistorted(fit, region.settings.camera))
+    edges = contour_points(fit.ellipse, fit.offsets)[fit.inliers]
+    return MeasuredRegion(
+        contour, fit, rim, undistorted(fit.ellipse, edges, region.settings.camera)
+    )
 
 
 def is_coarse(fit: EdgeFit) -> bool:
@@ -338,16 +371,21 @@ def is_coarse(fit: EdgeFit) -> bool:
     return fit.scatter > Verdict.COARSEST * width
 
 
-def _undistorted(fit: EdgeFit, camera: LensDistortion | None) -> AffineEllipse | None:
+def undistorted(
+    ellipse: AffineEllipse, edges: np.ndarray, camera: LensDistortion | None
+) -> AffineEllipse | None:
+    """An ellipse without the lens's distortion, from points (n, 2) of its edge.
+
+    None if the lens cannot have made it.
+    """
     if camera is None:
-        return fit.ellipse
-    edges = contour_points(fit.ellipse, fit.offsets)[fit.inliers]
+        return ellipse
     if not (edges.size and camera.can_undistort(edges)):
         return None
-    ellipse = refitted(fit.ellipse, camera.undistorted(edges))
+    straight = refitted(ellipse, camera.undistorted(edges))
     # Its edge may be undistorted where its inside cannot be.
-    moved = math.dist(camera.distorted(*ellipse.centre), fit.ellipse.centre)
-    return ellipse if moved <= fit.ellipse.axes()[0] else None
+    moved = math.dist(camera.distorted(*straight.centre), ellipse.centre)
+    return straight if moved <= ellipse.axes()[0] else None
 
 
 def significance_of(region: Region) -> float:

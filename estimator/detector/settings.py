@@ -39,7 +39,7 @@ class SubpixelSettings:
     response: Response = field(default_factory=Response)
     camera: LensDistortion | None = None
     search_half_width_px: int = 200
-    min_semi_minor_px: float = 15.0
+    min_semi_minor_px: float = 2.5
     max_semi_major_px: float = 400.0
     max_axis_ratio: float = 2.0
     min_contrast: float = 1.0
@@ -64,8 +64,3 @@ class SubpixelSettings:
                 raise InputError(
                     f"SubpixelSettings({name}=...) must {rule}; got {getattr(self, name)}."
                 )
-
-    @property
-    def stride(self) -> int:
-        """Subsampling of the search, px: the smallest spot still spans seven pixels."""
-        return max(1, min(4, int(self.min_semi_minor_px / 3.5)))

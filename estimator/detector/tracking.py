@@ -7,20 +7,27 @@ one (`verdict.one_of`). Nothing is measured after the verdict.
 `outlines_of` says where the spot may be in a frame in which none was measured.
 """
 
+import itertools
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from eyespot.estimator.detector.contour import Region, contour_of, region_at, regions_in
+from eyespot.estimator.detector.contour import (
+    Region,
+    contour_of,
+    region_at,
+    regions_in,
+    small_regions_in,
+)
 from eyespot.estimator.detector.edges import EdgeFit
 from eyespot.estimator.detector.ellipse import AffineEllipse
 from eyespot.estimator.detector.levels import dark_radius
 from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
 from eyespot.estimator.detector.measuring import rim_on
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import Faint, Verdict
+from eyespot.estimator.detector.tuning import Faint, Small, Verdict
 from eyespot.estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
 from eyespot.formats.camera import Window, checked_frame, without_repeats
 from eyespot.formats.inputs import InputError
@@ -82,7 +89,7 @@ def measure(
     found = (
         _at_last_contour(frame, state.sighting, settings)
         or _near(frame, state, settings)
-        or _anywhere(frame, settings)
+        or _anywhere(frame, state, settings)
     )
     if isinstance(found, NoSpot):
         return found, TrackState()
@@ -114,7 +121,7 @@ def _at_last_contour(
     frame: np.ndarray, last: Sighting | None, settings: SubpixelSettings
 ) -> Sighting | None:
     """The last sighting if it has hardly changed; all else needs a search."""
-    region = region_at(last.fit, last.channel, frame, settings) if last else None
+    region = region_at(*last.place, frame, settings) if last else None
     now = sighting_in(region) if region else None
     if not (last and now and continues(now.spot, last.spot, settings)):
         return None
@@ -131,7 +138,14 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         reach = last.semi_major_px * dark_radius(last.edge_width_px / last.semi_minor_px)
         reach += settings.max_jump_px
         half = max(half, reach)
-    for region in regions_in(frame, Window.around(*state.at_px, half, half, frame), settings):
+    window = Window.around(*state.at_px, half, half, frame)
+    searches = [regions_in]
+    if last is not None:
+        was_small = last.semi_minor_px < Small.LARGEST_PX
+        searches.insert(0 if was_small else 1, small_regions_in)
+    for region in itertools.chain.from_iterable(
+        search(frame, window, settings) for search in searches
+    ):
         if isinstance(region, NoSpot) or region.faint:  # a window may show the spot alone
             continue
         # A region's centre is good to a radius.
@@ -144,8 +158,10 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
     return None
 
 
-def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpot:
-    """The one spot of the whole frame."""
+def _anywhere(
+    frame: np.ndarray, state: TrackState, settings: SubpixelSettings
+) -> Sighting | NoSpot:
+    """The one spot of the whole frame; a small one only if there is no larger one."""
     seen: list[Sighting] = []
     failures: list[NoSpot] = []
     for region in regions_in(frame, Window.whole(frame), settings):
@@ -159,6 +175,19 @@ def _anywhere(frame: np.ndarray, settings: SubpixelSettings) -> Sighting | NoSpo
                 failures.append(sighting)
             else:
                 seen.append(sighting)
+    found = one_of(seen, failures)
+    if found or found.reason not in (Reason.NONE_FOUND, Reason.TOO_SMALL):
+        return found
+    for region in small_regions_in(frame, Window.whole(frame), settings):
+        sighting = sighting_in(region)
+        semi_major, middle = region.ellipse.axes()[0], region.ellipse.centre.tolist()
+        chosen = state.at_px is not None and math.dist(middle, state.at_px) < semi_major
+        if isinstance(sighting, NoSpot):
+            failures.append(sighting)
+        elif region.bright.lobed and not chosen:
+            failures.append(NoSpot(Reason.AMBIGUOUS))
+        else:
+            seen.append(sighting)
     return one_of(seen, failures)
 
 

@@ -26,6 +26,7 @@ class WideView:
 class Search:
     """Bright regions of a window (`coarse`, `contour`)."""
 
+    STRIDE = 4  # px: of one pixel that is searched; a spot of 15 px still spans seven of them
     REGIONS = 4  # offered from one window: some glints and reflections are brighter than the spot
     FAINTEST_STEP = 4  # 1/255 of the window's maximum: a smaller step may be noise
     # Step over the scatter of the window's darker part, half of which is a bell's flank where the
@@ -252,3 +253,16 @@ class Faint:
 
     CONTRAST = 0.25  # (peak - background) / background of a spot under the haze of a wet wall
     FILLED = 0.8  # least share of the ellipse round a region that the region takes up
+
+
+class Small:
+    """Small spots, fitted to their pixels (`coarse`, `pixel_fit`, `verdict`)."""
+
+    LARGEST_PX = 15.0  # px: semi-minor axis below which the pixel grid spoils profiles
+    OPENING_PX = 61  # px: what is wider than a bell's foot is no small spot (derived: twice 30)
+    PARAMETERS = 10  # derived: ellipse 5, steepness, height, plane 3
+    REACH = 3.0  # radii: size of the patch (derived: a Gaussian has 0.2 % there)
+    CELLS = 18  # on the longer side of a patch: two to three on a radius
+    TEXTURE_LENGTHS = (3.0, 30.0)  # px: of the wall's texture, spectrum 1/f and printed retinas
+    VAGUEST = 0.1  # radii: standard error of a size
+    ROUGHEST = 0.2  # of the light: standard deviation of what is no such spot's

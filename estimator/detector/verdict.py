@@ -10,25 +10,45 @@ from typing import NamedTuple
 import numpy as np
 
 from eyespot.estimator.detector.contour import Region
-from eyespot.estimator.detector.edges import EdgeFit
-from eyespot.estimator.detector.ellipse import covariance_of_axes, shares_of_contour
+from eyespot.estimator.detector.ellipse import (
+    AffineEllipse,
+    contour_points,
+    covariance_of_axes,
+    shares_of_contour,
+)
 from eyespot.estimator.detector.measuring import (
     MeasuredRegion,
     is_coarse,
     measured_in,
     significance_of,
+    small_spot_in,
+    undistorted,
 )
+from eyespot.estimator.detector.pixel_fit import SmallSpot
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import Refine, Verdict
+from eyespot.estimator.detector.tuning import RAYS, Refine, Saturated, Small, Verdict
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
 class Sighting(NamedTuple):
-    """A spot, the contour from which it was measured, and the channel: 0, 1, 2 or GREY."""
+    """A spot, and what shows where to look for it in the next frame.
+
+    Attributes:
+        ellipse: its contour in the frame as it is.
+        half: light on the contour.
+        channel: 0, 1, 2 or GREY.
+    """
 
     spot: Spot
-    fit: EdgeFit
+    ellipse: AffineEllipse
+    half: float
     channel: int
+
+    @property
+    def place(self) -> tuple[AffineEllipse, float, float, int]:
+        """Contour, light on it, width of its edge in radii, and channel."""
+        width = self.spot.edge_width_px / math.sqrt(self.area_px / math.pi)
+        return self.ellipse, self.half, width, self.channel
 
     @property
     def area_px(self) -> float:
@@ -38,6 +58,9 @@ class Sighting(NamedTuple):
 
 def sighting_in(region: Region) -> Sighting | NoSpot:
     """The spot that a region shows, or why it shows none: measure, then judge."""
+    if region.is_small:
+        small = small_spot_in(region)
+        return small if isinstance(small, NoSpot) else _judged_small(region, small)
     significance = significance_of(region) if region.faint else 0.0
     measured = measured_in(region)
     found = measured if isinstance(measured, NoSpot) else _judged(region, measured)
@@ -95,7 +118,55 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
         saturated=region.saturated[region.channel],
     )
-    return Sighting(spot, measured.contour, region.channel)
+    contour = measured.contour
+    return Sighting(spot, contour.ellipse, contour.levels.half, region.channel)
+
+
+def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
+    settings, seen = region.settings, measured.ellipse
+    semi_major, semi_minor, _ = seen.axes()
+    edges = contour_points(seen, np.zeros(RAYS))
+    height, width = region.frame.shape[:2]
+    in_frame = float(((edges > -0.5) & (edges < (width - 0.5, height - 0.5))).all(axis=1).mean())
+    ellipse = undistorted(seen, edges, settings.camera)
+    covariance = covariance_of_axes(ellipse or seen, measured.step_covariance)
+    amplitude, background = measured.amplitude, measured.background
+    low = amplitude < settings.min_contrast * background
+    scatter = math.hypot(measured.texture * background, measured.noise / math.sqrt(semi_minor))
+    significance = amplitude / max(scatter, 1e-30)
+    clipped = region.saturated[region.channel]
+    vague = covariance[3, 3] > (Small.VAGUEST * semi_minor) ** 2
+    for rejected, reason in (
+        (
+            vague,
+            Reason.SATURATED if clipped else Reason.NONE_FOUND,
+        ),
+        (semi_major > settings.max_axis_ratio * semi_minor, Reason.NONE_FOUND),
+        (measured.texture > Small.ROUGHEST, Reason.NONE_FOUND),
+        (measured.steepness < Saturated.CUSP * math.log(2) / 2, Reason.NONE_FOUND),
+        (semi_minor < settings.min_semi_minor_px, Reason.TOO_SMALL),
+        (in_frame < settings.min_coverage, Reason.CLIPPED),
+        (ellipse is None, Reason.NONE_FOUND),
+        (significance < Verdict.FAINTEST and low, Reason.TOO_FAINT),
+    ):
+        if rejected:
+            return NoSpot(reason, significance if reason is Reason.TOO_FAINT else math.nan)
+    assert ellipse is not None  # rejected above
+    semi_major, semi_minor, angle = ellipse.axes()
+    x, y = ellipse.centre.tolist()
+    spot = Spot(
+        x_px=x,
+        y_px=y,
+        semi_major_px=semi_major,
+        semi_minor_px=semi_minor,
+        angle_rad=angle,
+        covariance=covariance,
+        edge_width_px=measured.edge_width * math.sqrt(semi_major * semi_minor),
+        coverage=in_frame,
+        inlier_fraction=1.0,
+        saturated=clipped,
+    )
+    return Sighting(spot, seen, background + amplitude / 2, region.channel)
 
 
 def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
@@ -125,8 +196,7 @@ def is_part_of(region: Region, sighting: Sighting) -> bool:
     distance = math.hypot(x - spot.x_px, y - spot.y_px)
     if region.area_px < Verdict.RIVAL / 2 * sighting.area_px:
         return True
-    levels = sighting.fit.levels
-    bright = region.bright.peak > levels.half and region.channel == sighting.channel
+    bright = region.bright.peak > sighting.half and region.channel == sighting.channel
     reach = 1.0 if bright else Verdict.NEAR_SPOT
     return distance < reach * spot.semi_major_px
 

@@ -388,7 +388,7 @@ def test_both_modes_agree_where_the_threshold_is_the_half_level():
         (SubpixelSettings, "max_axis_ratio", 1),
         (SubpixelSettings, "min_coverage", 0),
         (SubpixelSettings, "min_contrast", -1),
-        (SubpixelSettings, "max_semi_major_px", 10),
+        (SubpixelSettings, "max_semi_major_px", 2),
         (SubpixelSettings, "max_growth", math.nan),
         (LiteralSettings, "order", "both"),
         (LiteralSettings, "median_px", 4),

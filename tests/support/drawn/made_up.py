@@ -149,7 +149,6 @@ def a_footage(**changed: Any) -> Footage:
             pinhole_height_mm=200.0,
         ),
         "instrument": BareFibre(0.25, 6.0),
-        "tip_radius": 0.25,
         "in_view": False,
         "kind": "plane",
         "medium_index": 1.0,

@@ -1,0 +1,294 @@
+"""A small spot's half-maximum ellipse, fitted to its pixels.
+
+A spot of a few pixels has no profiles along rays: the pixel grid hides them. On a wall that is even
+across it, it is a smooth image with ten parameters: an ellipse, the steepness of its edge, the
+height of its light, and a plane under it. They are fitted by least squares (Levenberg 1944).
+
+One family of profiles covers sharp discs, blurred discs and bells: a disc that a Gaussian blurs.
+Without blur it is a disc, and of a disc much smaller than the blur a Gaussian is left. Beams that
+fall more steeply at their centre have exp(-t^p) with p below 2. The slope at the half maximum
+orders them all, so that one number selects the profile. Pixels integrate the light over their area.
+
+The wall's texture multiplies the light. What the residuals contain beyond the camera's noise is
+taken for texture of long waves, a random field with an exponential covariance, and its share of the
+parameters' covariance is added (the sandwich of White 1980).
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.special import i1e
+
+from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.tuning import Small
+
+
+@dataclass(frozen=True, eq=False)
+class SmallSpot:
+    """A spot as its pixels show it; levels in units of the light.
+
+    Attributes:
+        ellipse: of the half maximum.
+        step_covariance: (5, 5), of the parameters of `AffineEllipse.stepped`.
+        steepness: fall of the light at the half maximum, peaks per radius.
+        amplitude: peak above background.
+        background: under the spot's centre.
+        noise: standard deviation of a pixel.
+        texture: standard deviation of what multiplies the light and is no spot's.
+    """
+
+    ellipse: AffineEllipse
+    step_covariance: np.ndarray
+    steepness: float
+    amplitude: float
+    background: float
+    noise: float
+    texture: float
+
+    @property
+    def edge_width(self) -> float:
+        """Edge width in units of the radius (see `Spot.edge_width_px`)."""
+        return 1 / (math.sqrt(2 * math.pi) * self.steepness)
+
+
+class _Model(NamedTuple):
+    """Parameters of a fit; the plane's origin is the centre of the patch, lengths in px."""
+
+    ellipse: AffineEllipse
+    steepness: float
+
+    def stepped(self, step: np.ndarray) -> "_Model":
+        grown = self.steepness * math.exp(min(max(float(step[5]), -0.5), 0.5))
+        low, high = math.exp(_LOG_STEEPNESS[0]), math.exp(_LOG_STEEPNESS[-1])
+        ellipse = self.ellipse.stepped(np.clip(step[:5], -0.3, 0.3)).upright()
+        return _Model(ellipse, min(max(grown, low), high))
+
+    def linearised(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """The light of peak 1 on pixels, and its derivatives by `stepped`, (7, n)."""
+        (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).tolist()
+        x, y = u[None] + _QUADRATURE[:, :1], v[None] + _QUADRATURE[:, 1:]
+        x, y = x - self.ellipse.centre[0], y - self.ellipse.centre[1]
+        cos, sin = a * x + b * y, c * x + d * y
+        t = np.hypot(cos, sin) + 1e-9
+        cos, sin = cos / t, sin / t
+        # A camera's blur has one width all round: an edge is steeper, per radius, on the longer
+        # ones. A bell's flank is as wide as its radius.
+        radius = math.sqrt(abs(np.linalg.det(self.ellipse.shape)))
+        per_px = np.hypot(cos * a + sin * c, cos * b + sin * d)
+        table = _profiles()
+        power = float(np.interp(math.log(self.steepness), _LOG_STEEPNESS, table.powers))
+        scale = self.steepness * (per_px * radius) ** -power
+        z = (t - 1) * scale
+        light, slope, by_steepness = _profile(table.profiles, self.steepness, z)
+        by_radius = -slope * scale
+        rows = [light]
+        rows += [by_radius * cos, by_radius * sin]
+        rows += [by_radius * t * cos * cos, by_radius * t * sin * sin]
+        rows += [by_radius * t * 2 * cos * sin, by_steepness + slope * z]
+        return np.stack([row.mean(axis=0) for row in rows])
+
+
+def fit_to_pixels(
+    light: np.ndarray, x0: float, y0: float, start: AffineEllipse
+) -> SmallSpot | None:
+    """Fit a spot to the light of a patch.
+
+    Args:
+        light: (h, w), linear in the irradiance; NaN where there is nothing to be fitted.
+        x0, y0: column and row of the frame of its first pixel.
+        start: an ellipse that is off by less than half of its radius.
+
+    Returns:
+        None if the fit does not converge, or the pixels do not determine it.
+    """
+    height, width = light.shape
+    seen = np.isfinite(light)
+    rows_seen, columns_seen = np.nonzero(seen)
+    values = light[seen].astype(float)
+    if len(values) < 2 * Small.PARAMETERS:
+        return None
+    u, v = columns_seen + float(x0), rows_seen + float(y0)
+    side = max(height, width) / 2
+    plane = np.stack([np.ones(len(u)), (u - u.mean()) / side, (v - v.mean()) / side])
+    model, damping, settled = _Model(start.upright(), 1.0), 1e-3, False
+    rows, levels, left = _levelled(model, u, v, plane, values)
+    for _ in range(60):
+        columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
+        gram = columns @ columns.T
+        pull = columns @ left
+        gram.flat[:: len(gram) + 1] *= 1 + damping
+        step = np.linalg.lstsq(gram, pull, rcond=None)[0]
+        trial = model.stepped(step)
+        axes = trial.ellipse.axes()
+        if not (axes[1] > 0.5 and axes[0] < 2 * side):
+            return None
+        trial_rows, trial_levels, trial_left = _levelled(trial, u, v, plane, values)
+        if trial_left @ trial_left <= left @ left:
+            settled = bool(np.abs(step[:6]).max() < 1e-3)
+            model, rows, levels, left = trial, trial_rows, trial_levels, trial_left
+            damping = max(damping / 8, 1e-9)
+        else:
+            settled = bool(np.abs(step[:6]).max() < 1e-6)
+            damping *= 8
+        if settled:
+            break
+    if not (settled and levels[0] > 0):
+        return None
+    columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
+    fitted = values - left
+    errors = _errors((u - x0, v - y0), columns, left, fitted)
+    if errors is None:
+        return None
+    covariance, noise, texture = errors
+    return SmallSpot(
+        ellipse=model.ellipse,
+        step_covariance=covariance[:5, :5],
+        steepness=model.steepness,
+        amplitude=float(levels[0]),
+        background=float(levels[1:] @ _plane_at(model.ellipse.centre, u, v, side)),
+        noise=noise,
+        texture=texture,
+    )
+
+
+def _plane_at(centre: np.ndarray, u: np.ndarray, v: np.ndarray, side: float) -> np.ndarray:
+    return np.array([1.0, (centre[0] - u.mean()) / side, (centre[1] - v.mean()) / side])
+
+
+def _levelled(
+    model: _Model, u: np.ndarray, v: np.ndarray, plane: np.ndarray, values: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The model's rows, the best height and plane, and what is left of the values."""
+    rows = model.linearised(u, v)
+    columns = np.concatenate([rows[:1], plane])
+    levels = np.linalg.lstsq(columns @ columns.T, columns @ values, rcond=None)[0]
+    return rows, levels, values - levels @ columns
+
+
+def _errors(
+    at: tuple[np.ndarray, np.ndarray], columns: np.ndarray, left: np.ndarray, fitted: np.ndarray
+) -> tuple[np.ndarray, float, float] | None:
+    """Covariance of the parameters, noise of a pixel, and the texture's standard deviation.
+
+    Variances of noise and texture are estimated from cells of pixels by restricted maximum
+    likelihood (Patterson and Thompson 1971): what the fit has taken of either is accounted for.
+    Their mean over the likelihood is taken, because a few dozen cells leave their ratio open.
+    """
+    size = np.sqrt((columns * columns).sum(axis=1))
+    if not size.min() > 0:
+        return None
+    scaled = columns / size[:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T)
+    if not values[0] > 1e-9:
+        return None
+    inverse = (vectors / values) @ vectors.T
+    side = max(int(max(at[0].max(), at[1].max()) + 1) / Small.CELLS, 1.0)
+    across = int(at[0].max() / side) + 1
+    _, cell = np.unique(
+        (at[1] / side).astype(int) * across + (at[0] / side).astype(int), return_inverse=True
+    )
+    number = np.bincount(cell)
+    means = np.stack([np.bincount(cell, row) for row in (*scaled, left, fitted, *at)]) / number
+    rows, (rest, lit, x, y) = means[: len(scaled)], means[len(scaled) :]
+    root = np.sqrt(number)
+    distance = np.sqrt(np.square(x[:, None] - x) + np.square(y[:, None] - y) + side * side / 6)
+    field = np.mean([np.exp(-distance / length) for length in Small.TEXTURE_LENGTHS], axis=0)
+    field *= np.outer(lit, lit)
+    free = np.linalg.qr((rows * root).T, mode="complete")[0][:, len(rows) :]
+    if free.shape[1] < Small.PARAMETERS:
+        return None
+    ratios, axes = np.linalg.eigh(free.T @ (field * np.outer(root, root)) @ free)
+    squares = np.square(axes.T @ (free.T @ (rest * root)))
+    shares = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 49) / max(ratios[-1], 1e-30)])
+    spread = 1 + np.maximum(ratios, 0) * shares[:, None]
+    noises = (squares / spread).mean(axis=1)
+    likelihood = -0.5 * (
+        np.log(spread).sum(axis=1) + len(ratios) * np.log(np.maximum(noises, 1e-30))
+    )
+    weight = np.exp(likelihood - likelihood.max())
+    weight /= weight.sum()
+    noise, texture = float(weight @ noises), float(weight @ (noises * shares))
+    weighted = rows * number
+    meat = weighted @ field @ weighted.T
+    covariance = noise * inverse + texture * inverse @ meat @ inverse
+    return covariance / np.outer(size, size), math.sqrt(noise), math.sqrt(texture)
+
+
+_HALF = 0.5 / math.sqrt(3)
+_QUADRATURE = np.array([(x, y) for x in (-_HALF, _HALF) for y in (-_HALF, _HALF)])
+"""Gauss-Legendre points of a pixel, exact to the third power of either coordinate."""
+
+_BELL = math.log(2)
+"""Steepness of a Gaussian."""
+_LOG_STEEPNESS = math.log(_BELL) + 0.03 * np.arange(-23, 127)
+_Z = np.linspace(-2.0, 4.0, 1201)
+"""Distance from the half maximum, in units of the peak over the slope there."""
+
+
+def _profile(
+    table: np.ndarray, steepness: float, z: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The profile of that steepness, and its derivatives by z and by the steepness' logarithm."""
+    place = (math.log(steepness) - _LOG_STEEPNESS[0]) / (_LOG_STEEPNESS[1] - _LOG_STEEPNESS[0])
+    row = min(int(place), len(table) - 2)
+    share = place - row
+    both = (1 - share) * table[row] + share * table[row + 1]
+    rise = (table[row + 1] - table[row]) / (_LOG_STEEPNESS[1] - _LOG_STEEPNESS[0])
+    at = np.clip((z - _Z[0]) / (_Z[1] - _Z[0]), 0, len(_Z) - 1.001)
+    first = at.astype(int)
+    share_z = at - first
+    step = both[1:] - both[:-1]
+    light = both[first] + share_z * step[first]
+    slope = np.gradient(both, _Z[1] - _Z[0])
+    slope = slope[first] + share_z * (slope[first + 1] - slope[first])
+    return light, slope, rise[first] + share_z * (rise[first + 1] - rise[first])
+
+
+class _Profiles(NamedTuple):
+    """Profiles by steepness.
+
+    Attributes:
+        profiles: of peak 1 over `_Z`, a row for each of `_LOG_STEEPNESS`.
+        powers: with which the steepness of a spot's radii rises with their length.
+    """
+
+    profiles: np.ndarray
+    powers: np.ndarray
+
+
+@cache
+def _profiles() -> _Profiles:
+    """Blurred discs, and beams with a cusp."""
+    # The light of a disc whose radius is so many times the blur: its integral over the disc falls
+    # with the distance by a Bessel function.
+    sizes = np.concatenate([[0.02], np.geomspace(0.3, 80, 400)])
+    beside = np.linspace(-8, 8, 2001)  # blurs from the disc's edge, where all of its light falls
+    halves, slopes, lights = [], [], []
+    for size in sizes.tolist():
+        distances = np.maximum(size + beside, 0.0)
+        fall = size * np.exp(-0.5 * (distances - size) ** 2) * i1e(size * distances)
+        light = 1 - cumulative_trapezoid(fall, distances, initial=0) / -math.expm1(-0.5 * size**2)
+        half = float(np.interp(-0.5, -light, distances))
+        slope = half * float(np.interp(half, distances, fall)) / -math.expm1(-0.5 * size**2)
+        halves.append(half)
+        slopes.append(slope)
+        lights.append(np.interp((1 + _Z / slope) * half, distances, light, right=0.0))
+    steepness = np.log(np.maximum.accumulate(slopes))
+    rises = np.gradient(steepness, np.log(halves))
+    rows = []
+    for wanted in _LOG_STEEPNESS.tolist():
+        bell = math.exp(wanted)
+        if bell < _BELL * (1 - 1e-9):
+            rows.append(np.exp(-_BELL * np.maximum(1 + _Z / bell, 0) ** (2 * bell / _BELL)))
+            continue
+        k = min(max(int(np.searchsorted(steepness, wanted)), 1), len(sizes) - 1)
+        share = (wanted - steepness[k - 1]) / (steepness[k] - steepness[k - 1])
+        share = min(max(share, 0.0), 1.0)
+        rows.append((1 - share) * lights[k - 1] + share * lights[k])
+    powers = np.interp(_LOG_STEEPNESS, steepness, np.clip(np.nan_to_num(rises), 0, 1))
+    powers[_LOG_STEEPNESS <= math.log(_BELL)] = 0.0
+    return _Profiles(np.array(rows), powers)
