@@ -199,13 +199,13 @@ class Recording:
         assert view is not None
         camera = self.rig.camera
         with in_file(self.source.name):
-            sheet = noise_of_frames(
+            noise = noise_of_frames(
                 self._pairs(),
-                response=view.response,
+                response=replace(view.response, full_scale=None),
                 bit_depth=camera.bit_depth,
                 black_level_dn=camera.black_level_dn,
             )
-        return Recording(self.source, poses=self._poses, rig=self.rig.with_noise(sheet))
+        return Recording(self.source, poses=self._poses, rig=self.rig.with_noise(noise.sheet))
 
     def _pairs(self) -> list[np.ndarray]:
         """Frames in pairs of neighbours."""

@@ -351,7 +351,9 @@ class Rig(Strict):
 
     def with_noise(self, sheet: CameraSheet) -> "Rig":
         """The rig with a camera of this noise."""
-        return self.model_copy(update={"camera": self.camera.model_copy(update={"noise": sheet})})
+        content = self._content() | {"seen": self.seen}
+        content["camera"] = content.get("camera", {}) | {"noise": sheet.model_dump()}
+        return rig_in(content, where="rig", folder=self.folder)
 
     def changed(self, changes: Sequence[str] | Mapping[str, Any], *, where: str = "rig") -> "Rig":
         """The rig with other values: "table.key=value", or {"table.key": value}.

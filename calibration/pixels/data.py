@@ -78,8 +78,8 @@ def footage_of(source: Any) -> Footage:
             f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
             "--rig FILE; `eyespot rig init` writes one."
         )
-    noise, instrument = view.noise, rig.instrument
-    frames = list(recording.source)
+    frames, instrument = list(recording.source), rig.instrument
+    noise = view.noise.for_image(frames[0].image)
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
     known = exposure_s if np.isfinite(exposure_s).all() else None

@@ -63,7 +63,7 @@ def check(
         found.figure().savefig(partial, format=out.suffix.removeprefix(".") or "png", dpi=110)
     table = Table(title=found.title)
     for name in found.lines.columns:
-        table.add_column(name, overflow="fold")
+        table.add_column(name, overflow="fold", no_wrap=name in ("key", "verdict"))
     for row in found.lines.itertuples(index=False):
         table.add_row(*row)
     Console().print(table)
