@@ -5,7 +5,6 @@ A rendered stack contains one. A microscope.json, a camera calibration or a file
 uncertainties of eyespot 0.1 and 0.2 is taken where a rig file is asked for.
 """
 
-import json
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -34,6 +33,7 @@ from eyespot.formats.settings_files import (
     PairKey,
     ShareKey,
     SigmaKey,
+    change_of,
     merged,
     parsed_change,
     problems_of,
@@ -365,7 +365,7 @@ class Rig(Strict):
             return self
         content = self._content()
         if isinstance(changes, Mapping):
-            changes = [f"{key}={json.dumps(value)}" for key, value in changes.items()]
+            changes = [change_of(*item) for item in changes.items()]
         for change in changes:
             content = merged(content, parsed_change(change))
         return rig_in(content | {"seen": self.seen}, where=where, folder=self.folder)

@@ -54,6 +54,18 @@ def parsed_change(change: str) -> dict[str, Any]:
     return nested(key.split("."), value)
 
 
+def change_of(key: str, value: Any) -> str:
+    """A change as text, which `parsed_change` reads."""
+    return f"{key}={_inline(value)}"
+
+
+def _inline(value: Any) -> str:
+    """A value as TOML, a table in one line."""
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{name} = {_inline(own)}" for name, own in value.items()) + " }"
+    return tomli_w.dumps({"value": value}).partition("=")[2].strip()
+
+
 def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
     """A value in the tables that lead to it."""
     for part in reversed(path):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,6 +24,7 @@ from pydantic import (
 from eyespot.estimator.run.exit_codes import option
 from eyespot.estimator.run.progress_bar import say
 from eyespot.formats.inputs import InputError, shortened
+from eyespot.formats.settings_files import change_of
 
 if TYPE_CHECKING:
     from eyespot.estimator.detector.literal import LiteralSettings
@@ -97,7 +97,7 @@ def _point(given: Any) -> tuple[float, float] | None:
 def changes_of(given: Any) -> Any:
     """Changes as KEY=VALUE, also of {KEY: VALUE}."""
     if isinstance(given, Mapping):
-        return tuple(f"{key}={json.dumps(value)}" for key, value in given.items())
+        return tuple(change_of(*item) for item in given.items())
     return tuple(given) if isinstance(given, list) else given
 
 
