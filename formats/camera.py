@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import cv2
@@ -131,7 +131,7 @@ GREY = -1
 GREY_WEIGHTS = (0.299, 0.587, 0.114)
 """Weights of red, green and blue, as in cv2's RGB2GRAY."""
 
-_VIDEO_BLACK, VIDEO_WHITE = 16 / 255, 235 / 255
+VIDEO_BLACK, VIDEO_WHITE = 16 / 255, 235 / 255
 """Black and white of video, as fractions of full scale (ITU-R BT.601)."""
 _BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
 
@@ -225,9 +225,7 @@ class Response:
 
     def _inverted(self, fraction: np.ndarray) -> np.ndarray:
         if self.limited:
-            fraction = (fraction - np.float32(_VIDEO_BLACK)) / np.float32(
-                VIDEO_WHITE - _VIDEO_BLACK
-            )
+            fraction = (fraction - np.float32(VIDEO_BLACK)) / np.float32(VIDEO_WHITE - VIDEO_BLACK)
         if self.curve == "linear":
             return fraction
         # Floats may exceed full scale, but not grow without limit.
@@ -292,8 +290,7 @@ class CameraSheet(Strict):
         return (1 << self.bit_depth) - 1
 
 
-_CHANNELS = 3
-_JPEG_DN2 = _CHANNELS * 2.5**2 / 12
+_JPEG_DN2 = 2.5**2 / 12
 """At quality 90 the waves of a block are rounded to steps of 2 to 3 DN, in all channels alike: a
 mean over them is no better than one."""
 _CLEAR_SIGMAS = 4.0  # least distance of a pixel from black and white, where noise is clipped
@@ -312,10 +309,19 @@ USUAL_CUT = 0.01
 
 @dataclass(frozen=True, eq=False)
 class CameraNoise:
-    """A camera's noise after EMVA 1288, in full wells, from its sheet and its response curve."""
+    """A camera's noise after EMVA 1288, in full wells, from its sheet and its response curve.
+
+    Attributes:
+        channel_count: channels of its images, 3 or 1.
+    """
 
     sheet: CameraSheet
     response: Response
+    channel_count: int = 3
+
+    def for_image(self, image: np.ndarray) -> CameraNoise:
+        """The noise of images, H x W or H x W x 3, like this one."""
+        return replace(self, channel_count=1 if image.ndim == 2 else image.shape[2])
 
     @property
     def full_scale(self) -> int:
@@ -336,14 +342,15 @@ class CameraNoise:
         """Mean light of an image's channels; with noise it can be negative."""
         return self.channels(values).mean(axis=-1, dtype=float)
 
-    def channels(self, values: np.ndarray) -> Float[np.ndarray, "h w 3"]:
-        """Light of an image's channels; with noise it can be negative."""
+    def channels(self, values: np.ndarray) -> Float[np.ndarray, "h w c"]:
+        """Light of an image's channels, c = 1 if it is H x W; with noise it can be negative."""
+        values = values[..., None] if values.ndim == 2 else values
         dark = self.sheet.dark_signal_e / self.sheet.full_well_e
         return (self._straight(values) - self.black) / (1 - self.black) - dark
 
     def variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Variance of the mean over channels for known light, see `channel_variance`."""
-        return self.channel_variance(light) / _CHANNELS
+        return self.channel_variance(light) / self.channel_count
 
     def channel_variance(self, light: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
         """Variance of a channel for known light: shot noise, read noise and rounding.
@@ -358,12 +365,12 @@ class CameraNoise:
         step = np.interp(self._level(light), *self._steps) / (1 - self.black)
         rounded = step**2 / 12
         if own.jpeg:
-            rounded = rounded + _JPEG_DN2 * step**2
+            rounded = rounded + self.channel_count * _JPEG_DN2 * step**2
         return (_BAYER if own.bayer else 1.0) * (counted + rounded)
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""
-        reach = _CLEAR_SIGMAS * np.sqrt(_CHANNELS * self.variance(light))
+        reach = _CLEAR_SIGMAS * np.sqrt(self.channel_variance(light))
         level = self._level(light)
         return (level > reach) & (level < 1 - reach)
 

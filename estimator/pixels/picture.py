@@ -43,16 +43,16 @@ class Mix:
         shares: light of each channel over that of the mixture.
     """
 
-    weights: Float[np.ndarray, "3"]
-    shares: Float[np.ndarray, "3"]
+    weights: Float[np.ndarray, "c"]
+    shares: Float[np.ndarray, "c"]
 
     @classmethod
-    def of_shares(cls, parts: Float[np.ndarray, "3"], light: Float[np.ndarray, "3"]) -> "Mix":
+    def of_shares(cls, parts: Float[np.ndarray, "c"], light: Float[np.ndarray, "c"]) -> "Mix":
         """Of parts that add up to 1, for channels with some mean light, full wells."""
         level = float(np.mean(light))
         return cls(weights=np.asarray(parts) * level / light, shares=light / level)
 
-    def light(self, channels: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w"]:
+    def light(self, channels: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h w"]:
         """The mixture's light."""
         return channels @ self.weights.astype(channels.dtype)
 
@@ -67,7 +67,7 @@ class Mix:
 
 
 def evener_mix(
-    channels: Float[np.ndarray, "h w 3"],
+    channels: Float[np.ndarray, "h w c"],
     usable: Bool[np.ndarray, "h w"],
     window: CellWindow,
     solution: PoseSolution,
@@ -99,9 +99,9 @@ def evener_mix(
     return Mix.of_shares(_most_even(residuals), own.mean(axis=1))
 
 
-def _most_even(residuals: Float[np.ndarray, "3 n"]) -> Float[np.ndarray, "3"]:
+def _most_even(residuals: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "c"]:
     """Parts of the channels, which add up to 1, whose log light has the least variance."""
-    spread = np.cov(residuals)
+    spread = np.atleast_2d(np.cov(residuals))
     spread += _RIDGE * np.trace(spread) * np.eye(len(spread))
     parts = np.linalg.solve(spread, np.ones(len(spread)))
     parts /= parts.sum()
@@ -119,12 +119,12 @@ _SMOOTH = np.stack([np.ones(COUNT**2), *SHADES])
 
 
 class Reference:
-    """An image of the wall, H x W x 3, in the ambient light alone."""
+    """An image of the wall, H x W or H x W x 3, in the ambient light alone."""
 
     def __init__(self, image: np.ndarray, noise: CameraNoise) -> None:
         self._noise = noise
         self._channels = noise.channels(image)
-        self._usable = np.all(image < noise.full_scale, axis=-1)
+        self._usable = np.all(np.atleast_3d(image) < noise.full_scale, axis=-1)
 
     def known_in(self, mix: Mix) -> Callable[[CellWindow], tuple[np.ndarray, np.ndarray]]:
         """What the image says of a window's cells, in a mixture of channels, see `PoseSolver`."""
@@ -167,7 +167,7 @@ differs less from the wall."""
 
 
 def hidden_pixels(
-    channels: Float[np.ndarray, "h w 3"], spot: Outline
+    channels: Float[np.ndarray, "h w c"], spot: Outline
 ) -> Bool[np.ndarray, "h w"] | None:
     """Pixels within a spot that do not show its light, with the border beside them.
 
@@ -218,15 +218,15 @@ class FramePixels:
     """
 
     noise: CameraNoise
-    channels: Float[np.ndarray, "h w 3"]
-    ends: Float[np.ndarray, "3"]
-    full: Bool[np.ndarray, "h w 3"]
+    channels: Float[np.ndarray, "h w c"]
+    ends: Float[np.ndarray, "c"]
+    full: Bool[np.ndarray, "h w c"]
     usable: Bool[np.ndarray, "h w"]
-    saturated: Bool[np.ndarray, "3"]
+    saturated: Bool[np.ndarray, "c"]
 
     @classmethod
     def of(cls, image: np.ndarray, noise: CameraNoise) -> "FramePixels":
-        """All of an image, H x W x 3.
+        """All of an image, H x W or H x W x 3.
 
         Raises:
             InputError: it is brighter than the camera can be.
@@ -236,7 +236,8 @@ class FramePixels:
                 f"the microscope file says that the camera's values end at {noise.full_scale}, but "
                 f"the image has values up to {image.max():g}. Correct camera.bit_depth."
             )
-        usable, saturated = np.ones(image.shape[:2], bool), np.zeros(3, bool)
+        image = np.atleast_3d(image)
+        usable, saturated = np.ones(image.shape[:2], bool), np.zeros(image.shape[2], bool)
         clips = [
             min(clip_level(values, values > values.max() // 2), noise.full_scale)
             for values in np.moveaxis(image, -1, 0)
@@ -255,8 +256,9 @@ class FramePixels:
     def plain_mix(self, spot: Outline) -> Mix:
         """The luminance, which JPEG keeps best, for light of the spot's colour."""
         seen = self._in_middle(self.channels, spot)
-        light = np.maximum(seen.mean(axis=0) if seen.size else np.ones(3), _LEAST)
-        parts = np.array(GREY_WEIGHTS) * light
+        count = len(self.saturated)
+        light = np.maximum(seen.mean(axis=0) if seen.size else np.ones(count), _LEAST)
+        parts = light * (GREY_WEIGHTS if count == 3 else 1.0)
         if not self.saturated.all():
             parts[self.saturated] = 0.0
         return Mix.of_shares(parts / parts.sum(), light)
@@ -275,7 +277,7 @@ class FramePixels:
         )
 
     def _in_middle(self, pixels: np.ndarray, spot: Outline) -> np.ndarray:
-        """Usable pixels about the middle of a spot, n x 3."""
+        """Usable pixels about the middle of a spot, n x c."""
         r = max(_MIDDLE * spot.semi_minor_px, _LEAST_PX)
         rows, columns = (
             slice(max(round(at - r), 0), max(round(at + r) + 1, 0)) for at in (spot.y_px, spot.x_px)

@@ -68,7 +68,7 @@ class PixelRanger:
     Args:
         calibration: of a cone or a lens; its standard errors count.
         microscope: with the camera's noise.
-        reference: image of the wall without the spot, H x W x 3; None if there is none.
+        reference: image of the wall without the spot, H x W or H x W x 3; None if there is none.
         shake_px: least standard deviation of the image's shake along each side, px.
 
     Raises:
@@ -145,7 +145,7 @@ class PixelRanger:
 
         Args:
             outlines: where the spot is, see `outlines_of`.
-            frame: H x W x 3.
+            frame: H x W or H x W x 3.
             direction: of the beam, from the robot, eye frame.
         """
         # Several threads would wait for each other longer than they work on matrices of this size.
