@@ -41,6 +41,8 @@ _MOST_CURVED, _MOST_STEEP = 2.0, 10.0
 and no limit, the noise in a growing spot with a sharp edge was up to 15 % too large."""
 _BESIDE = 2.0
 """How much more may change beside a cell: the foot of an edge changes less than its middle."""
+_UNUSED = 0.1
+"""A channel is not in use if so much fewer of its pixels are above black than of another one."""
 _CLIP = 4.0
 """Standard deviations beyond which a difference is no noise but something that moved."""
 _CLIPPED_VARIANCE = 0.9989
@@ -59,8 +61,8 @@ _CURVATURE_CHI2 = 9.0
 """Improvement of chi squared, three standard errors, from which the square of the light counts."""
 _ROUNDS = 6
 """Repetitions: which cells are good, and their weights, follow from the noise that is measured."""
-_MOST_PAIRS = 60
-"""Pairs of frames, drawn evenly; with 640 x 480 px they have 100,000 cells."""
+_MOST_PIXELS = 10_000_000
+"""Pixels of all pairs, evenly drawn: 32 pairs of 640 x 480 px, in 60,000 places and 2 s."""
 _EXACT_E = 1e15
 
 
@@ -109,17 +111,19 @@ def noise_of_frames(
     )
     camera = CameraNoise(exact, response)
     found = [_compared(*pair, camera.for_image(pair[0])) for pair in _pairs(frames)]
-    parts = zip(*found, strict=True)
-    cells = _Cells(*(np.concatenate(part, axis=-1) for part in parts)) if found else None
-    if cells is None or cells.level.size < _LEVELS * _FEWEST:
-        count = 0 if cells is None else cells.level.size
+    variances, count = None, 0
+    if found:
+        cells = _Cells(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
+        variances, count = _variances(cells), cells.level.size
+    if variances is None:
         raise InputError(
             f"the camera's noise cannot be measured: {len(found)} pairs of unequal neighbouring "
-            f"frames have {count} groups of cells clear of black and white, and "
-            f"{_LEVELS * _FEWEST} are needed. State it in [camera.noise]: full_well_e, "
-            "read_noise_e, black_level_dn and bit_depth, as `eyespot camera` measures them."
+            f"frames have {count} places clear of black and white; at least {_LEVELS * _FEWEST} "
+            "must show a wall at rest in light that changes smoothly. State the noise in "
+            "[camera.noise]: full_well_e, read_noise_e, black_level_dn and bit_depth, as "
+            "`eyespot camera` measures them."
         )
-    constant, shot, square = _variances(cells).tolist()
+    constant, shot, square = variances.tolist()
     full_well = 1.0 / max(shot, 1.0 / _EXACT_E)
     sheet = exact.model_copy(
         update={
@@ -136,10 +140,12 @@ def _pairs(frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
     unequal = [
         (one, other)
         for one, other in itertools.pairwise(frames)
-        if one.shape == other.shape and not np.array_equal(one, other)
+        if one.shape == other.shape
+        and min(one.shape[:2]) >= 3 * _STRIDE_PX
+        and not np.array_equal(one, other)
     ]
-    step = -(-len(unequal) // _MOST_PAIRS) or 1
-    return unequal[::step]
+    pixels = sum(one.shape[0] * one.shape[1] for one, _ in unequal)
+    return unequal[:: math.ceil(pixels / _MOST_PIXELS) or 1]
 
 
 def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _Cells:
@@ -149,6 +155,8 @@ def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _Ce
     before, after = (
         _nine(_means(camera.light(frame).astype(np.float32))) for frame in (first, second)
     )
+    # Codecs of video repeat parts of frames, too.
+    good &= (before != after).any(axis=0)
     gain = (after.mean(axis=0) + _KNOT) / (before.mean(axis=0) + _KNOT)
     # With the knot in proportion to the light, a factor on all of it cancels. Noise reaches below
     # the black level by less than half of the knot.
@@ -188,9 +196,12 @@ def _is_clear(frame: np.ndarray, camera: CameraNoise) -> Bool[np.ndarray, "h w"]
         black, white = VIDEO_BLACK * white, VIDEO_WHITE * white
     planes = np.moveaxis(np.atleast_3d(frame), 2, 0)
     clips = [min(clip_level(plane, plane > plane.max() // 2), white) for plane in planes]
+    lit = np.array([plane > black for plane in planes])
+    shown = lit.sum(axis=(1, 2))
+    # Coloured light does not reach every channel; what is always black adds no noise to the mean.
+    lit |= (shown < _UNUSED * shown.max())[:, None, None]
     return np.all(
-        [(plane > black) & (plane < clip) for plane, clip in zip(planes, clips, strict=True)],
-        axis=0,
+        [on & (plane < clip) for on, plane, clip in zip(lit, planes, clips, strict=True)], axis=0
     )
 
 
@@ -208,8 +219,14 @@ def _nine(means: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "9 m n"
     return np.moveaxis(windows.reshape(*windows.shape[:2], 9), 2, 0)
 
 
-def _variances(cells: _Cells) -> Float[np.ndarray, "3"]:
-    """The variance of a pixel's channel: constant, over the light, and over its square."""
+def _variances(cells: _Cells) -> Float[np.ndarray, "3"] | None:
+    """The variance of a pixel's channel: constant, over the light, and over its square.
+
+    Returns:
+        None if too few cells are good, or the noise is as large as the light.
+    """
+    if cells.level.size < _LEVELS * _FEWEST:
+        return None
     # A quarter of the differences is that small even if every second cell has an edge.
     quiet = np.quantile(np.abs(cells.noise) / np.sqrt(cells.terms[1]), 0.25) / _QUARTER
     expected = quiet**2 * cells.terms[1]
@@ -217,7 +234,9 @@ def _variances(cells: _Cells) -> Float[np.ndarray, "3"]:
     for _ in range(_ROUNDS):
         good = np.flatnonzero(cells.change < np.sqrt(expected))
         order = good[np.argsort(cells.level[good])]
-        groups = np.array_split(order, max(min(_LEVELS, len(order) // _FEWEST), 1))
+        if len(order) < _LEVELS * _FEWEST:
+            return None
+        groups = np.array_split(order, _LEVELS)
         # Of differences over their expected standard deviation, so that all cells of a group count.
         seen = np.array([_clipped_variance((cells.noise**2 / expected)[g]) for g in groups])
         weights = 1.0 / np.hypot(seen * [math.sqrt(2.0 / len(g)) for g in groups], _MODEL_ERROR)
@@ -227,7 +246,7 @@ def _variances(cells: _Cells) -> Float[np.ndarray, "3"]:
         if misfit - less > _CURVATURE_CHI2:
             found = curved
         expected = found @ cells.terms + cells.rounded
-    return found
+    return found if found[2] < 1 else None
 
 
 def _clipped_variance(squares: Float[np.ndarray, "n"]) -> float:

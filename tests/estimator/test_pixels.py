@@ -129,6 +129,19 @@ def test_poses_of_rendered_frames_are_within_their_stated_errors(paper_stack, tm
     assert not any(reader.read(frame).doubt for frame in open_source(paper_stack.folder))
 
 
+def test_poses_of_a_camera_without_colours_are_within_their_stated_errors(paper_stack, tmp_path):
+    reader = reader_in(paper_stack, tmp_path)
+    poses = read_poses(paper_stack.folder / "kinematics.csv")
+    for frame, labels in zip(open_source(paper_stack.folder), paper_stack.labels, strict=True):
+        found = reader.read(
+            dataclasses.replace(frame, image=frame.image[..., 1]), poses=poses
+        ).range
+        assert found is not None
+        (pose,) = found.poses
+        assert pose.chi_squared(labels.tip_mm, labels.axis) < 30
+        assert abs(found.distance_mm - labels.d_mm) < 0.02
+
+
 def test_a_robot_that_is_wrong_by_half_of_its_motion_does_not_pull_the_pose(paper_stack, tmp_path):
     told = list(read_poses(paper_stack.folder / "kinematics.csv"))
     home = np.array(told[0].position_mm)
