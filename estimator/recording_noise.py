@@ -157,6 +157,8 @@ def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _Ce
     )
     # Codecs of video repeat parts of frames, too.
     good &= (before != after).any(axis=0)
+    # What lies farther below the black level than noise is cut, and would seem to have no noise.
+    good &= np.minimum(before.mean(axis=0), after.mean(axis=0)) > -0.5 * _KNOT
     gain = (after.mean(axis=0) + _KNOT) / (before.mean(axis=0) + _KNOT)
     # With the knot in proportion to the light, a factor on all of it cancels. Noise reaches below
     # the black level by less than half of the knot.
@@ -228,8 +230,9 @@ def _variances(cells: _Cells) -> Float[np.ndarray, "3"] | None:
     if cells.level.size < _LEVELS * _FEWEST:
         return None
     # A quarter of the differences is that small even if every second cell has an edge.
-    quiet = np.quantile(np.abs(cells.noise) / np.sqrt(cells.terms[1]), 0.25) / _QUARTER
-    expected = quiet**2 * cells.terms[1]
+    shot = np.maximum(cells.terms[1], np.finfo(float).tiny)  # 0 where all is below the black level
+    quiet = np.quantile(np.abs(cells.noise) / np.sqrt(shot), 0.25) / _QUARTER
+    expected = np.maximum(quiet**2 * shot, cells.rounded)  # drawn frames may have no noise
     found = np.zeros(3)
     for _ in range(_ROUNDS):
         good = np.flatnonzero(cells.change < np.sqrt(expected))
