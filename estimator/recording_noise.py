@@ -66,7 +66,7 @@ _MOST_PIXELS = 10_000_000
 _EXACT_E = 1e15
 
 
-class _Cells(NamedTuple):
+class _NoiseCells(NamedTuple):
     """Differences between two frames in 3 x 3 cells, and their variances by cause, n each.
 
     Attributes:
@@ -113,7 +113,7 @@ def noise_of_frames(
     found = [_compared(*pair, camera.for_image(pair[0])) for pair in _pairs(frames)]
     variances, count = None, 0
     if found:
-        cells = _Cells(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
+        cells = _NoiseCells(*(np.concatenate(part, axis=-1) for part in zip(*found, strict=True)))
         variances, count = _variances(cells), cells.level.size
     if variances is None:
         raise InputError(
@@ -148,7 +148,7 @@ def _pairs(frames: Sequence[np.ndarray]) -> list[tuple[np.ndarray, np.ndarray]]:
     return unequal[:: math.ceil(pixels / _MOST_PIXELS) or 1]
 
 
-def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _Cells:
+def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _NoiseCells:
     """The cells of two frames of the same wall."""
     clear = (_is_clear(first, camera) & _is_clear(second, camera)).astype(np.float32)
     good = (_nine(_means(clear)) > 1 - 0.5 / _CELL_PX**2).all(axis=0)
@@ -182,7 +182,7 @@ def _compared(first: np.ndarray, second: np.ndarray, camera: CameraNoise) -> _Ce
         )
 
     change = np.maximum(curved / _MOST_CURVED, steep / _MOST_STEEP)
-    return _Cells(
+    return _NoiseCells(
         noise=differences(_NOISE[None])[0][good],
         change=np.maximum(change, maximum_filter(change, 3) / _BESIDE)[good],
         level=(before.mean(axis=0) + after.mean(axis=0))[good] / 2,
@@ -221,7 +221,7 @@ def _nine(means: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "9 m n"
     return np.moveaxis(windows.reshape(*windows.shape[:2], 9), 2, 0)
 
 
-def _variances(cells: _Cells) -> Float[np.ndarray, "3"] | None:
+def _variances(cells: _NoiseCells) -> Float[np.ndarray, "3"] | None:
     """The variance of a pixel's channel: constant, over the light, and over its square.
 
     Returns:
