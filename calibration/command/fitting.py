@@ -96,7 +96,7 @@ SHARP_EDGE = 0.05
 core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
 
 
-class Model(NamedTuple):
+class FitModel(NamedTuple):
     """A model and its selectable parameters."""
 
     fit: Callable[[Sequence[RecordedTrial], Choices], Fitted]
@@ -109,12 +109,12 @@ class Model(NamedTuple):
 
 
 MODELS = {
-    "plane": Model(fit_planes),
-    "sphere": Model(fit_sphere),
-    "cone": Model(fit_cone_to_spots, PARAMETERS, CONE),
-    "eye": Model(lambda trials, given: fit_eye(trials, given, given.known), EYE, EYE),
-    "image": Model(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
-    "lens": Model(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
+    "plane": FitModel(fit_planes),
+    "sphere": FitModel(fit_sphere),
+    "cone": FitModel(fit_cone_to_spots, PARAMETERS, CONE),
+    "eye": FitModel(lambda trials, given: fit_eye(trials, given, given.known), EYE, EYE),
+    "image": FitModel(fit_image_of_cone, known_names("cone"), FREE["cone"], of_pixels=True),
+    "lens": FitModel(fit_image_of_lens, known_names("lens"), FREE["lens"], of_pixels=True),
 }
 """Models by their names on the command line."""
 

@@ -35,6 +35,8 @@ from typing import Any, NoReturn
 from cyclopts import CycloptsError
 from cyclopts.exceptions import UnknownOptionError
 
+from eyespot.estimator.run.option_names import moved, option
+
 STOPPED = 128 + signal.SIGINT
 """Exit code of a command that Ctrl-C ended, as shells report it: 130."""
 
@@ -200,11 +202,6 @@ def run_command(app: Callable[[], object]) -> None:
         sys.exit(1 if bugs else 2)
 
 
-def option(name: str) -> str:
-    """How a field is written on the command line."""
-    return f"--{name.replace('_', '-')}"
-
-
 def _reported_bugs() -> bool:
     number = taken()
     if number:
@@ -222,8 +219,6 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     modules = ("pydantic", "eyespot.scenes.machine.variant", "eyespot.formats.inputs")
     pydantic, variant, inputs = map(sys.modules.get, modules)
     if isinstance(error, UnknownOptionError):
-        from eyespot.estimator.run.options import moved
-
         name = (error.token.keyword or error.token.value).lstrip("-").partition("=")[0]
         return moved(name.replace("-", "_")) or str(error)
     if isinstance(error, CycloptsError):

@@ -1,6 +1,7 @@
 """A whole source, read, measured and recorded; and the summary of the run by reason."""
 
 import errno
+import functools
 import math
 from array import array
 from collections import Counter
@@ -37,7 +38,13 @@ _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
 degrees of incidence."""
-_MEASURED_WITH = f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
+
+
+@functools.cache
+def _measured_with() -> str:
+    return f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
+
+
 _SURE = 5.0  # standard errors of that difference
 
 
@@ -63,6 +70,7 @@ class Tracking:
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
         moves: the tip's place (mm) and the tool's axis by the robot, and the distance (mm), of
             frames that have all of them and no doubt (56 bytes a frame).
+        clocks: what the times of frames and poses say that cannot be; empty if nothing.
         fault: what broke it; empty unless `ended` is BROKEN or DISK_FULL.
     """
 
@@ -75,6 +83,7 @@ class Tracking:
     wall_memory: Counter[str] = field(default_factory=Counter)
     pose_ages_s: "array[float]" = field(default_factory=lambda: array("d"))
     moves: "array[float]" = field(default_factory=lambda: array("d"))
+    clocks: str = ""
     ended: Ended = Ended.COMPLETE
     fault: str = ""
 
@@ -155,7 +164,7 @@ def track_source(
     source, poses = recording.source, recording.poses()
     for note in source.notes:
         say(note)
-    tracking = Tracking()
+    tracking, times = Tracking(), array("d")
     write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
@@ -166,6 +175,7 @@ def track_source(
                 show(frame, reading)
             write(record)
             tracking._count(record)
+            times.append(frame.time_s)
             pose = poses.interpolated(frame.time_s) if poses is not None else None
             if pose is not None and record.distance_mm > 0 and not record.reason:
                 tracking.moves.extend((*pose.position_mm, *pose.axis, record.distance_mm))
@@ -181,7 +191,27 @@ def track_source(
         tracking.break_off(error)
     if not tracking.frames:
         raise InputError(f"{source.name} holds no frames. Check that it is the right one.")
+    tracking.clocks = _clocks(np.array(times), poses)
     return tracking
+
+
+def _clocks(times_s: np.ndarray, poses: PoseTrack | None) -> str:
+    """What the times of the frames and of the poses say that cannot be; empty if nothing."""
+    if times_s.size > 1 and np.ptp(times_s) == 0:
+        return (
+            f"All {times_s.size} frames have the time {times_s[0]:.3f} s. Stamp each image with "
+            "its own time."
+        )
+    if poses is None or not len(poses) or np.isnan(times_s).all():
+        return ""
+    first, last = poses.times_s[0], poses.times_s[-1]
+    if times_s.max() >= first and times_s.min() <= last:
+        return ""
+    return (
+        f"No frame has a pose of its time: the frames are of {times_s.min():.3f} to "
+        f"{times_s.max():.3f} s, the poses of {first:.3f} to {last:.3f} s. The clocks differ: "
+        "state robot.clock_offset_s, or record both with one clock."
+    )
 
 
 def track_whole_source(
@@ -248,7 +278,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         pose=pose,
         wall_memory=found.wall.value if found else "",
         doubt=reading.doubt,
-        measured_with=_MEASURED_WITH,
+        measured_with=_measured_with(),
     )
 
 
@@ -266,6 +296,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "doubtful_distances": tracking.doubtful,
         "wall_memory": tracking.wall_memory,
         "contradiction_mm": tracking.contradiction_mm,
+        "clocks": tracking.clocks,
         "median_pose_age_s": median(tracking.pose_ages_s) if tracking.pose_ages_s else None,
         "seconds": round(seconds, 3),
         "ended": tracking.ended.value,
@@ -303,6 +334,8 @@ def table_of(summary: dict[str, Any]) -> Group:
         )
     if summary["median_pose_age_s"] is not None:
         notes.append(f"Median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms.")
+    if summary["clocks"]:
+        notes.append(summary["clocks"])
     if summary["contradiction_mm"] is not None:
         notes.append(
             "The tip withdrew by {:.2f} mm by the robot, by {:.2f} mm by the distances. One of "

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import Recording
-from eyespot.estimator.run.options import MOVED, Options
+from eyespot.estimator.run.option_names import MOVED
+from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.rig_check import checked
 from eyespot.formats.camera import CameraSheet
 from eyespot.formats.inputs import InputError
