@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 _FRAMES_FOR_NOISE = 40  # 20 pairs of 640 x 480 px have a variance to 0.1 %
 Rigs = Rig | str | Path | None
 """A rig, or its file."""
-Poses = "PoseTrack | pd.DataFrame | str | Path | None"
 Changes = Sequence[str] | Mapping[str, Any]
 """Values of a rig to change: "table.key=value", or {"table.key": value}."""
 SPOTS_FILES = (".csv", ".parquet")
@@ -147,11 +146,6 @@ class Recording:
         if Path(self.source.name).suffix.lower() not in SPOTS_FILES:
             return None
         return read_spots(Path(self.source.name))
-
-    @property
-    def has_poses(self) -> bool:
-        """Whether poses were given with the recording."""
-        return self._poses is not None
 
     def poses(self) -> PoseTrack | None:
         """The robot's poses that were given with the recording; None without any.

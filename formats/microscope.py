@@ -148,7 +148,9 @@ class MicroscopeFile:
     distortion_model: Literal["brown", "equidistant"] = "brown"
 
     def __post_init__(self) -> None:
-        """Reject what no microscope can have."""
+        """Reject what no microscope can have; four coefficients of distortion are five."""
+        if self.distortion_model == "brown" and self.distortion.size == 4:
+            object.__setattr__(self, "distortion", np.append(self.distortion, 0.0))
         if self.retina_semi_axes_mm is not None:
             across = min(self.retina_semi_axes_mm[:2])
             if not math.hypot(*self.retina_shift_mm) < across:

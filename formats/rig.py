@@ -391,7 +391,7 @@ def _pinhole(own: MicroscopeKeys, radius_mm: float, height_mm: float) -> Microsc
         camera_matrix=None
         if telecentric
         else np.array([[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]]),
-        distortion=np.array(own.distortion or (0.0, 0.0, 0.0, 0.0)),
+        distortion=np.array(own.distortion or (0.0,) * 5),
         scale_mm_px=scale,
         principal_point_px=(u, v),
         pinhole_height_mm=height_mm,

@@ -1,19 +1,14 @@
-"""Stated uncertainties: TOML file of what a lab knows of its eye, robot and clocks.
+"""Stated uncertainties: what a lab knows of its eye, robot and clocks.
 
-    eye_radius_sigma_mm = 0.2
-    axis_sigma_deg = 0.5
-    clock_sigma_s = 0.005
-
-Every key has a default; what is 0 is taken as known exactly.
+A rig file has them; in eyespot 0.1 and 0.2 they were a file of their own, which `read_rig` reads.
 """
 
-from pathlib import Path
 from typing import Annotated, Self
 
 from pydantic import ConfigDict, Field, model_validator
 from pydantic import Strict as StrictType
 
-from eyespot.formats.inputs import InputError, Strict, in_file, read_toml, validated
+from eyespot.formats.inputs import InputError, Strict
 
 _Sigma = Annotated[float, Field(ge=0, le=1e6)]
 _Degrees = Annotated[float, Field(ge=0, lt=90)]
@@ -74,15 +69,3 @@ class Stated(Strict):
         if low > high:
             raise InputError(f"the least incidence, {low:g} deg, exceeds the largest, {high:g}")
         return self
-
-
-def read_stated(path: str | Path) -> Stated:
-    """Read a file of stated uncertainties.
-
-    Raises:
-        InputError: not such a file; the text names the key, the value and the rule.
-        OSError: the file cannot be read.
-    """
-    path = Path(path)
-    with in_file(path, InputError):
-        return validated(Stated, read_toml(path), remedy="Correct the file.")

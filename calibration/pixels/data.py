@@ -78,6 +78,13 @@ def footage_of(source: Any) -> Footage:
             f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
             "--rig FILE; `eyespot rig init` writes one."
         )
+    if view.distortion_model != "brown" or view.distortion.size > _COEFFICIENTS:
+        raise InputError(
+            f"{recording.source.name}: a fit of pixels takes out a distortion of OpenCV's first "
+            f"{_COEFFICIENTS} coefficients; this lens has {view.distortion.size} "
+            f"({view.distortion_model}). Undistort the images first, or fit the spots (--model "
+            "cone)."
+        )
     frames, instrument = list(recording.source), rig.instrument
     noise = view.noise.for_image(frames[0].image)
     times = np.array([frame.time_s for frame in frames])
@@ -108,6 +115,7 @@ def footage_of(source: Any) -> Footage:
     )
 
 
+_COEFFICIENTS = 5  # k1, k2, p1, p2, k3: what the model of the light has
 _SHOWN = 6.0
 """Noise of a pixel below which the background does not show how long a frame was exposed."""
 

@@ -38,14 +38,12 @@ _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
 degrees of incidence."""
+_SURE = 5.0  # standard errors of that difference
 
 
 @functools.cache
 def _measured_with() -> str:
     return f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
-
-
-_SURE = 5.0  # standard errors of that difference
 
 
 class Ended(Enum):

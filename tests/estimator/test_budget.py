@@ -18,9 +18,10 @@ from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, spot_i
 from eyespot.estimator.run.reader import Reading
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError
+from eyespot.formats.rig import read_rig
 from eyespot.formats.spots import NoSpot, Reason, read_spots
 from eyespot.formats.stack import read_stack
-from eyespot.formats.stated import Stated, read_stated
+from eyespot.formats.stated import Stated
 from eyespot.scenes import load_scene, render_stack
 from eyespot.scenes.world.labels import true_calibration
 from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
@@ -295,7 +296,7 @@ def test_a_wrong_stated_file_is_named_with_its_key(tmp_path, text, word):
     path = tmp_path / "stated.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=word) as caught:
-        read_stated(path)
+        read_rig(path)
     assert str(path) in str(caught.value)
 
 
