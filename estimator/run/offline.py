@@ -1,6 +1,7 @@
 """A whole source, read, measured and recorded; and the summary of the run by reason."""
 
 import errno
+import functools
 import math
 from array import array
 from collections import Counter
@@ -37,7 +38,6 @@ _CONTRADICTED = 0.07
 """Relative difference of the distances' change from the robot's travel that is a contradiction: a
 beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
 degrees of incidence."""
-_MEASURED_WITH = f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
 _SURE = 5.0  # standard errors of that difference
 
 
@@ -223,6 +223,11 @@ def _readings(
         yield frame, reading
 
 
+@functools.cache
+def _versions() -> str:
+    return f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
+
+
 def record_of(frame: Frame, reading: Reading) -> SpotRecord:
     """The line of a spots file for a frame."""
     budget, found = reading.budget, reading.range
@@ -245,7 +250,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         pose=pose,
         wall_memory=found.wall.value if found else "",
         doubt=reading.doubt,
-        measured_with=_MEASURED_WITH,
+        measured_with=_versions(),
     )
 
 
