@@ -72,7 +72,8 @@ def errors_page() -> Iterator[str]:
         yield f"| {errno.errorcode[number]} | {cell(advice)} |"
     yield f"\n## Messages of wrong input ({len(found)})\n"
     yield "A message names what is wrong, with value and unit, the rule, and the way out. The words"
-    yield "in braces are replaced by values. In Python these are `formats.inputs.InputError`."
+    yield "in braces are replaced by values. In Python these messages are those of"
+    yield "`eyespot.formats.inputs.InputError`."
     for package in PACKAGES:
         mine = [(file, text) for file, text in found if file.startswith(f"{package}/")]
         yield f"\n### {package} ({len(mine)})\n"

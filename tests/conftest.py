@@ -57,3 +57,16 @@ def _memory_is_limited():
         sys.modules["drjit"].flush_kernel_cache()
         sys.modules["drjit"].flush_malloc_cache()
     gc.collect()
+
+
+@pytest.fixture(scope="module")
+def fast_compilation():
+    """Compile with few optimisations, for a file whose time goes into compiling.
+
+    The light of a lens then takes 21 s of a processor instead of 37 s to compile.
+    """
+    import jax
+
+    jax.config.update("jax_disable_most_optimizations", True)
+    yield
+    jax.config.update("jax_disable_most_optimizations", False)

@@ -41,11 +41,6 @@ degrees of incidence."""
 _SURE = 5.0  # standard errors of that difference
 
 
-@functools.cache
-def _measured_with() -> str:
-    return f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
-
-
 class Ended(Enum):
     """How a run came to its end."""
 
@@ -254,6 +249,11 @@ def _readings(
         yield frame, reading
 
 
+@functools.cache
+def _versions() -> str:
+    return f"eyespot {version('eyespot')}, OpenCV {cv2.__version__}"
+
+
 def record_of(frame: Frame, reading: Reading) -> SpotRecord:
     """The line of a spots file for a frame."""
     budget, found = reading.budget, reading.range
@@ -276,7 +276,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         pose=pose,
         wall_memory=found.wall.value if found else "",
         doubt=reading.doubt,
-        measured_with=_measured_with(),
+        measured_with=_versions(),
     )
 
 

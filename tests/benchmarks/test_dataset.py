@@ -286,8 +286,9 @@ def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_
     busy = out / "train" / ".0000.partial"
     busy.mkdir(parents=True)
     code = (
-        "import sys, pathlib, formats.whole_files; folder = pathlib.Path(sys.argv[1]); "
-        "formats.whole_files.lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
+        "import sys, pathlib; from eyespot.formats.whole_files import lock; "
+        "folder = pathlib.Path(sys.argv[1]); "
+        "lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
     )
     other = subprocess.Popen(
         [sys.executable, "-c", code, str(busy)], stdin=subprocess.PIPE, stdout=subprocess.PIPE

@@ -17,6 +17,8 @@ from eyespot.benchmarks.studies import eccentricity, error_causes
 from eyespot.benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SCALE, K, B, R = 0.0067, 20.0, -5.117, 11.5
 EDGE_PX, PIXELS_PX, SPREAD_PX = 0.03, -0.02, -0.5
 MICROSCOPE, TELECENTRIC, SQUARE, ON_AXIS, CENTRED = range(5)

@@ -22,6 +22,8 @@ from eyespot.calibration.spots.cone_trials import RETINA
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.viewing import load_eye
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 
 def test_the_population_has_the_published_means_and_correlations():
     count = 20_000

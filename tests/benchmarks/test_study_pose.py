@@ -24,6 +24,8 @@ from eyespot.calibration.spots.tool_pose import (
 )
 from eyespot.scenes.world.world import Cone, World
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 CONE = Cone(math.atan(1 / 20), -5.117)
 ONE, THREE = tools_of(*CONE)
 WALL = optics.Sphere(11.5)

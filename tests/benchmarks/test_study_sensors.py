@@ -24,6 +24,8 @@ from eyespot.benchmarks.studies.sensor_views import (
     views,
 )
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 DOWN, POLE = np.array([0.0, 0.0, -1.0]), np.array([0.0, 0.0, -RADIUS_MM])
 
 

@@ -11,6 +11,8 @@ from skimage.measure import EllipseModel
 
 from eyespot import calibration, optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 TRUE = {
     "half_angle": float(np.arctan(1 / 20)),
     "b": -5.117,

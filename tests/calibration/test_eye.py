@@ -19,6 +19,8 @@ from tests.support.coverage import eye_fits
 from tests.support.drawn.made_up import DOME, a_microscope_file, a_spot
 from tests.support.files.fit_files import a_recording
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 
 @pytest.fixture(scope="module")
 def eye():

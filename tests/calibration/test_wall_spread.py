@@ -21,6 +21,8 @@ from tests.support.drawn.made_up import a_footage, a_lens_table, a_microscope
 from tests.support.drawn.scene_tables import scene_of
 from tests.support.light.spread_disc import lit_by_disc, radii
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
 START = {"half_angle": 0.055, "b": -4.5}
 

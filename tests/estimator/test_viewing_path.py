@@ -14,8 +14,10 @@ from eyespot.optics import viewing
 from tests.estimator.test_ranger import B, K, calibration, spot
 from tests.support.drawn.made_up import a_microscope
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 KAPPA = -0.0554
-"""1/mm, of the pinhole that fits this path best up to c = 4 mm (benchmarks.studies.eye)."""
+"""1/mm, of the pinhole that fits this path best up to c = 4 mm (eyespot.benchmarks.studies.eye)."""
 
 
 @pytest.fixture(scope="module")

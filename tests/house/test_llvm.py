@@ -103,22 +103,17 @@ def test_a_library_that_cannot_tell_its_version_counts_as_too_old(tmp_path):
     assert "older than LLVM 16" in find_in(tmp_path).refused[0].reason
 
 
-def test_drjit_runs_on_the_library_that_was_found():
+def test_drjit_runs_on_the_library_that_was_found_and_a_second_variant_is_refused():
     child = run_python(
-        "from eyespot.scenes.machine.variant import load_mitsuba\n"
+        "from eyespot.scenes import load_mitsuba\n"
         "load_mitsuba()\n"
         "import drjit\n"
         "print(*drjit.detail.llvm_version())\n"
+        "load_mitsuba('scalar_rgb')\n"
     )
     found = find_llvm()
     assert found, str(found)
     assert child.stdout.split() == [str(number) for number in found.version], child.stderr
-
-
-def test_a_second_variant_in_one_process_is_refused():
-    child = run_python(
-        "from eyespot.scenes import load_mitsuba\nload_mitsuba()\nload_mitsuba('scalar_rgb')\n"
-    )
     assert "RendererUnavailable" in child.stderr
     assert "Start a new process" in child.stderr
 

@@ -102,14 +102,14 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
 def another_process_writes(out: Path, writer: str) -> Iterator[subprocess.Popen[str]]:
     """A process that has entered a writer of a path and stays there."""
     code = {
-        "render": "formats.stack.StackWriter(out).__enter__()",
-        "study": "out.mkdir(); formats.whole_files.lock(out, of=out)",
-    }.get(writer, "w = formats.whole_files.written_whole(out); w.__enter__()")
+        "render": "stack.StackWriter(out).__enter__()",
+        "study": "out.mkdir(); whole_files.lock(out, of=out)",
+    }.get(writer, "w = whole_files.written_whole(out); w.__enter__()")
     process = subprocess.Popen(
         [
             sys.executable,
             "-c",
-            "import sys, pathlib, formats.stack, formats.whole_files; "
+            "import sys, pathlib; from eyespot.formats import stack, whole_files; "
             f"out = pathlib.Path(sys.argv[1]); {code}; "
             "print('here', flush=True); sys.stdin.read()",
             str(out),

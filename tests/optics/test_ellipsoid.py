@@ -8,6 +8,8 @@ from scipy.optimize import minimize
 
 from eyespot import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 AXES = np.array([11.4, 11.1, 10.1])  # about those of Atchison's emmetropic eye
 TURNED = optics.Ellipsoid(AXES, shift=(0.4, -0.3), tilt=0.15, tilt_azimuth=0.8)
 

@@ -12,6 +12,8 @@ from hypothesis import strategies as st
 from eyespot import optics
 from eyespot.formats.inputs import InputError
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 R_EYE = 11.5
 SCALE = 0.0067
 HALF_ANGLE = float(np.arctan(1 / 20))

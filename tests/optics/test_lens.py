@@ -20,6 +20,8 @@ from eyespot.optics.refraction import fresnel_transmittance, refracted_cosine
 from tests.support.drawn.made_up import DOME, a_lens
 from tests.support.light.lens_quadrature import transmittance
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 AIR, VITREOUS, GLUE = 1.0, 1.336, 1.49
 
 

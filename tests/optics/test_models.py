@@ -7,6 +7,8 @@ import pytest
 
 from eyespot import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 R_EYE, SCALE, K, B = 11.5, 0.0067, 20.0, -5.117
 CONE = {"half_angle": float(np.arctan(1 / K)), "apex_offset": B}
 KNOWN = {"scale": SCALE, "k": K, "b": B, "eye_radius": R_EYE}

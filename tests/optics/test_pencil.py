@@ -9,6 +9,8 @@ import pytest
 from eyespot import optics
 from eyespot.optics import viewing
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SCALE = 0.0067
 PINHOLE_MM = 200.0
 APERTURE = 0.02

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 
 from eyespot import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 WALL = optics.Sphere(11.5)
 CONE: dict[str, Any] = {"half_angle": float(np.arctan(1 / 20)), "apex_offset": -5.117}
 SIGMA_PX = 0.05

@@ -7,6 +7,8 @@ import pytest
 
 from eyespot.optics import viewing
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 DISTANCE_MM = 200.0
 
 

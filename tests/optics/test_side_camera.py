@@ -9,6 +9,8 @@ from eyespot import optics
 from eyespot.formats.inputs import InputError
 from eyespot.optics import viewing
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 RADIUS, SCALE = 12.0, 0.0134
 POINTS = np.array([[0.0, 0.0, -12.0], [1.0, 2.0, -11.0], [-2.0, -2.0, -8.0]])
 

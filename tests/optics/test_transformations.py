@@ -12,6 +12,8 @@ import pytest
 
 from eyespot import optics
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 R_EYE, SCALE = 11.5, 0.0067
 WALL = optics.Sphere(R_EYE)
 PLANE = optics.pole_plane(eye_radius=R_EYE, tilt=0.2)

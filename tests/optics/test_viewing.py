@@ -17,6 +17,8 @@ from eyespot.optics import viewing
 from eyespot.optics.viewing.path import last_medium, parallel_ray
 from tests.support.light import optiland_paths
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SCALE = 0.0067
 OPTILAND = Path(optiland_paths.__file__).with_suffix(".json")
 OPEN_MM = 50.0  # pupil that hides nothing

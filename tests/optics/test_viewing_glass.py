@@ -10,6 +10,8 @@ from eyespot import optics
 from eyespot.optics import viewing
 from tests.support.drawn.scene_tables import BARE, scene_of
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 WIDTH, HEIGHT, SCALE = 96, 72, 0.08
 RADIUS, REFLECTANCE = 12.0, 1e-3  # so dark that the wall does not light itself
 LAMP = np.array([1.0, 0.5, -9.0])

@@ -11,6 +11,8 @@ from scipy.special import iti0k0, k0
 from eyespot import optics
 from tests.support.light.spread_disc import lit_by_disc, radii
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 K, B, R_EYE = 20.0, -5.117, 11.5
 CONE = {"half_angle": float(np.arctan(1 / K)), "apex_offset": B}
 

@@ -10,6 +10,8 @@ from eyespot.scenes.world.labels import spot_labels
 from eyespot.scenes.world.world import World
 from tests.scenes.test_viewing import eye_file, looked_at
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 FINE = {"scale_mm_px": 0.005, "width_px": 192, "height_px": 160, "illumination_mw_mm2": 0.05}
 
 

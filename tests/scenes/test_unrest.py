@@ -9,6 +9,8 @@ from eyespot.scenes.rendering.render import Renderer
 from eyespot.scenes.world.world import World
 from tests.support.drawn.scene_tables import scene_of
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SCALE = 0.04
 _MICROSCOPE = {"width_px": 97, "height_px": 97, "scale_mm_px": SCALE, "pinhole_height_mm": np.inf}
 _STILL = {

@@ -17,6 +17,8 @@ from eyespot.scenes.world.labels import spot_labels
 from eyespot.scenes.world.world import World
 from tests.scenes.test_thin_lens import moments
 
+pytestmark = pytest.mark.usefixtures("fast_compilation")
+
 SMALL = {"width_px": 96, "height_px": 72, "scale_mm_px": 0.04, "pinhole_height_mm": 200.0}
 STILL = {"start_mm": 2.0, "travel_mm": 1.0, "frames": 1}
 
