@@ -192,11 +192,26 @@ def run_command(app: Callable[[], object]) -> None:
         if ctrl_c_was_pressed():
             end_now()
         bugs = _reported_bugs()
-        message = message_of(error)
+        message = message_of(error) or _no_device()
         if message is None or os.environ.get("EYESPOT_TRACEBACK"):
             raise
         print(f"eyespot: {message}", file=sys.stderr)
         sys.exit(1 if bugs else 2)
+
+
+def _no_device() -> str | None:
+    """Why JAX computes nothing, if that is so; its own error may be one without a text."""
+    jax, platforms = sys.modules.get("jax"), os.environ.get("JAX_PLATFORMS")
+    if jax is None or not platforms:
+        return None
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):
+        return (
+            f"JAX finds no device for JAX_PLATFORMS={platforms}. Unset this variable, or set it to "
+            "cpu."
+        )
+    return None
 
 
 def option(name: str) -> str:
