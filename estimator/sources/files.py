@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from eyespot.formats.edit_list import shown_share
 from eyespot.formats.images import (
     check_pixels,
     image_of_page,
@@ -161,7 +162,7 @@ def open_video(path: Path) -> Source:
         turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
         with damage_reported(f"{path}", AGAIN):
             check_pixels(*(capture.get(side) for side in _SIDES))
-    length = int(announced) if 0 < announced < _MOST_FRAMES else None
+    length = round(announced * shown_share(path)) if 0 < announced < _MOST_FRAMES else None
     rate = rate_hz if 0 < rate_hz < math.inf else None
 
     def read() -> Iterator[Frame]:

@@ -1,6 +1,7 @@
 """Frames come out of every kind of source as they went in, or the error says where it breaks."""
 
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
@@ -14,6 +15,7 @@ from eyespot.estimator import SubpixelSettings, track
 from eyespot.estimator.run.offline import Ended
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.edit_list import shown_share
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.drawn.drawn_recording import (
@@ -245,3 +247,24 @@ def test_a_camera_that_stops_by_itself_is_a_fault(camera, images):
 def test_a_camera_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="camera 63 cannot be opened"):
         open_source("63")
+
+
+def test_a_video_that_was_cut_without_encoding_it_again_is_whole(tmp_path):
+    """Of 12 samples at 25 Hz an edit list shows 7, from the sixth on."""
+    path = tmp_path / "cut.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+    for k in range(12):
+        writer.write(np.full((48, 64, 3), 20 * k, np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    entry = data.find(b"elst") + 12
+    assert struct.unpack_from(">IiI", data, entry) == (480, 0, 65536)  # 0.48 s of 1,000 Hz, all
+    own_scale = struct.unpack_from(">I", data, data.find(b"mdhd") + 16)[0]
+    struct.pack_into(">Ii", data, entry, 280, 5 * own_scale // 25)
+    path.write_bytes(data)
+    assert shown_share(path) == pytest.approx(7 / 12)
+    frames = list(open_source(path))
+    assert len(frames) == 7
+    levels = [float(frame.image.mean()) for frame in frames]
+    # The encoding changes a level by a few units, and frames differ by 20.
+    np.testing.assert_allclose(levels, 100 + 20 * np.arange(7), atol=6)
