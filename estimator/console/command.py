@@ -1,6 +1,7 @@
 """The command `eyespot console`."""
 
 import secrets
+import socket
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -69,8 +70,21 @@ def console(
             print(note, file=sys.stderr, flush=True)
         options = options.of_source(first)
         track = (lambda: known) if known is not None else None
+    check_free(host, port)
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
         print(f"Other machines need this token: {token}", flush=True)
     serve(opened, options, folder=folder, host=host, port=port, token=token, poses=track)
+
+
+def check_free(host: str, port: int) -> None:
+    """Refuse an address on which nothing can listen, before it is announced."""
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"the console cannot listen on {host}:{port} ({error.strerror}). Choose another --port "
+            "or --host, or end the program that has it."
+        ) from error
