@@ -107,7 +107,8 @@ def pages_of_frames(file: TiffFile) -> tuple[list[int], bool]:
     end = file.pages.next_page_offset
     file.filehandle.seek(end or 0)
     whole = end is not None and not any(file.filehandle.read(file.tiff.offsetsize))
-    series = [one for one in file.series if not _is_aside(one.keyframe)]
+    # Our own OME-TIFF has the masks of its frames as a second series.
+    series = [one for one in file.series if not _is_aside(one.keyframe) and one.name != "mask"]
     named_axes = bool(series) and series[0].kind != "generic"
     if len(series) > 1 and named_axes and series[0].kind != "shaped":
         raise InputError(f"holds {len(series)} series of images. Save one of them alone")
