@@ -1,6 +1,7 @@
 """The command `eyespot camera`: measures a camera's noise, and writes it into a microscope file."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -47,7 +48,7 @@ def camera(
         )
     with in_file(microscope):
         content = object_in(read_text(microscope))
-    images = [frame.image for frame in open_images(folder).read()]
+    images = [frame.image for frame in replace(open_images(folder), unrelated=False)]
     if len(images) % 2:
         raise InputError(
             f"{folder}: {len(images)} images make no pairs. Give two of each brightness, named so "

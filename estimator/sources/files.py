@@ -12,13 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn, notes_of_aspect
 from eyespot.formats.edit_list import shown_share
+from eyespot.formats.foreign import what_it_is
 from eyespot.formats.images import (
     check_pixels,
     image_of_page,
     opened_tiff,
     pages_of_frames,
+    pixel_aspect,
     read_image,
 )
 from eyespot.formats.inputs import InputError, in_utf8, shortened
@@ -47,10 +49,17 @@ def open_images(path: Path) -> Source:
     if not pictures:
         raise InputError(
             f"{path} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
-            " nor a ROS 2 bag (metadata.yaml). Check the path."
+            f" nor a ROS 2 bag (metadata.yaml). {_others(path) or 'Check the path.'}"
         )
     pictures.sort(key=lambda one: (_natural(one.name), one.name))
     return replace(_images(path, pictures), unrelated=not _is_counted(pictures))
+
+
+def _others(folder: Path) -> str:
+    """What the first file of a folder is, if it is of a kind that is not read."""
+    files = (path for path in sorted(folder.iterdir()) if path.is_file())
+    told = ((path.name, what_it_is(path)) for path in files)
+    return next((f"{name} is {what}." for name, what in told if what), "")
 
 
 def _is_counted(pictures: list[Path]) -> bool:
@@ -74,8 +83,12 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
     def read() -> Iterator[Frame]:
         for index, path in enumerate(pictures):
             name = in_utf8(path.relative_to(folder))
-            with damage_reported(f"{path} (frame {index})", AGAIN):
-                found = read_image(path)
+            try:
+                with damage_reported(f"{path} (frame {index})", AGAIN):
+                    found = read_image(path)
+            except InputError as error:
+                yield Frame(index=index, file_name=name, fault=f"{error}")
+                continue
             yield Frame(index=index, file_name=name, image=found.image, full_scale=found.full_scale)
 
     name = pictures[0] if len(pictures) == 1 else folder
@@ -83,7 +96,8 @@ def _images(folder: Path, pictures: list[Path]) -> Source:
     with suppress(InputError, OSError):  # damage is reported when the frame is read
         if read_image(pictures[0]).orientation != 1:
             notes = (note_of_turn(pictures[0].name),)
-    return Source(name=str(name), read=read, length=len(pictures), notes=notes)
+        notes += notes_of_aspect(pictures[0].name, pixel_aspect(pictures[0]))
+    return Source(name=str(name), read=read, length=len(pictures), notes=notes, gapless=True)
 
 
 def open_tiff(path: Path) -> Source:
@@ -114,7 +128,10 @@ def open_tiff(path: Path) -> Source:
         name=str(path),
         read=read,
         length=len(numbers),
-        notes=(note_of_turn(path.name),) if turned else (),
+        notes=(
+            *((note_of_turn(path.name),) if turned else ()),
+            *notes_of_aspect(path.name, pixel_aspect(path)),
+        ),
     )
 
 
@@ -160,6 +177,7 @@ def open_video(path: Path) -> Source:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
         turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        wide, high = (capture.get(p) for p in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
         with damage_reported(f"{path}", AGAIN):
             check_pixels(*(capture.get(side) for side in _SIDES))
     length = round(announced * shown_share(path)) if 0 < announced < _MOST_FRAMES else None
@@ -178,6 +196,7 @@ def open_video(path: Path) -> Source:
             )
 
     notes = (note_of_turn(path.name),) if turned else ()
+    notes += notes_of_aspect(path.name, wide / high if wide > 0 and high > 0 else 1.0)
     return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
 
 

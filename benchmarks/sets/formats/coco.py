@@ -1,8 +1,9 @@
 """COCO: images with the names that they have in the set, and annotations/SPLIT.json for each split.
 
 The segmentation is the mask of the visible spot in COCO's run lengths, because polygons cannot
-describe the holes and pieces of a partly hidden spot; mask files are left out. An image without a visible spot has no
-annotation. Extra keys contain our labels: all of them in images, the ellipses in annotations.
+describe the holes and pieces of a partly hidden spot; mask files are left out. An image without a
+visible spot has no annotation. Extra keys contain our labels: all of them in images, the ellipses
+in annotations.
 """
 
 import itertools
