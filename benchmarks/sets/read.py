@@ -326,7 +326,6 @@ class Row(NamedTuple):
             **self.planned.parameters,
         }
 
-
     def _half_angle(self) -> float:
         found = self.stack.described("cone.half_angle", float)
         if not 0.0 < found < math.pi / 2:
