@@ -125,3 +125,4 @@ if __name__ == "__main__":
     if not 0 < brightness < 2:
         sys.exit(f"a grey ball in white light has brightness {brightness}")
     print(f"Mitsuba {mi.__version__} can render.")
+    print("Ready. Next: source .venv/bin/activate, then eyespot --help")
