@@ -19,7 +19,7 @@ def shown_share(path: Path) -> float:
     try:
         return min(1.0, _share(_movie(path)))
     # Of an empty generator, of none where one is expected, of cut numbers, of no duration.
-    except (StopIteration, ValueError, struct.error, ZeroDivisionError):
+    except (RuntimeError, StopIteration, ValueError, struct.error, ZeroDivisionError):
         return 1.0  # another format, or damage that the decoder will report
 
 

@@ -195,7 +195,7 @@ def open_video(path: Path) -> Source:
                 f"{path} breaks off at frame {number} of the {length} that it announces. {AGAIN}"
             )
 
-    notes = (note_of_turn(path.name),) if turned else ()
+    notes: tuple[str, ...] = (note_of_turn(path.name),) if turned else ()
     notes += notes_of_aspect(path.name, wide / high if wide > 0 and high > 0 else 1.0)
     return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
 
