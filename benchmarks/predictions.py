@@ -112,6 +112,20 @@ def read_plan(path: Path) -> Plan:
             )
         if plan.quantities != list(QUANTITIES):
             raise InputError(f"quantities must be {', '.join(QUANTITIES)}. {remedy}")
+        named = {name: getattr(plan, name) for name in ("expected", "low", "high", "noise")}
+        named |= zip(plan.uncertain, plan.moved, strict=False)
+        frames = len(plan.times_s)
+        for name, table in named.items():
+            if len(table) != frames or any(len(row) != len(QUANTITIES) for row in table):
+                raise InputError(
+                    f"the table {name!r} must have {frames} rows of {len(QUANTITIES)} "
+                    f"numbers, as times_s and quantities say. {remedy}"
+                )
+        if not frames or len(plan.moved) != len(plan.uncertain):
+            raise InputError(
+                f"a plan needs frames, and a table in `moved` for each uncertain key; got {frames} "
+                f"and {len(plan.moved)} for {len(plan.uncertain)}. {remedy}"
+            )
     return plan
 
 

@@ -25,6 +25,7 @@ from cyclopts.types import NonNegativeInt
 from eyespot import scenes
 from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from eyespot.benchmarks.reporting import STYLE, Report, write_page
+from eyespot.benchmarks.sets.spec import by_dotted_name
 from eyespot.estimator import Reader
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
@@ -323,9 +324,10 @@ def versions() -> dict[str, str]:
 
 def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
     """The first keys in which two requests differ, each with both values."""
-    keys = [key for key in {**found, **asked} if found.get(key) != asked.get(key)]
+    there, here = by_dotted_name(found), by_dotted_name(asked)
+    keys = [key for key in {**there, **here} if there.get(key) != here.get(key)]
     said = [
-        f"{shortened(key)}: {shortened(found.get(key))} instead of {shortened(asked.get(key))}"
+        f"{shortened(key)}: {shortened(there.get(key))} instead of {shortened(here.get(key))}"
         for key in keys[:_MOST_KEYS]
     ]
     return ", ".join(said) + ("" if len(keys) <= _MOST_KEYS else f", and {len(keys)} in all")

@@ -19,10 +19,11 @@ import os
 
 import lazy_loader
 
+from eyespot.formats.cache_folder import cache_folder
+
 # Compilation is half of a short run; the next run takes it from this cache, also the hundreds of
 # programs that take a moment each: for a fit these are five seconds together.
-_caches = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{_caches}/eyespot/jax")
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{cache_folder()}/eyespot/jax")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 # OpenCV and FFmpeg would print their own account of an error that we report once.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")

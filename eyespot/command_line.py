@@ -11,9 +11,9 @@ import io
 import sys
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Annotated
+from typing import Annotated, Any
 
-from cyclopts import App, Parameter
+from cyclopts import App, Group, Parameter
 
 HEAVY = (
     *("cv2", "dask", "distributed", "drjit", "equinox", "jax", "jaxtyping", "lineax"),
@@ -73,6 +73,39 @@ COMMANDS = {
 """By the first word of two, if there are two: each command's function, in a package of `eyespot`,
 and its line in the list."""
 
+TASKS = {
+    "Start": ("scene", "render", "fit", "track"),
+    "Judge": ("budget", "score", "validate", "study", "rivals"),
+    "Data": ("dataset", "export"),
+    "Rig": ("camera", "console", "node", "doctor"),
+    "Plan": ("preregister", "adjudicate"),
+}
+"""What `--help` lists together, in the order in which it is done."""
+
+_EXAMPLE = """\
+How far can you trust a distance measured from a spot of light in a microscope image?
+
+Four commands, from a scene to distances:
+
+    eyespot scene init scene.toml
+    eyespot render scene.toml --out stack
+    eyespot fit stack --out lens.json
+    eyespot track stack --calibration lens.json --out spots.csv
+
+Each command explains itself: eyespot COMMAND --help."""
+
+
+_PANELS = {task: Group(task, sort_key=number) for number, task in enumerate(TASKS)}
+
+
+def _place(name: str) -> dict[str, Any]:
+    """Where `--help` lists a command."""
+    for task, names in TASKS.items():
+        if name in names:
+            return {"group": _PANELS[task], "sort_key": names.index(name)}
+    return {}
+
+
 # No --no-quick beside --quick; of an option that is given twice the last one counts; the default of
 # a flag, or of an option that may be left out, goes without saying.
 _PLAIN = Parameter(
@@ -83,7 +116,8 @@ _PLAIN = Parameter(
 
 app = App(
     name="eyespot",
-    help="How far can you trust a distance measured from a spot of light in a microscope image?",
+    help=_EXAMPLE,
+    group_commands=Group("Other", sort_key=len(TASKS)),
     help_epilogue="Set EYESPOT_TRACEBACK=1 in the environment to see where an error comes from.",
     help_format="plaintext",  # importing a markdown parser would double the time of --help
     version=lambda: _version(),
@@ -97,7 +131,7 @@ app = App(
     suppress_keyboard_interrupt=False,
 )
 groups = {"": app} | {
-    name: App(name=name, help=about, default_parameter=_PLAIN)
+    name: App(name=name, help=about, default_parameter=_PLAIN, **_place(name))
     for name, about in (
         ("scene", "Write and check scene files."),
         ("rig", "Write a rig file, and check it with a recording."),
@@ -109,7 +143,8 @@ groups = {"": app} | {
 app.register_install_completion_command(help="Complete words with Tab in bash, zsh and fish.")
 for _name, _group in groups.items():
     for _function, _about in COMMANDS[_name].items():
-        _group.command(f"eyespot.{_function}", help=_about, help_format="markdown")
+        _own = {} if _name else _place(_function.rpartition(":")[2])
+        _group.command(f"eyespot.{_function}", help=_about, help_format="markdown", **_own)
     if _name:
         app.command(_group)
 

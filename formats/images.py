@@ -17,6 +17,7 @@ from typing import IO, TYPE_CHECKING, NamedTuple
 import cv2
 import numpy as np
 
+from eyespot.formats.foreign import LFS_POINTER
 from eyespot.formats.inputs import InputError, read_data
 
 if TYPE_CHECKING:
@@ -107,7 +108,8 @@ def pages_of_frames(file: TiffFile) -> tuple[list[int], bool]:
     end = file.pages.next_page_offset
     file.filehandle.seek(end or 0)
     whole = end is not None and not any(file.filehandle.read(file.tiff.offsetsize))
-    series = [one for one in file.series if not _is_aside(one.keyframe)]
+    # Our own OME-TIFF has the masks of its frames as a second series.
+    series = [one for one in file.series if not _is_aside(one.keyframe) and one.name != "mask"]
     named_axes = bool(series) and series[0].kind != "generic"
     if len(series) > 1 and named_axes and series[0].kind != "shaped":
         raise InputError(f"holds {len(series)} series of images. Save one of them alone")
@@ -264,6 +266,8 @@ def decoded_image(data: bytes) -> DecodedImage:
     """
     if not data:
         raise InputError("is empty")
+    if data.startswith(LFS_POINTER):
+        raise InputError("is a pointer of Git LFS, not the image. Fetch it: git lfs pull")
     # Decoders fill what lacks at the end with grey.
     is_cut = data.startswith(_PNG) and b"IEND" not in data
     if data.startswith(b"\xff\xd8"):  # a JPEG's end of image, and its start of the last scan
@@ -326,6 +330,22 @@ def _checked_header(data: bytes) -> int:
     if images > 1 and image.format in ("PNG", "WEBP"):
         raise InputError(f"is an animation of {images} images. Save them one by one")
     return exif.get(_ORIENTATION, 1)
+
+
+def pixel_aspect(path: Path) -> float:
+    """Width of a pixel over its height, as an image's file states it; 1 if it does not."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with warnings.catch_warnings(), Image.open(path) as image:
+            warnings.simplefilter("ignore")
+            info = image.info
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+        return 1.0
+    # A JPEG without a unit states the aspect alone.
+    alone = info.get("jfif_density") if info.get("jfif_unit") == 0 else None
+    across, down = alone or info.get("dpi") or (1, 1)
+    return float(down) / float(across) if across and down else 1.0
 
 
 def _full_scale(data: bytes, image: np.ndarray) -> float | None:

@@ -7,9 +7,11 @@ can be locked, and the next writer of NAME starts with an empty folder.
 
 import errno
 import fcntl
+import math
 import os
 import shutil
-from collections.abc import Callable, Iterator
+import zipfile
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
@@ -17,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from eyespot.formats.cache_folder import cache_folder
 from eyespot.formats.inputs import InputError
 
 UNFINISHED = ".unfinished"
@@ -259,15 +262,36 @@ def _taken(path: Path) -> InputError:
 
 def cache_file(folder: str, key: str) -> Path:
     """Where arrays are kept."""
-    caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return caches / "eyespot" / folder / f"{key}.npz"
+    return Path(cache_folder(), "eyespot", folder, f"{key}.npz")
 
 
-def kept_arrays(path: Path, compute: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """Arrays by name from a file; if it is missing or damaged, they are computed and written."""
+def _arrays_in(path: Path, names: Collection[str]) -> dict[str, Any]:
+    """The arrays of an .npz file that `np.savez` wrote, if they are these and all finite."""
+    with zipfile.ZipFile(path) as file:
+        for member in file.infolist():
+            # NumPy would take the memory that a header announces before it reads.
+            with file.open(member) as data:
+                np.lib.format.read_magic(data)
+                shape, _, kind = np.lib.format.read_array_header_1_0(data)
+            if math.prod(shape) * kind.itemsize > member.file_size:
+                raise InputError(f"has an array of {shape} in {member.file_size} bytes")
+    with np.load(path) as arrays:
+        found = dict(arrays)
+    if found.keys() != {*names} or not all(np.isfinite(array).all() for array in found.values()):
+        raise InputError("has other arrays, or numbers that are not finite")
+    return found
+
+
+def kept_arrays(
+    path: Path, names: Collection[str], compute: Callable[[], dict[str, Any]]
+) -> dict[str, Any]:
+    """Finite arrays by name from a file; they are computed and written if it lacks them.
+
+    Args:
+        names: of the arrays that `compute` returns.
+    """
     with suppress(InputError), damage_reported(f"{path}", "It is written anew."):
-        with path.open("rb") as file:
-            return dict(np.load(file))
+        return _arrays_in(path, names)
     values = compute()
     # A cache that cannot be written costs time, not results; another process may be writing it.
     with suppress(OSError, InputError):

@@ -9,7 +9,6 @@ import contextlib
 import functools
 import json
 import math
-import os
 import subprocess
 import sys
 import tempfile
@@ -80,7 +79,9 @@ def why_unavailable() -> str | None:
 
 def _environment() -> Path:
     """Python of the environment with the package."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "eyespot"
+    from eyespot.formats.cache_folder import cache_folder  # which that environment does not have
+
+    cache = Path(cache_folder(), "eyespot")
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     home = cache / f"{PACKAGE.replace('==', '-')}-python{version}"
     if not home.exists():

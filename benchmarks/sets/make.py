@@ -251,8 +251,10 @@ def _render(
             pure=False,
         )
         rendering = dict(zip(futures, left, strict=True))
-        for future in as_completed(rendering):
-            stack, error = rendering[future], future.exception()
+        for future in as_completed(futures):
+            if future.cancelled():  # the scheduler is gone, and with it all that is not done
+                break
+            stack, error = rendering.pop(future), future.exception()
             if isinstance(error, BeingWrittenError):
                 busy.append(stack)
                 continue
@@ -262,6 +264,12 @@ def _render(
                     raise error  # no other stack can be made either
                 problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
             advance()
+        if rendering:
+            raise SetError(
+                f"the Dask scheduler no longer answers; {len(rendering)} of {len(missing)} stacks "
+                "are still missing. Start the scheduler and its workers again, then run the same "
+                "command: it continues the set."
+            )
         if busy and len(left) > len(busy):
             say(f"Waiting for {len(busy)} stacks that other runs render.")
         left = busy
@@ -402,7 +410,7 @@ def make(
         else local_workers(count, first_core=(part - 1) * count)
     )
     labelled = make_set(settings, out, workers=hired, shard=(part, parts))
-    if labelled.missing:
+    if labelled.missing:  # those of other shards
         print(f"Shard {shard} of {out} is done; {len(labelled.missing)} stacks are still missing.")
     else:
         print(f"Wrote the set {out}: {len(labelled.stacks)} stacks.")

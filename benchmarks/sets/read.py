@@ -322,9 +322,18 @@ class Row(NamedTuple):
             "stack": self.planned.name,
             "condition": self.planned.condition or "",
             # Of a lens, of the effective cone.
-            "cone_k": 1 / math.tan(self.stack.described("cone.half_angle", float)),
+            "cone_k": 1 / math.tan(self._half_angle()),
             **self.planned.parameters,
         }
+
+    def _half_angle(self) -> float:
+        found = self.stack.described("cone.half_angle", float)
+        if not 0.0 < found < math.pi / 2:
+            raise SetError(
+                f"{self.stack.folder / 'stack.toml'}: cone.half_angle must lie in (0, pi/2); got "
+                f"{found:g} rad. {_AGAIN}"
+            )
+        return found
 
 
 def rows(labelled: LabelledSet) -> Iterator[Row]:

@@ -1,6 +1,7 @@
 """The command `eyespot console`."""
 
 import secrets
+import socket
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -73,6 +74,7 @@ def console(
         rig, known = recording.rig, recording.poses()
         open_ = partial(_again, recorded, source, rig)
         track = (lambda: known) if known is not None else None
+    check_free(host, port)
     token = None if is_loopback(host) else secrets.token_urlsafe(9)
     print(f"The console is at http://{host}:{port}. Ctrl-C ends it.", flush=True)
     if token is not None:
@@ -90,3 +92,15 @@ def _again(recorded: RecordingOptions, source: str, rig: "Rig") -> "Source":
 
     again = Recording.open(source, rig=rig, exposure=recorded.exposure, fps=recorded.fps)
     return again.source
+
+
+def check_free(host: str, port: int) -> None:
+    """Refuse an address on which nothing can listen, before it is announced."""
+    try:
+        with socket.create_server((host, port)):
+            pass
+    except OSError as error:
+        raise InputError(
+            f"the console cannot listen on {host}:{port} ({error.strerror}). Choose another --port "
+            "or --host, or end the program that has it."
+        ) from error

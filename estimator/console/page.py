@@ -137,7 +137,7 @@ class Page:
             self._recorded = ui.label().classes("note recorded")
             if session.source.length:
                 self._slider = ui.slider(min=0, max=session.source.length - 1).classes("scrub")
-                self._slider.on("change", lambda event: session.seek(int(event.args)))
+                self._slider.on("change", lambda event: self._seek(event.args))
         self._chart = ui.echart(_chart(robot=session.has_poses)).classes("course")
         ui.label(
             "Click the image to show where the spot is. Keys: space pause, ← → step, F search anew,"
@@ -171,6 +171,11 @@ class Page:
         self._show_reading(view)
         if session.source.length:
             self._slider.set_value(view.number)
+
+    def _seek(self, place: object) -> None:
+        """Show the frame that the slider says; whatever else a browser sends is ignored."""
+        if isinstance(place, int | float) and math.isfinite(place):
+            self._session.seek(int(place))
 
     def _show_reading(self, view: View) -> None:
         reading = view.reading

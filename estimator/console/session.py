@@ -224,12 +224,20 @@ class Session:
             self._command(paused=True, _seek=max(at + frames, 0))
 
     def seek(self, number: int) -> None:
-        """Show a frame of a recording, by its place from 0."""
-        self._command(_seek=number)
+        """Show a frame of a recording, by its place from 0; the nearest, if it has no such one."""
+        length = self.source.length
+        self._command(_seek=max(number, 0) if length is None else min(max(number, 0), length - 1))
 
     def look_at(self, x_px: float, y_px: float) -> None:
-        """Look for the spot at a place: in the next frame, or while paused in the one shown."""
-        self._command(_place=(x_px, y_px))
+        """Look for the spot at a place: in the next frame, or while paused in the one shown.
+
+        The outer half of a pixel at the border belongs to the image, too.
+        """
+        if self.view is None or not (math.isfinite(x_px) and math.isfinite(y_px)):
+            return
+        height, width = self.view.frame.image.shape[:2]
+        place = min(max(x_px, 0.0), width - 1.0), min(max(y_px, 0.0), height - 1.0)
+        self._command(_place=place)
 
     def search(self) -> None:
         """Search the next frame as a whole."""
@@ -305,7 +313,8 @@ class Session:
                 self.at_end = False
                 frames, number = iter(self.source), seek
                 for _ in range(seek):
-                    next(frames, None)
+                    if next(frames, None) is None:
+                        break
                 self._reader.forget()
                 self._course.clear()
             frame = next(frames, None)

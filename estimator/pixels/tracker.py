@@ -293,7 +293,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     key = hashlib.sha256(repr((sorted(parameters.items()), free, sorted(light.items()))).encode())
     for source in (Path(__file__), *sorted(Path(optics.__file__).parent.rglob("*.py"))):
         key.update(source.read_bytes())
-    kept = kept_arrays(cache_file("lens_table", key.hexdigest()), compute)
+    kept = kept_arrays(cache_file("lens_table", key.hexdigest()), LensTable.array_names(), compute)
     spread = _root(calibration.covariance[np.ix_(at, at)])
     least = {"sag": FLATTEST * parameters["aperture_radius"]}  # of a flat end
     sizes = np.array([[max(abs(values[name]), least.get(name, 0.0))] for name in free])

@@ -1,5 +1,6 @@
 """The command `eyespot camera`: measures a camera's noise, and writes it into a rig file."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +42,7 @@ def camera(
             f"{rig}: photon transfer needs a linear response. Record raw frames with gamma 1, and "
             "set camera.response to linear."
         )
-    images = [frame.image for frame in open_images(folder).read()]
+    images = [frame.image for frame in replace(open_images(folder), unrelated=False)]
     if len(images) % 2:
         raise InputError(
             f"{folder}: {len(images)} images make no pairs. Give two of each brightness, named so "

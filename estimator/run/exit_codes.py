@@ -32,7 +32,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, NoReturn
 
-from cyclopts import CycloptsError
+from cyclopts import CycloptsError, MissingArgumentError
 from cyclopts.exceptions import UnknownOptionError
 
 from eyespot.estimator.run.option_names import moved, option
@@ -195,11 +195,26 @@ def run_command(app: Callable[[], object]) -> None:
         if ctrl_c_was_pressed():
             end_now()
         bugs = _reported_bugs()
-        message = message_of(error)
+        message = message_of(error) or _no_device()
         if message is None or os.environ.get("EYESPOT_TRACEBACK"):
             raise
         print(f"eyespot: {message}", file=sys.stderr)
         sys.exit(1 if bugs else 2)
+
+
+def _no_device() -> str | None:
+    """Why JAX computes nothing, if that is so; its own error may be one without a text."""
+    jax, platforms = sys.modules.get("jax"), os.environ.get("JAX_PLATFORMS")
+    if jax is None or not platforms:
+        return None
+    try:
+        jax.devices()
+    except (RuntimeError, AssertionError):
+        return (
+            f"JAX finds no device for JAX_PLATFORMS={platforms}. Unset this variable, or set it to "
+            "cpu."
+        )
+    return None
 
 
 def _reported_bugs() -> bool:
@@ -213,6 +228,18 @@ def _reported_bugs() -> bool:
     return number > 0
 
 
+def _missing(error: CycloptsError) -> str | None:
+    """What a command needs that the user has not given at all; None for other errors."""
+    if not isinstance(error, MissingArgumentError) or error.keyword or error.argument is None:
+        return None
+    if error.argument.tokens:
+        return None
+    command = " ".join(["eyespot", *(error.command_chain or ())])
+    about = (error.argument.parameter.help or "").partition("\n")[0].rstrip(".")
+    name = error.argument.name
+    return f"`{command}` needs {name}{f' ({about})' if about else ''}. See {command} --help."
+
+
 def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
@@ -224,7 +251,7 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
         of_model = message_of(error.__context__, of_options=True) if error.__context__ else None
-        return of_model or str(error)
+        return of_model or _missing(error) or str(error)
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
             f"{option(name) if of_options else name}: {rule}; got {problem['input']!r}"

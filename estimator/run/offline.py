@@ -313,9 +313,11 @@ def table_of(summary: dict[str, Any]) -> Group:
     table.add_section()
     table.add_row("all", str(summary["frames"]))
     if summary["distances"]:
-        table.add_row("with a distance", str(summary["distances"]))
+        # Behind a lens all pixels tell a distance also where too little of an outline is seen.
+        table.add_section()
+        table.add_row("distance, with a spot or without one", str(summary["distances"]))
     for flag, count in summary["doubtful_distances"].items():
-        table.add_row(f"distance {flag.replace('_', ' ')}", str(count))
+        table.add_row(f"of these doubtful: {flag.replace('_', ' ')}", str(count))
     notes = [
         f"{summary['wall_memory'][memory.value]} frames: {memory.meaning}"
         for memory in (WallMemory.MOVED, WallMemory.DROPPED)

@@ -8,17 +8,21 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
-from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn
+from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn, notes_of_aspect
 from eyespot.estimator.sources.times import times_of
+from eyespot.formats.edit_list import shown_share
+from eyespot.formats.foreign import what_it_is
 from eyespot.formats.images import (
     check_pixels,
     image_of_page,
     opened_tiff,
     pages_of_frames,
+    pixel_aspect,
     read_image,
 )
 from eyespot.formats.inputs import InputError, in_utf8, shortened
@@ -49,12 +53,19 @@ def open_images(path: Path, *, fps: float | None = None) -> Source:
     if not pictures:
         raise InputError(
             f"{path} holds no images ({', '.join(IMAGES)}), and is neither a stack (stack.toml)"
-            " nor a ROS 2 bag (metadata.yaml). Check the path."
+            f" nor a ROS 2 bag (metadata.yaml). {_others(path) or 'Check the path.'}"
         )
     pictures.sort(key=lambda one: (_natural(one.name), one.name))
     source = listed_images(pictures, fps=fps)
     # Images whose times are known are a sequence, however they are named.
     return replace(source, unrelated=not (source.rate_hz or _is_counted(pictures)))
+
+
+def _others(folder: Path) -> str:
+    """What the first file of a folder is, if it is of a kind that is not read."""
+    files = (path for path in sorted(folder.iterdir()) if path.is_file())
+    told = ((path.name, what_it_is(path)) for path in files)
+    return next((f"{name} is {what}." for name, what in told if what), "")
 
 
 def _is_counted(pictures: list[Path]) -> bool:
@@ -84,28 +95,33 @@ def listed_images(pictures: Sequence[Path], *, fps: float | None = None) -> Sour
 
     def read() -> Iterator[Frame]:
         for index, path in enumerate(pictures):
-            with damage_reported(f"{path} (frame {index})", AGAIN):
-                found = read_image(path)
-            yield Frame(
-                index=index,
-                file_name=in_utf8(path.name),
-                time_s=float(times.time_s[index]),
-                exposure_s=float(times.exposure_s[index]),
-                image=found.image,
-                full_scale=found.full_scale,
-            )
+            about: dict[str, Any] = {
+                "index": index,
+                "file_name": in_utf8(path.name),
+                "time_s": float(times.time_s[index]),
+                "exposure_s": float(times.exposure_s[index]),
+            }
+            try:
+                with damage_reported(f"{path} (frame {index})", AGAIN):
+                    found = read_image(path)
+            except InputError as error:
+                yield Frame(fault=f"{error}", **about)
+                continue
+            yield Frame(image=found.image, full_scale=found.full_scale, **about)
 
     name = pictures[0] if len(pictures) == 1 else pictures[0].parent
     notes: tuple[str, ...] = ()
     with suppress(InputError, OSError):  # damage is reported when the frame is read
         if read_image(pictures[0]).orientation != 1:
             notes = (note_of_turn(pictures[0].name),)
+        notes += notes_of_aspect(pictures[0].name, pixel_aspect(pictures[0]))
     return Source(
         name=str(name),
         read=read,
         length=len(pictures),
         rate_hz=rate_of(times.time_s),
         notes=notes,
+        gapless=True,
     )
 
 
@@ -143,7 +159,10 @@ def open_tiff(path: Path) -> Source:
         name=str(path),
         read=read,
         length=len(numbers),
-        notes=(note_of_turn(path.name),) if turned else (),
+        notes=(
+            *((note_of_turn(path.name),) if turned else ()),
+            *notes_of_aspect(path.name, pixel_aspect(path)),
+        ),
     )
 
 
@@ -189,9 +208,10 @@ def open_video(path: Path) -> Source:
         announced = capture.get(cv2.CAP_PROP_FRAME_COUNT)
         rate_hz = capture.get(cv2.CAP_PROP_FPS)
         turned = capture.get(cv2.CAP_PROP_ORIENTATION_META)
+        wide, high = (capture.get(p) for p in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN))
         with damage_reported(f"{path}", AGAIN):
             check_pixels(*(capture.get(side) for side in _SIDES))
-    length = int(announced) if 0 < announced < _MOST_FRAMES else None
+    length = round(announced * shown_share(path)) if 0 < announced < _MOST_FRAMES else None
     rate = rate_hz if 0 < rate_hz < math.inf else None
 
     def read() -> Iterator[Frame]:
@@ -206,7 +226,8 @@ def open_video(path: Path) -> Source:
                 f"{path} breaks off at frame {number} of the {length} that it announces. {AGAIN}"
             )
 
-    notes = (note_of_turn(path.name),) if turned else ()
+    notes: tuple[str, ...] = (note_of_turn(path.name),) if turned else ()
+    notes += notes_of_aspect(path.name, wide / high if wide > 0 and high > 0 else 1.0)
     return Source(name=str(path), read=read, length=length, rate_hz=rate, notes=notes)
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eyespot.estimator.sources.arrays import ARRAYS, open_array
 from eyespot.estimator.sources.files import (
     IMAGES,
     TIFF,
@@ -19,6 +20,7 @@ from eyespot.estimator.sources.genicam import GENICAM, open_genicam
 from eyespot.estimator.sources.ros import open_bag
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.camera import checked_frame
+from eyespot.formats.foreign import what_it_is
 from eyespot.formats.inputs import InputError, shortened
 from eyespot.formats.rig import rig_of_stack
 from eyespot.formats.ros_bags import is_bag
@@ -72,6 +74,10 @@ def open_source(
             f"{path} is a pipe, device or socket, which may never end. Give a file, a folder, or "
             "the number of a camera."
         )
+    elif told := what_it_is(path):
+        raise InputError(f"{path} is {told}.")
+    elif path.suffix.lower() in ARRAYS:
+        opened = open_array(path)
     elif path.suffix.lower() in TIFF:
         opened = open_tiff(path)
     elif path.suffix.lower() in IMAGES:

@@ -27,6 +27,20 @@ def note_of_turn(name: object) -> str:
     )
 
 
+_SQUARE = 0.01
+"""How far the aspect of a square pixel is from 1 as files round it."""
+
+
+def notes_of_aspect(name: object, aspect: float) -> tuple[str, ...]:
+    """What to say of a file whose pixels are not square; nothing of others."""
+    if abs(aspect - 1) < _SQUARE:
+        return ()
+    return (
+        f"{name} says that its pixels are {aspect:.3f} times as wide as high. They are measured as"
+        " squares; resample the images, or calibrate the microscope with them.",
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
     """One image of a source.
@@ -63,6 +77,7 @@ class Source:
         labels: of a stack's frames; empty where nobody knows the truth.
         unrelated: frames that are measured one by one, because a spot cannot be followed from one
             to the next.
+        gapless: whether a frame that cannot be decoded ends it, unless its frames are unrelated.
         notes: what a user should know of the file, though it is no error.
     """
 
@@ -75,6 +90,7 @@ class Source:
     poses_file: Path | None = None
     labels: tuple[FrameLabels, ...] = ()
     unrelated: bool = False
+    gapless: bool = False
     notes: tuple[str, ...] = ()
 
     def __iter__(self) -> Iterator[Frame]:
@@ -85,6 +101,8 @@ class Source:
         """
         first = None
         for frame in self.read():
+            if frame.fault and self.gapless and not self.unrelated:
+                raise InputError(frame.fault)
             first = first or frame
             sizes = [f"{one.image.shape[1]}x{one.image.shape[0]} px" for one in (first, frame)]
             if sizes[0] != sizes[1] and not (self.unrelated or first.fault or frame.fault):

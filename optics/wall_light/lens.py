@@ -170,6 +170,11 @@ class LensTable(eqx.Module):
         return {name: np.asarray(part) for name, part in parts.items() if name != "grid"}
 
     @classmethod
+    def array_names(cls) -> set[str]:
+        """Names of `arrays`."""
+        return {*cls.__dataclass_fields__, *Grid._fields} - {"grid"}
+
+    @classmethod
     def of_arrays(cls, kept: Mapping[str, ArrayLike]) -> "LensTable":
         """A table from its `arrays`."""
         arrays = {name: jnp.asarray(part) for name, part in kept.items()}

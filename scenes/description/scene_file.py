@@ -128,7 +128,8 @@ def _merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, 
     motion = change.get("motion")
     kind = motion.get("kind") if isinstance(motion, Mapping) else None
     old = content.get("motion", {})
-    if kind in MOTIONS and isinstance(old, Mapping) and kind != old.get("kind", UNNAMED):
+    known = isinstance(kind, str) and kind in MOTIONS
+    if known and isinstance(old, Mapping) and kind != old.get("kind", UNNAMED):
         content = {**content, "motion": {}}
     return merged(content, change)
 

@@ -53,14 +53,20 @@ def doctor() -> None:
     for heading in ("", "found", "", "what to do"):
         table.add_column(heading, overflow="fold")
     colours = {State.OK: "green", State.NOTE: "yellow", State.MISSING: "red"}
-    something_missing = False
+    missing = []
     for finding in examine():
         # Text, because rich reads square brackets in a string as markup.
         state = Text(finding.state, style=colours[finding.state])
         table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
-        something_missing |= finding.state is State.MISSING
+        if finding.state is State.MISSING:
+            missing.append(finding.what)
     Console().print(table)
-    sys.exit(int(something_missing))
+    if missing:
+        print(f"Not ready: {', '.join(missing)}. Do what the last column says, then run it again.")
+    else:
+        print("Ready: this machine can render, measure and fit.")
+        print("Next: eyespot scene init scene.toml, then eyespot render scene.toml --out stack")
+    sys.exit(int(bool(missing)))
 
 
 def examine() -> Iterator[Finding]:
@@ -71,6 +77,7 @@ def examine() -> Iterator[Finding]:
     yield _variant("llvm_ad_rgb", State.MISSING, "Follow the message, then run `make setup` again.")
     yield _variant("scalar_rgb", State.NOTE, "Not needed, but unexpected. Run `make setup` again.")
     yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. Requires an NVIDIA GPU and its driver.")
+    yield _jax()
     yield Finding("cores", str(len(os.sched_getaffinity(0))))
     memory, remedy = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), ""
     if memory < MEMORY_NEEDED:
@@ -124,6 +131,19 @@ def llvm_findings() -> Iterator[Finding]:
         yield Finding("libLLVM", "none that works", State.MISSING, llvm.remedy)
     for refused in llvm.refused:
         yield Finding("libLLVM, not used", f"{refused.path}: {refused.reason}", State.NOTE)
+
+
+def _jax() -> Finding:
+    """Whether JAX has a device; in its own process, as it would keep the device."""
+    code = "import jax; print(*jax.devices())"
+    child = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=False
+    )
+    if child.returncode == 0:
+        return Finding("JAX's devices", child.stdout.strip())
+    platforms = os.environ.get("JAX_PLATFORMS", "")
+    remedy = "Unset JAX_PLATFORMS, or set it to cpu." if platforms else "Run `make setup` again."
+    return Finding("JAX's devices", f"none (JAX_PLATFORMS={platforms!r})", State.MISSING, remedy)
 
 
 def _variant(variant: str, state_of_failure: State, remedy: str) -> Finding:

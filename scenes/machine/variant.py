@@ -19,6 +19,9 @@ from eyespot.scenes.machine.llvm import (
     find_llvm,
 )
 
+_loaded_in: set[int] = set()
+"""The process that has loaded Mitsuba; a fork of it inherits this, and no thread."""
+
 
 class RendererUnavailable(RuntimeError):
     """This variant of Mitsuba cannot run in this process; the message says what to do."""
@@ -38,6 +41,11 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
         RendererUnavailable: a system library or the GPU is missing, or this process already uses
             another variant.
     """
+    if _loaded_in and os.getpid() not in _loaded_in:
+        raise RendererUnavailable(
+            "this process was forked from one that has rendered, whose threads it lacks; it would "
+            "wait for ever. Use multiprocessing.get_context('spawn')."
+        )
     needs_llvm = variant.startswith("llvm")
     if "drjit" in sys.modules:
         _check_loaded_llvm(needed=needs_llvm)
@@ -71,6 +79,7 @@ def load_mitsuba(variant: str = "llvm_ad_rgb") -> ModuleType:
             f"load_mitsuba({variant!r}): no NVIDIA GPU with a working driver was found. "
             "Use llvm_ad_rgb, which needs none."
         ) from error
+    _loaded_in.add(os.getpid())
     return mitsuba
 
 
@@ -116,3 +125,4 @@ if __name__ == "__main__":
     if not 0 < brightness < 2:
         sys.exit(f"a grey ball in white light has brightness {brightness}")
     print(f"Mitsuba {mi.__version__} can render.")
+    print("Ready. Next: source .venv/bin/activate, then eyespot --help")

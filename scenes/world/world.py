@@ -106,7 +106,7 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
     key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
     for source in LIGHT_FILES:
         key.update((Path(optics.__file__).parent / source).read_bytes())
-    kept = kept_arrays(cache_file("lens_light", key.hexdigest()), compute)
+    kept = kept_arrays(cache_file("lens_light", key.hexdigest()), (*names, "transmitted"), compute)
     table = optics.IrradianceTable(**{name: kept[name] for name in names})
     return LensLight(table, float(kept["transmitted"]))
 

@@ -347,6 +347,27 @@ def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_p
     assert digests(tmp_path / "set") == digests(whole)
 
 
+@pytest.mark.slow
+def test_a_scheduler_that_dies_ends_the_run_with_an_error_and_the_next_run_continues(
+    spec, whole, tmp_path, monkeypatch
+):
+    file = tmp_path / "scheduler.json"
+    scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
+    worker = started("worker", "--scheduler-file", file, "--nthreads", 1)
+    seen_by(lambda done, total: scheduler.kill() if done == 1 else None, monkeypatch)
+    try:
+        while not file.is_file():
+            time.sleep(0.02)
+        with pytest.raises(SetError, match=r"no longer answers; \d of 5 stacks are still missing"):
+            make_set(spec, tmp_path / "set", workers=running_scheduler(str(file)))
+    finally:
+        for process in (worker, scheduler):
+            process.kill()
+            process.wait()
+    make_set(spec, tmp_path / "set", workers=here())
+    assert digests(tmp_path / "set") == digests(whole)
+
+
 def test_a_scheduler_that_does_not_answer_is_named():
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         running_scheduler("tcp://127.0.0.1:9", patience="0.2s").__enter__()

@@ -132,6 +132,17 @@ def test_ome_tiff_holds_the_recording_with_times_and_the_size_of_a_pixel(drawn, 
         assert labels == (drawn / name / "metadata.jsonl").read_bytes()
 
 
+def test_what_is_exported_as_ome_tiff_is_read_as_a_recording(drawn, tmp_path):
+    out = exported(drawn, tmp_path / "tiff", "ome-tiff")
+    for name in NAMES:
+        stack = read_stack(drawn / name)
+        rows = stack.exposed("metered")
+        frames = list(open_source(out / name / "metered.ome.tif"))
+        assert len(frames) == len(rows)
+        for frame, row in zip(frames, rows, strict=True):
+            np.testing.assert_array_equal(frame.image, stack.image(row))
+
+
 @pytest.mark.filterwarnings("ignore:__array__ implementation:DeprecationWarning")  # pycocotools's
 def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(drawn, tmp_path):
     out = exported(drawn, tmp_path / "coco", "coco")
@@ -139,11 +150,12 @@ def test_coco_holds_each_visible_spot_as_the_mask_it_was_labelled_with(drawn, tm
     for split, names in STACKS.items():
         coco = COCO(str(out / "annotations" / f"{split}.json"))
         truth = {
-            f"{split}/{name}/{Path(row.file_name).name}": (row, mask, drawn / split / name)
+            f"{split}/{name}/{row.file_name}": (row, mask, drawn / split / name)
             for name in names
             for row, mask in images_of(drawn / split / name, "mask_file_name")
         }
         assert {entry["file_name"] for entry in coco.imgs.values()} == set(truth)
+        assert not any("mask_file_name" in entry for entry in coco.imgs.values())
         assert [entry["name"] for entry in coco.cats.values()] == ["spot"]
         for number, entry in coco.imgs.items():
             row, mask, stack = truth[entry["file_name"]]

@@ -6,7 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eyespot.benchmarks.predictions import SURE, Judgement, Plan, judged, predicted, read_plan
+from eyespot.benchmarks.predictions import (
+    SURE,
+    Judgement,
+    Plan,
+    _sha256,
+    judged,
+    predicted,
+    read_plan,
+)
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.scenes import changed, load_scene, render_stack, scene_toml
@@ -108,6 +116,17 @@ def test_a_plan_comes_back_and_a_changed_one_is_refused(plan, tmp_path):
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match="changed after it was made"):
         read_plan(path)
+
+
+@pytest.mark.parametrize("name", ["expected", "noise", "moved"])
+def test_a_plan_whose_tables_are_ragged_is_refused(plan, tmp_path, name):
+    content = plan.model_dump(by_alias=True, exclude={"sha256"})
+    table = content["moved"][0] if name == "moved" else content[name]
+    del table[1][-1]
+    again = json.dumps(content | {"sha256": _sha256(json.loads(json.dumps(content)))})
+    (tmp_path / "plan.json").write_text(again)
+    with pytest.raises(InputError, match=r"must have 6 rows of 6 numbers"):
+        read_plan(tmp_path / "plan.json")
 
 
 def test_the_intervals_contain_the_stated_uncertainties_and_the_noise(plan):

@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import Frame, Source
+from eyespot.estimator.console.command import check_free
 from eyespot.estimator.console.guide import Guide, Stage, exposure_advice
 from eyespot.estimator.console.session import Session, View, svg_of
 from eyespot.estimator.distance.range import Range, TipPose
@@ -106,6 +107,36 @@ def test_a_recording_is_paused_stepped_and_sought():
         see(session, 6)
         time.sleep(0.1)  # five frames' time: it must have stayed
         assert shown(session) == (6, pytest.approx(26, abs=0.05))
+
+
+@pytest.mark.parametrize(("place", "shown"), [(10**30, 19), (-5, 0)])
+def test_a_frame_that_is_not_there_is_the_nearest_one(place, shown):
+    with session_of(recording) as session:
+        session.pause(True)
+        session.seek(place)
+        wait_until(lambda: session.view.number == shown, "the nearest frame")
+        assert not session.fault
+
+
+@pytest.mark.parametrize("place", [(-0.5, 100.0), (319.6, 100.0), (160.0, 239.5), (1e308, -1e308)])
+def test_a_click_on_the_border_keeps_the_reading(place):
+    with session_of(recording) as session:
+        session.pause(True)
+        session.seek(3)
+        wait_until(lambda: session.view.number == 3, "the fourth frame")
+        version = session.view.version
+        session.look_at(*place)
+        wait_until(lambda: session.view.version > version, "a new reading")
+        session.look_at(math.nan, 3.0)  # is no place
+        assert not session.fault
+
+
+def test_a_port_that_is_taken_is_refused():
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        with pytest.raises(InputError, match=f"cannot listen on 127.0.0.1:{port} "):
+            check_free("127.0.0.1", port)
+    check_free("127.0.0.1", port)
 
 
 def test_what_is_recorded_is_what_was_shown(tmp_path):

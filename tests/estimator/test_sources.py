@@ -1,19 +1,26 @@
 """Frames come out of every kind of source as they went in, or the error says where it breaks."""
 
+import dataclasses
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
 
 import cv2
+import h5py
 import numpy as np
 import pytest
 import tifffile
+from PIL import Image
 
-from eyespot.estimator import SubpixelSettings, track
+from eyespot.estimator import SubpixelSettings, track, track_whole_source
 from eyespot.estimator.run.offline import Ended
+from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame, Source
+from eyespot.formats.edit_list import shown_share
+from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.drawn.drawn_recording import (
@@ -245,3 +252,92 @@ def test_a_camera_that_stops_by_itself_is_a_fault(camera, images):
 def test_a_camera_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="camera 63 cannot be opened"):
         open_source("63")
+
+
+def test_a_video_that_was_cut_without_encoding_it_again_is_whole(tmp_path):
+    """Of 12 samples at 25 Hz an edit list shows 7, from the sixth on."""
+    path = tmp_path / "cut.mp4"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
+    for k in range(12):
+        writer.write(np.full((48, 64, 3), 20 * k, np.uint8))
+    writer.release()
+    data = bytearray(path.read_bytes())
+    entry = data.find(b"elst") + 12
+    assert struct.unpack_from(">IiI", data, entry) == (480, 0, 65536)  # 0.48 s of 1,000 Hz, all
+    own_scale = struct.unpack_from(">I", data, data.find(b"mdhd") + 16)[0]
+    struct.pack_into(">Ii", data, entry, 280, 5 * own_scale // 25)
+    path.write_bytes(data)
+    assert shown_share(path) == pytest.approx(7 / 12)
+    frames = list(open_source(path))
+    assert len(frames) == 7
+    levels = [float(frame.image.mean()) for frame in frames]
+    # The encoding changes a level by a few units, and frames differ by 20.
+    np.testing.assert_allclose(levels, 100 + 20 * np.arange(7), atol=6)
+
+
+def test_files_that_people_bring_are_named_with_what_to_do(tmp_path):
+    contents = {
+        "eye.dcm": (b"\0" * 128 + b"DICM", "a DICOM file. .*numpy.save"),
+        "eye": (b"\0" * 128 + b"DICM", "a DICOM file"),
+        "sky.fits": (b"SIMPLE  =                    T", "a FITS file"),
+        "photo.nef": (b"MM\0*", "a camera's raw file.*Convert it to TIFF"),
+        "photo.heic": (b"\0\0\0\x18ftypheic", "as phones write it. Convert it to PNG"),
+        "pointer.png": (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+    }
+    for name, (content, words) in contents.items():
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(InputError, match=words):
+            list(open_source(tmp_path / name))
+    (tmp_path / "raw").mkdir()
+    (tmp_path / "raw" / "a.nef").write_bytes(b"MM\0*")
+    with pytest.raises(InputError, match=r"holds no images .* a\.nef is a camera's raw file"):
+        open_source(tmp_path / "raw")
+
+
+@pytest.mark.parametrize("name", ["frames.npy", "frames.npz", "frames.h5"])
+@pytest.mark.parametrize("shape", [(3, 40, 50), (3, 40, 50, 3), (40, 50)])
+def test_arrays_are_read_frame_by_frame(tmp_path, name, shape):
+    frames = np.random.default_rng(1).integers(0, 4096, shape).astype(np.uint16)
+    path = tmp_path / name
+    if name.endswith("npy"):
+        np.save(path, frames)
+    elif name.endswith("npz"):
+        np.savez(path, frames=frames, times=np.arange(3.0))
+    else:
+        with h5py.File(path, "w") as file:
+            file["eye/frames"] = frames
+            file["eye/times"] = np.arange(3.0)
+    source = open_source(path)
+    found = np.stack([frame.image for frame in source])
+    np.testing.assert_array_equal(found, frames if len(shape) > 2 else frames[None])
+    assert source.length == len(found)
+
+
+@pytest.mark.parametrize("array", [np.array(["a"]), np.zeros((0, 4, 4)), np.zeros(5)])
+def test_an_array_without_frames_is_refused_with_its_shape(tmp_path, array):
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(InputError, match=r"must hold one array of frames.*it holds a\.npy"):
+        open_source(tmp_path / "a.npy")
+
+
+def test_a_damaged_image_among_unrelated_ones_is_one_row_with_its_reason(tmp_path):
+    for name in ("red.png", "tall.png", "wide.png"):
+        cv2.imwrite(str(tmp_path / name), np.full((40, 50), 90, np.uint8))
+    whole = (tmp_path / "tall.png").read_bytes()
+    (tmp_path / "tall.png").write_bytes(whole[: len(whole) // 2])
+    source = open_source(tmp_path)
+    assert source.unrelated
+    assert [bool(frame.fault) for frame in source] == [False, True, False]
+    records = track_whole_source(source, Options().reader())
+    assert [record.reason for record in records] == ["none_found", "unreadable", "none_found"]
+    with pytest.raises(InputError, match=r"tall\.png \(frame 1\)"):  # a sequence ends there
+        list(dataclasses.replace(source, unrelated=False))
+
+
+def test_pixels_that_are_not_square_are_said(tmp_path):
+    image = Image.fromarray(np.full((40, 50), 90, np.uint8))
+    image.save(tmp_path / "wide.png", dpi=(300, 150))
+    image.save(tmp_path / "square.png", dpi=(300, 300))
+    (note,) = open_source(tmp_path / "wide.png").notes
+    assert "0.500 times as wide as high" in note
+    assert not open_source(tmp_path / "square.png").notes

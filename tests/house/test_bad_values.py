@@ -3,6 +3,7 @@
 import os
 import shutil
 import struct
+import tracemalloc
 import zlib
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.images import MOST_PIXELS, decoded_image
-from eyespot.formats.inputs import InputError
+from eyespot.formats.inputs import InputError, read_data
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import read_poses
 from eyespot.formats.stack import read_stack
@@ -41,6 +42,17 @@ def test_an_impossible_value_of_a_scene_is_named_and_not_echoed_whole(change, wo
         load_scene(None, [change])
     assert len(str(caught.value)) < 1000
     assert len(str(caught.value).splitlines()) <= 3
+
+
+def test_reading_a_small_file_takes_little_memory(tmp_path):
+    (tmp_path / "small").write_bytes(bytes(1000))
+    tracemalloc.start()
+    try:
+        assert len(read_data(tmp_path / "small", most_bytes=2**30)) == 1000
+        # The content, once more while it is read, and Python's objects.
+        assert tracemalloc.get_traced_memory()[1] < 50_000
+    finally:
+        tracemalloc.stop()
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import os
 import pydantic
 import pytest
 
-from eyespot.command_line import COMMANDS
+from eyespot.command_line import COMMANDS, TASKS
 from eyespot.formats.inputs import InputError
 from eyespot.scenes.machine import doctor
 from eyespot.scenes.machine.llvm import ENVIRONMENT_VARIABLE
@@ -189,3 +189,21 @@ def test_doctor_fails_only_where_something_needed_is_missing(monkeypatch, state,
     finding = doctor.Finding("cores", "2", doctor.State(state))
     monkeypatch.setattr(doctor, "examine", lambda: [finding])
     assert run("doctor").exit_code == code
+
+
+def test_what_is_missing_is_named_and_what_has_no_value_as_well():
+    assert "`eyespot render` needs --out (" in run("render", "scene.toml").stderr
+    assert "--out requires an argument" in run("render", "scene.toml", "--out").stderr
+
+
+def test_help_lists_every_command_by_task():
+    lines = [line.strip("│ ╭─╮") for line in run("--help").stdout.splitlines()]
+    order = [lines.index(task) for task in (*TASKS, "Other")]
+    assert order == sorted(order)
+    named = [name for names in TASKS.values() for name in names]
+    commands = [path.rpartition(":")[2] for path in COMMANDS[""]]
+    groups = [name for name in COMMANDS if name]
+    assert sorted(named) == sorted(commands + groups)
+    # In each task in the order in which it is done.
+    places = [next(i for i, line in enumerate(lines) if line.startswith(f"{n} ")) for n in named]
+    assert places == sorted(places)

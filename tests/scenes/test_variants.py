@@ -9,7 +9,7 @@ import pytest
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.scenes import SceneError, load_scene, render_stack
 from eyespot.scenes.machine.llvm import ENVIRONMENT_VARIABLE
-from tests.support.command_line import run_process
+from tests.support.command_line import run_process, run_python
 
 SCENE = """\
 schema = 1
@@ -71,3 +71,21 @@ def test_scalar_mode_refuses_what_it_cannot_do_in_time(tmp_path, change):
 @pytest.mark.gpu
 def test_a_gpu_renders_the_same_stack(tmp_path):
     compare(tmp_path, "cuda_ad_rgb")
+
+
+_FORK = """
+import os
+from eyespot.scenes import RendererUnavailable, load_mitsuba
+load_mitsuba()
+if os.fork() == 0:
+    try:
+        load_mitsuba()
+    except RendererUnavailable as refused:
+        print(refused, flush=True)
+    os._exit(0)
+os.wait()
+"""
+
+
+def test_a_fork_of_a_process_that_has_rendered_is_refused():
+    assert "get_context('spawn')" in run_python(_FORK).stdout

@@ -1,8 +1,9 @@
-"""COCO: images SPLIT/STACK/000000.png, and annotations/SPLIT.json for each split.
+"""COCO: images with the names that they have in the set, and annotations/SPLIT.json for each split.
 
 The segmentation is the mask of the visible spot in COCO's run lengths, because polygons cannot
-describe the holes and pieces of a partly hidden spot. An image without a visible spot has no
-annotation. Extra keys contain our labels: all of them in images, the ellipses in annotations.
+describe the holes and pieces of a partly hidden spot; mask files are left out. An image without a
+visible spot has no annotation. Extra keys contain our labels: all of them in images, the ellipses
+in annotations.
 """
 
 import itertools
@@ -33,9 +34,11 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
             microscope = read_microscope(stack.folder / "microscope.json")
             size = {"width": microscope.width_px, "height": microscope.height_px}
             for labels in stack.labels:
-                name = f"{entry.qualified_name}/{Path(labels.file_name).name}"
+                name = entry.image_name(labels.file_name)
+                (out / name).parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(stack.path_of(labels.file_name), out / name)
                 row, number = labels.row(), len(images) + 1
+                del row["mask_file_name"]
                 images.append({**row, "id": number, "file_name": name, **size})
                 if (seen := stack.mask(labels) > 0).any():
                     encoded = run_lengths.encode(np.asfortranarray(seen, np.uint8))

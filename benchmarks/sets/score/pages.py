@@ -153,16 +153,20 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         claims.append(
             page.Claim(
                 name=title,
-                sentence=f"{best.entry} has the least median error: {text} {unit}. It misses "
-                f"{100 * best.missed:.1f} % of {best.visible} visible spots.",
+                sentence=(
+                    f"{best.entry} has a median error of {text} {unit}."
+                    if len(total) == 1
+                    else f"{best.entry} has the least median error: {text} {unit}."
+                )
+                + f" It misses {100 * best.missed:.1f} % of {best.visible} visible spots.",
                 value=best["median"],
             )
         )
         picture = page.Picture(
             f"standings_{quantity}",
             _drawn(total, unit),
-            f"{title}: median error of all visible images, and coverage of the stated standard "
-            "deviations, each with its 95 % interval.",
+            f"{title}: median error of all visible images and, of entries that state standard "
+            "deviations, their coverage, each with its 95 % interval.",
             "leaderboard.csv",
         )
         table = page.Table(
@@ -188,6 +192,7 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         data["leaderboard.csv"] = every[every.condition == ALL]
         data["leaderboard_by_condition.csv"] = every
     about = {key: page.Column(key) for key in ("entry", "command", "versions", "seed")}
+    stated = (made[["command", "versions", "seed"]] != "").any(axis=None)
     how = page.Table(made, about, "As the entries state it in entry.json.", data="leaderboard.csv")
     return page.Report(
         title=f"Leaderboard of {name}",
@@ -195,7 +200,10 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         lead=f"Compared with the true ellipse {result.against}. {_RULE}",
         first=first,
         claims=claims,
-        sections=[*sections, page.Section("How the entries were made", how)],
+        sections=[
+            *sections,
+            *([page.Section("How the entries were made", how)] if stated else []),
+        ],
         data=data | {"score.csv": None},
     )
 
@@ -216,9 +224,10 @@ def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:
 
 
 def _drawn(total: pd.DataFrame, unit: str) -> Figure:
-    """Median error and coverage of each entry."""
+    """Median error of each entry and, if any states its errors, their coverage."""
     figure = Figure(figsize=(9.0, 1.1 + 0.32 * len(total)), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True)
+    stated = total.within_196_sigma.notna().any()
+    left, *others = figure.subplots(1, 2 if stated else 1, sharey=True, squeeze=False)[0]
     places = np.arange(len(total))
 
     def points(axes: Axes, name: str, colour: str, label: str, scale: float = 1.0) -> None:
@@ -233,14 +242,15 @@ def _drawn(total: pd.DataFrame, unit: str) -> Figure:
         left.set_xscale("log")
     left.set(xlabel=f"median |e| ({unit})", ylim=(len(total) - 0.5, -0.5))
     left.set_yticks(places, [in_figure(name) for name in total.entry])
-    for name, ideal, colour, label in (
-        ("within_1_sigma", _ONE, page.BLUE, "within 1 σ"),
-        ("within_196_sigma", _WIDE, page.VERMILION, "within 1.96 σ"),
-    ):
-        right.axvline(100 * ideal, color=page.GREY, ls="--", lw=0.8)
-        points(right, name, colour, label, scale=100.0)
-    right.set(xlabel="errors within the stated σ (%)", xlim=(0, 102))
-    right.legend(loc="best")
+    for right in others:
+        for name, ideal, colour, label in (
+            ("within_1_sigma", _ONE, page.BLUE, "within 1 σ"),
+            ("within_196_sigma", _WIDE, page.VERMILION, "within 1.96 σ"),
+        ):
+            right.axvline(100 * ideal, color=page.GREY, ls="--", lw=0.8)
+            points(right, name, colour, label, scale=100.0)
+        right.set(xlabel="errors within the stated σ (%)", xlim=(0, 102))
+        right.legend(loc="best")
     return figure
 
 

@@ -35,6 +35,7 @@ ODD: tuple[Any, ...] = (
     *("", "0", "1e999", "contact", "lens", _LONG, "a\0b", "\ud800", "größer $x$ [b] {0} %s"),
     *("../../../etc/passwd", "/etc/passwd", "frames\\..\\x", ".", "a" * 255, "nan", "\n\n\n"),
     *([], {}, [[]], [1], [1] * 1000, [None], ["a", 1], _DEEP, None, True, False),
+    *(-3, 7.0, 90.0, 360.0, 1e6, -1e-6, 1.0001, "1_0", "\u0663\u0662", "off", "=1+1", [5, 5, 5]),
     *({"uniform": [0, 1]}, {"uniform": [1, 0]}, {"choice": []}, {"kind": "scan"}, {"": {}}),
 )
 """Values of the wrong type, size or meaning."""
