@@ -90,11 +90,14 @@ class Region:
 
 
 def regions_in(
-    frame: np.ndarray, window: Window, settings: SubpixelSettings
+    frame: np.ndarray, window: Window, settings: SubpixelSettings, channel: int | None = None
 ) -> Iterator[Region | NoSpot]:
     """Bright regions of a window, brightest first, and the reasons why others are no spots.
 
     The window is where the spot's body may lie; its edge is followed beyond.
+
+    Args:
+        channel: in which they are to be measured; None chooses the best one for each.
     """
     stride = Search.STRIDE
     window = window.on_grid(stride)
@@ -106,28 +109,34 @@ def regions_in(
         if bright is None:
             yield NoSpot(Reason.TOO_SMALL)
         else:
-            yield _region(frame, window, grey, bright, settings)
+            yield _region(frame, window, grey, bright, settings, channel)
 
 
 def small_regions_in(
-    frame: np.ndarray, window: Window, settings: SubpixelSettings
+    frame: np.ndarray, window: Window, settings: SubpixelSettings, channel: int | None = None
 ) -> Iterator[Region]:
-    """Bright regions of a window that are too small for profiles along rays, brightest first."""
+    """As `regions_in`, of those that are too small for profiles along rays."""
     if min(window.of(frame).shape[:2]) < 5:
         return
     grey = coarse_of(frame, window, GREY, settings, 1)
     smallest = Search.SMALLEST_AREA * math.pi * settings.min_semi_minor_px**2
     for bright in bright_points(grey, min_area=smallest):
-        yield _region(frame, window, grey, bright, settings)
+        yield _region(frame, window, grey, bright, settings, channel)
 
 
 def _region(
-    frame: np.ndarray, window: Window, grey: Coarse, bright: Bright, settings: SubpixelSettings
+    frame: np.ndarray,
+    window: Window,
+    grey: Coarse,
+    bright: Bright,
+    settings: SubpixelSettings,
+    channel: int | None,
 ) -> Region:
     """A bright region of a grey window, in the channel in which it is to be measured."""
     full_scale, stride = settings.response.full_scale_of(frame), grey.stride
     mask = bright.mask.view(np.uint8)
-    channel, clips, full = channel_for(frame, window, stride, mask, full_scale)
+    best, clips, full = channel_for(frame, window, stride, mask, full_scale)
+    channel = best if channel is None else channel
     coarse, faint = grey, bright.is_below(settings.min_contrast)
     if channel != GREY:
         coarse = coarse_of(frame, window, channel, settings, stride)
@@ -222,10 +231,15 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: AffineEllipse) -
     ring = np.rint(radius * Texture.CELLS).astype(int).ravel()
     both = np.stack([logarithms[:, 3], logarithms[:, 3] - texture], axis=1)
     sums = np.stack([np.bincount(ring, column) for column in both.T], axis=1)
-    uneven = bright * (both - (sums / np.maximum(np.bincount(ring), 1)[:, None])[ring])
-    before, after = np.square(uneven).sum(axis=0)
+    rings = (sums / np.maximum(np.bincount(ring), 1)[:, None])[ring]
+    before, after = np.square(bright * (both - rings)).sum(axis=0)
     if after > Texture.BY_CHANCE * before:  # wide patches of another pigment
         return patch
+    on_rings = rings[:, :1] - rings[:, 1:]
+    along_rings = texture[:, None] - on_rings
+    across_rings = on_rings - float((bright * on_rings).sum() / max(bright.sum(), 1e-30))
+    if np.square(bright * across_rings).sum() > np.square(bright * along_rings).sum():
+        return patch  # the colours do not fall off alike
     texture = cv2.exp((texture - np.median(texture)).astype(np.float32)).reshape(cells[::-1])
     texture = cv2.resize(texture, (width, height), interpolation=cv2.INTER_LINEAR)
     return replace(patch, signal=(light + lift[3]) / texture - lift[3])

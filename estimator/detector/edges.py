@@ -71,6 +71,9 @@ def refine_broad(
         # waves, which the contour shows only as far as they are not the light's own slope.
         light = np.where(found, gain - 1, 0.0)
         share, steepness = red_share(light, Broad.TOP_WAVES)
+        # A beam that is no ellipse bends its contour more than texture does, and is as uneven.
+        errors = np.where(fitted[1], offsets - DESIGN @ fitted[0], 0.0)
+        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[0])
         growth = Broad.TOP_OVER_CONTOUR * octaves_middle(Broad.TOP_WAVES) ** steepness
         texture = share * growth * ring_variance(light, Broad.TOP_WAVES) / RAYS
         variance = levels.variance + texture + Broad.PEAK_ERROR**2

@@ -9,7 +9,7 @@ one (`verdict.one_of`). Nothing is measured after the verdict.
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,7 +27,7 @@ from eyespot.estimator.detector.levels import dark_radius
 from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
 from eyespot.estimator.detector.measuring import rim_on
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import Faint, Small, Verdict
+from eyespot.estimator.detector.tuning import Faint, Refine, Small, Verdict
 from eyespot.estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
 from eyespot.formats.camera import Window, checked_frame, without_repeats
 from eyespot.formats.inputs import InputError
@@ -43,11 +43,14 @@ class TrackState:
         spot: the last spot; None before the first and after a loss.
         sighting: the contour that is looked for first: the last spot's, or after a jump that of the
             new spot. Without it the same spot is found, but later.
+        rescaled: standard deviation of the size, relative, since it is measured in another channel
+            than before. Bells differ in size from colour to colour.
     """
 
     at_px: tuple[float, float] | None = None
     spot: Spot | None = None
     sighting: Sighting | None = None
+    rescaled: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse a place that is none."""
@@ -93,12 +96,21 @@ def measure(
     )
     if isinstance(found, NoSpot):
         return found, TrackState()
-    spot = found.spot
+    spot, rescaled = found.spot, state.rescaled
+    if state.spot is not None and state.sighting is not None and _is_broad(state.spot):
+        if found.channel != state.sighting.channel:
+            # How much of the change of size is that of the channel, one frame does not show.
+            growth = spot.semi_minor_px / state.spot.semi_minor_px - 1
+            rescaled = math.hypot(rescaled, growth)
+    if rescaled:
+        axes = np.array([0, 0, spot.semi_major_px, spot.semi_minor_px, 0])
+        covariance = spot.covariance + rescaled**2 * np.outer(axes, axes)
+        spot = replace(spot, covariance=covariance)
     at = (spot.x_px, spot.y_px)
     at = settings.camera.distorted(*at) if settings.camera else at
     if state.spot is not None and not continues(spot, state.spot, settings):
-        return NoSpot(Reason.AMBIGUOUS), TrackState(at_px=at, sighting=found)
-    return spot, TrackState(at_px=at, spot=spot, sighting=found)
+        return NoSpot(Reason.AMBIGUOUS), TrackState(at_px=at, sighting=found, rescaled=rescaled)
+    return spot, TrackState(at_px=at, spot=spot, sighting=found, rescaled=rescaled)
 
 
 def track(
@@ -128,6 +140,12 @@ def _at_last_contour(
     return now if now.spot.coverage > last.spot.coverage - Verdict.LESS_SEEN else None
 
 
+def _is_broad(spot: Spot) -> bool:
+    """Whether its edge is a bell's flank, which has another size in every colour."""
+    size = math.sqrt(spot.semi_major_px * spot.semi_minor_px)
+    return spot.edge_width_px > Refine.BROAD * size
+
+
 def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> Sighting | None:
     """The spot that continues the last one, or the brightest near the start point."""
     if state.at_px is None:
@@ -139,12 +157,17 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         reach += settings.max_jump_px
         half = max(half, reach)
     window = Window.around(*state.at_px, half, half, frame)
-    searches = [regions_in]
+    searches: list[tuple[Callable[..., Iterator[Region | NoSpot]], int | None]]
+    searches = [(regions_in, None)]
     if last is not None:
-        was_small = last.semi_minor_px < Small.LARGEST_PX
-        searches.insert(0 if was_small else 1, small_regions_in)
+        searches.append((small_regions_in, None))
+        if last.semi_minor_px < Small.LARGEST_PX:
+            searches.reverse()
+        if state.sighting is not None and _is_broad(last):
+            search = searches[0][0]
+            searches.insert(0, (search, state.sighting.channel))
     for region in itertools.chain.from_iterable(
-        search(frame, window, settings) for search in searches
+        search(frame, window, settings, channel) for search, channel in searches
     ):
         if isinstance(region, NoSpot) or region.faint:  # a window may show the spot alone
             continue

@@ -89,12 +89,19 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     low = levels.amplitude < settings.min_contrast * levels.background
     significance = levels.amplitude / levels.scatter
     vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
+    # A camera's field stop is a lit disc, too. So large a spot hides its background anyway.
+    half_width, half_height = fit.ellipse.half_extent()
+    rows, columns = region.frame.shape[:2]
+    spans = 2 * max(half_width / columns, half_height / rows)
+    # Dots whose outermost ones lie on an ellipse leave most of it dark.
+    patchy = region.area_px < Verdict.LIT * coverage * math.pi * semi_major * semi_minor
     covered, smallest = settings.min_coverage, settings.min_semi_minor_px
     for rejected, reason in (
-        (not coherent or belonging < Verdict.SHORTEST_ARC, Reason.NONE_FOUND),
+        (not coherent or patchy or belonging < Verdict.SHORTEST_ARC, Reason.NONE_FOUND),
         (semi_major > settings.max_axis_ratio * semi_minor, Reason.NONE_FOUND),
         (semi_minor < smallest, Reason.TOO_SMALL),
         (semi_major > settings.max_semi_major_px, Reason.TOO_LARGE),
+        (spans > Verdict.FIELD, Reason.TOO_LARGE),
         (coverage < covered, Reason.CLIPPED if in_frame < covered else Reason.OCCLUDED),
         (rough, Reason.OCCLUDED if partial else Reason.NONE_FOUND),
         (measured.ellipse is None, Reason.NONE_FOUND),

@@ -195,3 +195,26 @@ def test_both_modes_yield_one_result_a_frame():
     for settings in (LiteralSettings(threshold=150), SubpixelSettings()):
         results = list(track(frames, settings))
         assert [bool(r) for r in results] == [False, True, False]
+
+
+def test_a_violet_bell_keeps_its_channel_while_its_power_rises():
+    # Colour matrices of cameras make the channels of a violet beam differ in width, as drawn here.
+    rng = np.random.default_rng(15)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    channels = ((0.95, 28, 25), (0.55, 18, 17), (1.1, 33, 30))
+    light = np.stack(
+        [
+            height * 0.5 ** (((u - 320.3) / along) ** 2 + ((v - 240.7) / across) ** 2)
+            for height, along, across in channels
+        ],
+        axis=-1,
+    )
+    frames = [
+        np.clip(np.rint(255 * power * light + rng.normal(3, 1.5, light.shape)), 0, 255)
+        for power in (0.5, 0.8, 0.95, 1.02, 1.1)
+    ]
+    for result in track([frame.astype(np.uint8) for frame in frames], SubpixelSettings()):
+        assert isinstance(result, Spot)
+        # Blue, in every frame: red has 25 px, green 17 px. Blue's top is clipped from the third on.
+        assert abs(result.semi_minor_px - 30) < max(4 * result.sigma_semi_minor_px, 0.1)
+        assert result.sigma_semi_minor_px < 1

@@ -13,7 +13,12 @@ from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.formats.spots import Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, light_of
 from tests.support.drawn.drawn_spots import with_glints, with_shaft
-from tests.support.drawn.own_frames import any_ellipse, camera_image, textured_wall
+from tests.support.drawn.own_frames import (
+    any_ellipse,
+    camera_image,
+    photographed_wall,
+    textured_wall,
+)
 
 STEP, AMBIENT = Drawing.amplitude, Drawing.ambient
 
@@ -70,11 +75,42 @@ def ring(rng: np.random.Generator) -> np.ndarray:
     return camera_image(rng, (disc - hole + AMBIENT) * textured_wall(rng))
 
 
+def field_stop(rng: np.random.Generator) -> np.ndarray:
+    """A fundus camera's round field over a retina: it fills the frame's height or more."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    radius = rng.uniform(0.42, 0.6) * SHAPE[0]
+    x, y = SHAPE[1] / 2 + rng.uniform(-30, 30), SHAPE[0] / 2 + rng.uniform(-15, 15)
+    outside = np.hypot(u - x, v - y) - radius
+    stop = np.clip(0.5 - outside / rng.uniform(1, 4), 0, 1)
+    wall = any_wall(rng) if rng.random() < 0.5 else photographed_wall(rng)
+    shade = (
+        1 + rng.uniform(-0.2, 0.2) * (u - x) / radius - rng.uniform(0, 0.4) * (outside / radius + 1)
+    )
+    return camera_image(
+        rng, rng.uniform(60, 200) * (stop * shade)[..., None] * wall + rng.uniform(0, 8)
+    )
+
+
+def lattice(rng: np.random.Generator) -> np.ndarray:
+    """Dots on a grid, round and soft, as of a laser behind a grating; some are brighter."""
+    along, across = _turned(rng, squeezed=rng.uniform(0.6, 1))
+    radius = rng.uniform(3, 25)
+    period = radius * rng.uniform(2.5, 8)
+    column, row = np.round(along / period), np.round(across / period)
+    away = np.hypot(along - period * column, across - period * row) / radius
+    dots = np.exp(-math.log(2) * away ** rng.choice([2, 6]))
+    fade = np.exp(-rng.uniform(0, 0.1) * (column**2 + row**2))
+    light = rng.uniform(60, 300) * dots * fade
+    return camera_image(rng, (AMBIENT + light) * textured_wall(rng))
+
+
 LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "lamps' reflexes": lamps,
     "text": text,
     "hexagons": hexagon,
     "rings": ring,
+    "field stops": field_stop,
+    "lattices": lattice,
 }
 
 
