@@ -138,7 +138,7 @@ def test_the_card_says_which_combinations_are_missing():
         for tilt, lens in itertools.product(np.arange(0.5, 40.0), "ab")
         if lens == "b" or tilt < 20
     ]
-    names = {"name": "x", "licence": "y", "description": {"spec": {"vary": vary}}}
+    names: dict[str, Any] = {"name": "x", "licence": "y", "description": {"spec": {"vary": vary}}}
     found = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
     tilt, lens = found.parameters.itertuples(index=False)
     assert (tilt.asked, tilt.drawn) == ("uniform, 0 to 40", "0.5 to 39.5")

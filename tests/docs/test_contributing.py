@@ -22,7 +22,7 @@ CHECKS = {
         *("tests/optics/test_models.py", "tests/optics/test_transformations.py"),
         *("-k", "telecentric or accounted_for or by_name"),
     ],
-    "source": ["tests/estimator/test_sources.py", "-k", "array"],
+    "source": ["tests/estimator/test_sources.py", "-k", "matlab"],
 }
 HOUSE = ["tests/house/test_imports.py", "-k", "face or itself"]
 

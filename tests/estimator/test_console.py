@@ -114,7 +114,7 @@ def test_a_frame_that_is_not_there_is_the_nearest_one(place, shown):
     with session_of(recording) as session:
         session.pause(True)
         session.seek(place)
-        wait_until(lambda: session.view.number == shown, "the nearest frame")
+        wait_until(lambda: session.view and session.view.number == shown, "the nearest frame")
         assert not session.fault
 
 
@@ -123,10 +123,11 @@ def test_a_click_on_the_border_keeps_the_reading(place):
     with session_of(recording) as session:
         session.pause(True)
         session.seek(3)
-        wait_until(lambda: session.view.number == 3, "the fourth frame")
+        wait_until(lambda: session.view and session.view.number == 3, "the fourth frame")
+        assert session.view is not None
         version = session.view.version
         session.look_at(*place)
-        wait_until(lambda: session.view.version > version, "a new reading")
+        wait_until(lambda: session.view and session.view.version > version, "a new reading")
         session.look_at(math.nan, 3.0)  # is no place
         assert not session.fault
 

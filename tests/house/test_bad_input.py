@@ -70,17 +70,17 @@ def folder(tmp_path_factory):
             image_width=640,
             image_height=480,
         )
-    image = cv2.imread(str(folder / STACK / "frames" / "000000.png"))
-    assert image is not None
+    picture = cv2.imread(str(folder / STACK / "frames" / "000000.png"))
+    assert picture is not None
     for suffix in ("png", "jpg", "bmp", "webp", "jp2", "tif"):
-        assert cv2.imwrite(str(folder / f"image.{suffix}"), image)
-    assert cv2.imwrite(str(folder / "image.pgm"), image[:, :, 0])
+        assert cv2.imwrite(str(folder / f"image.{suffix}"), picture)
+    assert cv2.imwrite(str(folder / "image.pgm"), picture[:, :, 0])
     for name, codec in (("video.mp4", "mp4v"), ("video.avi", "MJPG")):
-        write_video(folder / name, [image] * 4, codec)
-    frames = [Frame(index=n, time_s=1.0 + n, image=image) for n in range(2)]
+        write_video(folder / name, [picture] * 4, codec)
+    bagged = [Frame(index=n, time_s=1.0 + n, image=picture) for n in range(2)]
     poses = [Pose(time_s=0.5 + n, position_mm=(0.0, 0.0, float(n))) for n in range(3)]
-    write_bag(folder / "ros1.bag", frames=frames, poses=poses, ros=1)
-    write_bag(folder / "ros2", frames=frames, poses=poses, ros=2)
+    write_bag(folder / "ros1.bag", frames=bagged, poses=poses, ros=1)
+    write_bag(folder / "ros2", frames=bagged, poses=poses, ros=2)
     return folder
 
 

@@ -58,7 +58,7 @@ def test_a_frame_of_which_only_the_changes_are_rendered_is_the_whole_frame(setti
     assert min(seen) == 0, "no instrument in view"
 
 
-def saved(**arrays: np.ndarray) -> bytes:
+def saved(**arrays: Any) -> bytes:
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
