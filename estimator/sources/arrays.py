@@ -48,7 +48,9 @@ def _frames_in(path: Path, files: ExitStack) -> Any:
     if path.suffix.lower() == ".npy":
         arrays = {path.name: np.load(path, mmap_mode="r", allow_pickle=False)}
     elif path.suffix.lower() == ".npz":
-        arrays = dict(files.enter_context(np.load(path, allow_pickle=False)))
+        # NumPy itself leaves a damaged file open.
+        file = files.enter_context(path.open("rb"))
+        arrays = dict(files.enter_context(np.load(file, allow_pickle=False)))
     else:
         arrays = _datasets(path, files)
     found = {name: array for name, array in arrays.items() if _has_frames(array)}

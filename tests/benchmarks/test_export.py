@@ -240,7 +240,7 @@ def lengths(tmp_path_factory):
     """Stacks of 24 and of 60 images of the same spot."""
 
     def stack(count: int) -> Path:
-        labels = [labels_of(0, file_name=f"frames/{n:06d}.png") for n in range(count)]
+        labels = [labels_of(0, frame=n, file_name=f"frames/{n:06d}.png") for n in range(count)]
         return write_stack(tmp_path_factory.mktemp("length") / "stack", labels)
 
     return stack(24), stack(60)

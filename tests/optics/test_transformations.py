@@ -200,6 +200,7 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
 ELSEWHERE = {
     "components": "an unpacking",
     "dot": "three products",
+    "tip_radius": "the larger of two numbers",
     "irradiance_table": "test_irradiance_table: accuracy of look-ups and derivatives",
     "effective_cone": "test_irradiance_table: the slope's derivative by the lens",
     "spread_nodes": "numbers of a quadrature, without arguments that could be traced",

@@ -56,5 +56,6 @@ def write(stacks: Sequence[SetStack], out: Path, progress: Callable[[], None]) -
                     )
                 progress()
         about = {"info": {"description": part}, "licenses": [], "categories": [_CATEGORY]}
-        content = json.dumps(about | {"images": images, "annotations": annotations})
-        (out / "annotations" / f"{part}.json").write_text(content, encoding="utf-8")
+        with (out / "annotations" / f"{part}.json").open("w", encoding="utf-8") as file:
+            # Unlike json.dumps it holds no second copy of the entries.
+            json.dump(about | {"images": images, "annotations": annotations}, file)
