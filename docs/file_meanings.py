@@ -33,6 +33,11 @@ MEANINGS = {
         **{f"{x}_mm": f"{x.upper()} of the tip, eye frame, mm." for x in "xyz"},
         **{f"axis_{x}": f"{x.upper()} of the tool's axis, a unit vector." for x in "xyz"},
     },
+    "rig": {
+        **{name: f"Table [{name}]." for name in named("eyespot.formats.rig:Rig").model_fields},
+        **attributes_of(named("eyespot.formats.camera:CameraSheet")),
+        **COMMON,
+    },
     "microscope": {
         "full_scale": "Value of the brightest light that the camera measures, such as 4095.",
         "retina_semi_axes_mm": "Of an ellipsoidal retina: x, y, z. Without it a sphere.",

@@ -19,8 +19,8 @@ HOME = Path(__file__).resolve().parents[1]
 PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
 _ERRORS = (
-    *("InputError", "SceneError"),
-    *("BeingWrittenError", "SpecError", "SetError", "RendererUnavailable", "PupilUnavailable"),
+    *("InputError", "SceneError", "OutsideWindow", "BeingWrittenError"),
+    *("SpecError", "SetError", "RendererUnavailable", "PupilUnavailable"),
 )
 """What a user can correct; anything else that is raised is a bug."""
 

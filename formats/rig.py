@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 from pydantic import Strict as StrictType
+from pydantic.json_schema import SkipJsonSchema
 
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
 from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml, validated
@@ -214,8 +215,8 @@ class Rig(Strict):
     robot: RobotKeys = RobotKeys()
     unrest: UnrestKeys = UnrestKeys()
     viewing: ViewingKeys = ViewingKeys()
-    folder: Path = Field(Path(), exclude=True, repr=False)
-    seen: MicroscopeFile | None = Field(None, exclude=True, repr=False)
+    folder: SkipJsonSchema[Path] = Field(Path(), exclude=True, repr=False)
+    seen: SkipJsonSchema[MicroscopeFile | None] = Field(None, exclude=True, repr=False)
     """A microscope that was read before; [microscope] is then empty."""
 
     @model_validator(mode="after")
