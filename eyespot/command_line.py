@@ -77,7 +77,7 @@ TASKS = {
     "Start": ("scene", "render", "fit", "track"),
     "Judge": ("budget", "score", "validate", "study", "rivals"),
     "Data": ("dataset", "export"),
-    "Rig": ("camera", "console", "node", "doctor"),
+    "Rig": ("rig", "camera", "console", "node", "doctor"),
     "Plan": ("preregister", "adjudicate"),
 }
 """What `--help` lists together, in the order in which it is done."""

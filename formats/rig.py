@@ -461,8 +461,11 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -
     cone, instrument = description.get("cone", {}), content["instrument"]
     if cone and scene.get("source", {}).get("kind") == "cone" and "fibre_diameter_mm" in instrument:
         # In scenes of format 1 a cone could be wider than its fibre, and touched with its own rim.
-        rim = abs(cone["apex_offset"]) * math.tan(cone["half_angle"])
-        instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
+        try:
+            rim = abs(cone["apex_offset"]) * math.tan(cone["half_angle"])
+            instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"{where}: [cone] is damaged. Render the stack again.") from error
     if not (folder / "microscope.json").is_file():
         del content["microscope"]
     rig = rig_in(content, where=where, folder=folder)

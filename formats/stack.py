@@ -378,6 +378,8 @@ def read_stack(folder: Path) -> Stack:
                 inside(folder, name)
             if row.mask_file_name in frames:
                 raise InputError(f"{row.mask_file_name} is a frame, not a mask. {_AGAIN}")
+            if row.file_name in found:
+                raise InputError(f"{row.file_name} has a line already.")
             moment = row.frame, row.exposure
             if moment in moments:
                 raise InputError(
@@ -385,8 +387,6 @@ def read_stack(folder: Path) -> Stack:
                     f"{_AGAIN}"
                 )
             moments.add(moment)
-            if row.file_name in found:
-                raise InputError(f"{row.file_name} has a line already.")
             if row.file_name not in frames:
                 raise InputError(f"{folder / row.file_name} is missing.")
             found[row.file_name] = row

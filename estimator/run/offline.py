@@ -157,7 +157,7 @@ def track_source(
     source, poses = recording.source, recording.poses()
     for note in source.notes:
         say(note)
-    tracking, times = Tracking(), array("d")
+    tracking, earliest, latest = Tracking(), math.inf, -math.inf
     write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
@@ -168,7 +168,8 @@ def track_source(
                 show(frame, reading)
             write(record)
             tracking._count(record)
-            times.append(frame.time_s)
+            # A time that is not known, NaN, changes neither.
+            earliest, latest = min(earliest, frame.time_s), max(latest, frame.time_s)
             pose = poses.interpolated(frame.time_s) if poses is not None else None
             if pose is not None and record.distance_mm > 0 and not record.reason:
                 tracking.moves.extend((*pose.position_mm, *pose.axis, record.distance_mm))
@@ -184,25 +185,25 @@ def track_source(
         tracking.break_off(error)
     if not tracking.frames:
         raise InputError(f"{source.name} holds no frames. Check that it is the right one.")
-    tracking.clocks = _clocks(np.array(times), poses)
+    tracking.clocks = _clocks(tracking.frames, earliest, latest, poses)
     return tracking
 
 
-def _clocks(times_s: np.ndarray, poses: PoseTrack | None) -> str:
+def _clocks(frames: int, earliest_s: float, latest_s: float, poses: PoseTrack | None) -> str:
     """What the times of the frames and of the poses say that cannot be; empty if nothing."""
-    if times_s.size > 1 and np.ptp(times_s) == 0:
+    if frames > 1 and latest_s == earliest_s:
         return (
-            f"All {times_s.size} frames have the time {times_s[0]:.3f} s. Stamp each image with "
-            "its own time."
+            f"All {frames} frames have the time {latest_s:.3f} s. Stamp each image with its own "
+            "time."
         )
-    if poses is None or not len(poses) or np.isnan(times_s).all():
+    if poses is None or not len(poses) or latest_s < earliest_s:
         return ""
     first, last = poses.times_s[0], poses.times_s[-1]
-    if times_s.max() >= first and times_s.min() <= last:
+    if latest_s >= first and earliest_s <= last:
         return ""
     return (
-        f"No frame has a pose of its time: the frames are of {times_s.min():.3f} to "
-        f"{times_s.max():.3f} s, the poses of {first:.3f} to {last:.3f} s. The clocks differ: "
+        f"No frame has a pose of its time: the frames are of {earliest_s:.3f} to "
+        f"{latest_s:.3f} s, the poses of {first:.3f} to {last:.3f} s. The clocks differ: "
         "state robot.clock_offset_s, or record both with one clock."
     )
 

@@ -1,5 +1,6 @@
 """When the images of a folder were taken: frames.csv beside them, EXIF, or a rate."""
 
+import warnings
 from collections.abc import Sequence
 from datetime import datetime
 from pathlib import Path
@@ -108,9 +109,10 @@ def _of_exif(path: Path) -> float | None:
     from PIL import Image
 
     try:
-        with Image.open(path) as image:
+        # A file that Pillow doubts is judged when its pixels are read.
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             tags = image.getexif().get_ifd(_EXIF)
         taken = datetime.strptime(str(tags[_TAKEN]), "%Y:%m:%d %H:%M:%S")
         return taken.timestamp() + float(f"0.{tags.get(_FRACTION, 0)}")
-    except (KeyError, ValueError, OSError, SyntaxError):
+    except Exception:  # decoders raise all kinds of errors for damage
         return None

@@ -2,9 +2,11 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
+from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import SceneError
 from eyespot.scenes.machine.variant import load_mitsuba
 from eyespot.scenes.world.labels import uniform_irradiance
@@ -12,6 +14,25 @@ from eyespot.scenes.world.world import Moment, World
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
 PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
+
+
+def variant_for(scene: Scene, variant: str) -> Any:
+    """Mitsuba in a variant that renders a scene in time.
+
+    Raises:
+        SceneError: the scene is too slow for a scalar variant.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    source, phantom = scene.source.kind, scene.phantom
+    more = source != "cone" or phantom.indirect == "traced" or phantom.spread != "none"
+    if variant.startswith("scalar") and more:
+        # Scalar variants run our emitters in Python, ray by ray: a minute per frame at least.
+        raise SceneError(
+            f"the variant {variant} renders only source.kind 'cone' without traced or spread "
+            f"light; got {source!r} with phantom.indirect {phantom.indirect!r} and "
+            f"spread {phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it needs."
+        )
+    return load_mitsuba(variant)
 
 
 class Images:
@@ -27,17 +48,8 @@ class Images:
     """
 
     def __init__(self, world: World, *, variant: str) -> None:
-        scene, phantom = world.scene, world.scene.phantom
-        more = scene.source.kind != "cone" or phantom.indirect == "traced"
-        if variant.startswith("scalar") and (more or phantom.spread != "none"):
-            # Scalar variants run our emitters in Python, ray by ray: a minute per frame at least.
-            raise SceneError(
-                f"the variant {variant} renders only source.kind 'cone' without traced or spread "
-                f"light; got {scene.source.kind!r} with phantom.indirect {phantom.indirect!r} and "
-                f"spread {phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it "
-                "needs."
-            )
-        self._mi = load_mitsuba(variant)
+        scene = world.scene
+        self._mi = variant_for(scene, variant)
         from eyespot.scenes.rendering import build, reach  # Mitsuba's plugins need the variant
 
         self.world = world

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.machine.variant import load_mitsuba
-from eyespot.scenes.rendering.images import DOWN, PARKED_MM, images_of
+from eyespot.scenes.rendering.images import DOWN, PARKED_MM, images_of, variant_for
 from eyespot.scenes.world.world import Moment, World
 
 _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
@@ -92,7 +91,7 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
-        load_mitsuba(variant)  # before JAX, which waits for ever in a forked process
+        variant_for(scene, variant)  # before JAX, which waits for ever in a forked process
         self.scene = scene
         self.world = World(scene)
         self.images = images_of(self.world, variant=variant)

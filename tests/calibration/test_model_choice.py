@@ -125,5 +125,7 @@ def test_a_caps_curvature_and_chord_are_regular_from_a_flat_end_to_a_half_ball(s
 
 def test_several_recordings_of_a_lens_are_refused_with_a_remedy(stack):
     recording = recorded_trial(stack("lens", LENS))
-    with pytest.raises(ValueError, match=re.compile("edges are soft.*give one stack", re.DOTALL)):
+    with pytest.raises(
+        ValueError, match=re.compile("edges are soft.*give one with its images", re.DOTALL)
+    ):
         chosen_model([recording, recording])

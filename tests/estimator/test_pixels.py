@@ -159,7 +159,7 @@ def test_a_wall_that_has_changed_does_not_pull_the_pose(paper_stack, tmp_path):
     # Of the other wall, the third frame of the same withdrawal is looked at.
     motion = FOUR | {"travel_mm": 0.36, "frames": 3}
     other = cone_stack(tmp_path / "other", phantom=PAPER | {"texture_seed": 9}, motion=motion)
-    reader = reader_in(paper_stack, tmp_path, eye_from_robot=None)
+    reader = reader_in(paper_stack, tmp_path)
     assert reader.mode == "pixels"
     frames = [list(open_source(one.folder)) for one in (paper_stack, other)]
     for wall, index in ((0, 0), (0, 1), (1, 2)):

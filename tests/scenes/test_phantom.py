@@ -114,7 +114,12 @@ def test_the_photograph_is_4_9_mm_wide_and_upright():
 
 def test_the_second_tool_is_seen_on_the_line_from_its_tip_to_its_trocar():
     tip = np.array([-2.0, 1.0, -8.0])
-    tool = {"visible": True, "tip_mm": tip, "trocar_azimuth_deg": 200.0, "gauge": 25}
+    tool = {
+        "visible": True,
+        "tip_mm": tuple(tip.tolist()),
+        "trocar_azimuth_deg": 200.0,
+        "gauge": 25,
+    }
     settings = scene(second_tool=tool, microscope={"pinhole_height_mm": 200.0})
     seen = Renderer(settings).render(0).wall < 0.5
     microscope = World(settings).microscope

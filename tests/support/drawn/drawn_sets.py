@@ -75,6 +75,7 @@ def labels_of(index: int, **known: Any) -> FrameLabels:
         medium="air",
         seed=0,
     )
+    known.setdefault("nearest_mm", 0.9 * known.get("d_mm", labels.nearest_mm / 0.9))
     return labels.model_copy(update=known)
 
 
