@@ -92,7 +92,7 @@ Four commands, from a scene to distances:
     eyespot fit stack --out lens.json
     eyespot track stack --calibration lens.json --out spots.csv
 
-Each command explains itself: eyespot COMMAND --help."""
+Each command explains itself, such as eyespot fit --help."""
 
 
 _PANELS = {task: Group(task, sort_key=number) for number, task in enumerate(TASKS)}

@@ -213,7 +213,9 @@ class Verdict:
     """Spot or not (`verdict`)."""
 
     FIELD = 0.8  # of the frame's width or height: larger discs are a camera's field stop
-    LIT = 0.35  # area of the region over the seen ellipse's; a shaft leaves half of a spot in one
+    # Area of the region over that of the seen part of the ellipse. Where a shaft over the middle
+    # hides half of the contour, one of two segments has 1/4 - 1/(2 pi) = 0.09 of the ellipse.
+    LIT = 0.18
     FAINTEST = 8.0  # standard deviations of the background: spots on even walls; optic discs have 5
     ROUGHEST = 0.05  # radii: scatter of the sharp edges of an ellipse, spotless frames
     COARSEST = 0.17  # widths: scatter of the edges; on textured walls 0.12, of hexagons 0.23

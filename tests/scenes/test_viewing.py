@@ -216,7 +216,7 @@ def test_the_command_of_the_page_renders_a_scene_file_that_was_just_made(tmp_pat
 
 
 _LENS = {"numerical_aperture": 0.05, "focus_mm": 1.0}
-_NARROW = {"kind": "cone", "medium": "vitreous", "cone_k": 60.0}
+_NARROW = {"kind": "cone", "medium": "vitreous", "cone_k": 60.0, "cone_core_radius_mm": 0.085}
 _FINE = {"samples": 256, "scale_mm_px": 0.01, "width_px": 128, "height_px": 128}
 
 
