@@ -334,13 +334,12 @@ def _checked_header(data: bytes) -> int:
 
 def pixel_aspect(path: Path) -> float:
     """Width of a pixel over its height, as an image's file states it; 1 if it does not."""
-    from PIL import Image, UnidentifiedImageError
+    from PIL import Image
 
     try:
-        with warnings.catch_warnings(), Image.open(path) as image:
-            warnings.simplefilter("ignore")
+        with warnings.catch_warnings(action="ignore"), Image.open(path) as image:
             info = image.info
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError):
+    except Exception:  # decoders raise all kinds of errors for damage
         return 1.0
     # A JPEG without a unit states the aspect alone.
     alone = info.get("jfif_density") if info.get("jfif_unit") == 0 else None
