@@ -68,5 +68,6 @@ def check(
         table.add_row(*row)
     Console().print(table)
     wrong = int((found.lines.verdict == "wrong").sum())
-    said = "Nothing contradicts the rig file." if not wrong else f"{wrong} lines are wrong."
+    lines = "line is" if wrong == 1 else "lines are"
+    said = f"{wrong} {lines} wrong." if wrong else "Nothing contradicts the rig file."
     print(f"{said} Wrote {out}.")
