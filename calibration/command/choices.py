@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 from cyclopts import Parameter
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from eyespot.estimator.run.options import Exposure, Given, changes_of
+from eyespot.estimator.run.options import Exposure, Given, RigChanges
 from eyespot.formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
@@ -55,12 +55,7 @@ class Choices(Given):
     prior, and says what it learned; the model eye takes its cone, made on a phantom."""
     rig: Annotated[tuple[Path, ...], _RIG, Parameter(show_default=False)] = ()
     """Rig file, once or once per source in the same order (default: the stack's own)."""
-    changes: Annotated[
-        tuple[str, ...],
-        BeforeValidator(changes_of),
-        _RIG,
-        Parameter("--set", metavar="KEY=VALUE", show_default=False),
-    ] = ()
+    changes: Annotated[RigChanges, _RIG] = ()
     """Change a key of the rig files, such as wall.medium=air. Repeatable."""
     poses: Annotated[tuple[Path, ...], _RIG, Parameter(show_default=False)] = ()
     """Robot poses (CSV or ROS bag), one file per source in the same order; a stack contains its

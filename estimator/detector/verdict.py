@@ -111,16 +111,10 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     ):
         if rejected:
             return NoSpot(reason, significance if reason is Reason.TOO_FAINT else math.nan)
-    semi_major, semi_minor, angle = ellipse.axes()
-    x, y = ellipse.centre.tolist()
-    spot = Spot(
-        x_px=x,
-        y_px=y,
-        semi_major_px=semi_major,
-        semi_minor_px=semi_minor,
-        angle_rad=angle,
+    spot = _spot(
+        ellipse,
         covariance=covariance,
-        edge_width_px=levels.width * math.sqrt(semi_major * semi_minor),
+        edge_width=levels.width,
         coverage=coverage,
         inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
         saturated=region.saturated[region.channel],
@@ -159,21 +153,41 @@ def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
         if rejected:
             return NoSpot(reason, significance if reason is Reason.TOO_FAINT else math.nan)
     assert ellipse is not None  # rejected above
+    spot = _spot(
+        ellipse,
+        covariance=covariance,
+        edge_width=measured.edge_width,
+        coverage=in_frame,
+        inlier_fraction=1.0,
+        saturated=clipped,
+    )
+    return Sighting(spot, seen, background + amplitude / 2, region.channel)
+
+
+def _spot(
+    ellipse: AffineEllipse,
+    *,
+    covariance: np.ndarray,
+    edge_width: float,
+    coverage: float,
+    inlier_fraction: float,
+    saturated: float,
+) -> Spot:
+    """The spot of an ellipse; `edge_width` is over the mean of its semi-axes."""
     semi_major, semi_minor, angle = ellipse.axes()
     x, y = ellipse.centre.tolist()
-    spot = Spot(
+    return Spot(
         x_px=x,
         y_px=y,
         semi_major_px=semi_major,
         semi_minor_px=semi_minor,
         angle_rad=angle,
         covariance=covariance,
-        edge_width_px=measured.edge_width * math.sqrt(semi_major * semi_minor),
-        coverage=in_frame,
-        inlier_fraction=1.0,
-        saturated=clipped,
+        edge_width_px=edge_width * math.sqrt(semi_major * semi_minor),
+        coverage=coverage,
+        inlier_fraction=inlier_fraction,
+        saturated=saturated,
     )
-    return Sighting(spot, seen, background + amplitude / 2, region.channel)
 
 
 def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:

@@ -62,11 +62,19 @@ def _point(given: Any) -> tuple[float, float] | None:
         raise InputError("must be X,Y in px, such as 320,240, or auto") from None
 
 
-def changes_of(given: Any) -> Any:
+def _changes(given: Any) -> Any:
     """Changes as KEY=VALUE, also of {KEY: VALUE}."""
     if isinstance(given, Mapping):
         return tuple(change_of(*item) for item in given.items())
     return tuple(given) if isinstance(given, list) else given
+
+
+RigChanges = Annotated[
+    tuple[str, ...],
+    BeforeValidator(_changes),
+    Parameter("--set", metavar="KEY=VALUE", show_default=False),
+]
+"""Changes of a rig file's keys, on a command line or as {KEY: VALUE}."""
 
 
 def _parts(given: Any) -> Any:
@@ -141,12 +149,7 @@ class Options(Given):
     """File of eyespot fit; gives distances."""
     rig: Annotated[Path | None, _RIG] = None
     """Rig file, microscope.json or camera file (default: the stack's own)."""
-    changes: Annotated[
-        tuple[str, ...],
-        BeforeValidator(changes_of),
-        _RIG,
-        Parameter("--set", metavar="KEY=VALUE", show_default=False),
-    ] = ()
+    changes: Annotated[RigChanges, _RIG] = ()
     """Change a key of the rig file, such as wall.medium=air. Repeatable."""
     model: Annotated[DistanceModel | None, _CALIBRATION] = None
     """Distance model (default: the calibration's)."""
