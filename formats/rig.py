@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self
 
 import tomli_w
 from pydantic import (
+    AfterValidator,
     AllowInfNan,
     ConfigDict,
     Field,
@@ -48,6 +49,12 @@ HISTORY = {1: "the format of eyespot 0.3"}
 Medium = Literal["air", "water", "vitreous"]
 _Length = Annotated[float, Field(gt=0, le=1e6)]
 _Pixels = Annotated[int, Field(ge=1, le=2**20)]
+
+
+def _rising(values: tuple[float, float]) -> tuple[float, float]:
+    if values[0] > values[1]:
+        raise InputError(f"must be the least and the largest value; got {list(values)}")
+    return values
 
 
 class MicroscopeKeys(Strict):
@@ -164,8 +171,20 @@ class InstrumentKeys(Strict):
 
 
 class BeamKeys(Strict):
-    """The beam, if it was calibrated."""
+    """The beam: a calibration, or for studies a cone that leaves instrument.core_radius_mm."""
 
+    half_angle_deg: Annotated[float, Field(ge=0.01, le=80)] | None = Field(
+        None,
+        examples=["2.86"],
+        description="Half-angle of the cone in wall.medium. Studies take it; its apex lies "
+        "core_radius_mm / tan(half_angle) behind the tip.",
+    )
+    numerical_aperture: Annotated[float, Field(ge=1e-3, le=0.95)] | None = Field(
+        None,
+        examples=["0.12"],
+        description="Numerical aperture of the light that leaves the fibre, instead of the "
+        "half-angle.",
+    )
     calibration: str | None = Field(
         None,
         examples=['"beam.json"'],
@@ -198,6 +217,41 @@ class ViewingKeys(Strict):
     )
 
 
+_Range = Annotated[PairKey, AfterValidator(_rising)]
+
+
+class WorkspaceKeys(Strict):
+    """Where the tip works: ranges for studies and maps."""
+
+    eccentricity_mm: _Range | None = Field(
+        None,
+        examples=["[0.0, 5.0]"],
+        description="c, distance of the spot from the microscope's axis (default: 0 to 0.7 "
+        "wall.radius_mm).",
+    )
+    distance_mm: _Range = Field((0.5, 6.0), description="d, from the tip to the wall.")
+    tilt_deg: _Range = Field(
+        (0.0, 30.0), description="Angle between the beam and the wall's normal."
+    )
+    azimuth_deg: _Range = Field(
+        (0.0, 360.0),
+        description="Direction of the beam along the wall; 0: towards larger eccentricity.",
+    )
+
+    @model_validator(mode="after")
+    def _lies_in_an_eye(self) -> Self:
+        for name in ("eccentricity_mm", "distance_mm", "tilt_deg"):
+            if (values := getattr(self, name)) is not None and values[0] < 0:
+                raise InputError(f"{name} must not be negative; got {list(values)}")
+        if not self.distance_mm[0] > 0:
+            raise InputError(
+                f"distance_mm must be above 0; got {list(self.distance_mm)}. At 0 the tip touches"
+            )
+        if self.tilt_deg[1] >= 80:
+            raise InputError(f"tilt_deg must lie below 80 degrees; got {list(self.tilt_deg)}")
+        return self
+
+
 class Rig(Strict):
     """A rig, as its file describes it.
 
@@ -215,6 +269,7 @@ class Rig(Strict):
     robot: RobotKeys = RobotKeys()
     unrest: UnrestKeys = UnrestKeys()
     viewing: ViewingKeys = ViewingKeys()
+    workspace: WorkspaceKeys = WorkspaceKeys()
     folder: SkipJsonSchema[Path] = Field(Path(), exclude=True, repr=False)
     seen: SkipJsonSchema[MicroscopeFile | None] = Field(None, exclude=True, repr=False)
     """A microscope that was read before; [microscope] is then empty."""
@@ -228,6 +283,12 @@ class Rig(Strict):
             )
         if isinstance(self.robot.touch, tuple) and not self.robot.touch[1] > 0:
             raise InputError(f"robot.touch needs a positive sigma; got {list(self.robot.touch)} mm")
+        beam = self.beam
+        if beam.half_angle_deg is not None and beam.numerical_aperture is not None:
+            raise InputError(
+                f"beam.half_angle_deg = {beam.half_angle_deg:g} and beam.numerical_aperture = "
+                f"{beam.numerical_aperture:g} both state the cone. Remove one of them"
+            )
         return self
 
     @cached_property

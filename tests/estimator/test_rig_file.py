@@ -69,12 +69,20 @@ def test_what_is_commented_out_in_the_template_is_a_possible_value():
         ("camera.bit_depth=7", "camera.bit_depth"),
         ("camera.noise.full_well_e=0", "camera.noise"),
         ("instrument.visible=yes", "instrument.visible"),
+        ("workspace.tilt_deg=[30, 10]", "workspace.tilt_deg: must be the least and the largest"),
+        ("workspace.distance_mm=[0, 6]", "distance_mm must be above 0"),
+        ("beam.numerical_aperture=1.2", "beam.numerical_aperture: .*0.95; got 1.2"),
         ("schema=2", "schema is 2; this eyespot"),
     ],
 )
 def test_a_wrong_key_or_value_is_named(change, told):
     with pytest.raises(InputError, match=told):
         Rig().changed([change])
+
+
+def test_a_cone_has_one_angle():
+    with pytest.raises(InputError, match="both state the cone"):
+        Rig().changed({"beam.half_angle_deg": 5.0, "beam.numerical_aperture": 0.1})
 
 
 @pytest.mark.parametrize("missing", ["width_px", "height_px", "pinhole_height_mm"])
