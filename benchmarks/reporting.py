@@ -312,7 +312,7 @@ _MOST_ROWS = 8
 
 def environment() -> jinja2.Environment:
     """The templates of pages and cards."""
-    made = templates("benchmarks")
+    made = templates("eyespot.benchmarks")
     made.globals |= {"number": number, "most_rows": _MOST_ROWS}
     made.tests["table"] = lambda part: isinstance(part, Table)
     made.tests["picture"] = lambda part: isinstance(part, Picture)

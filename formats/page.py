@@ -24,7 +24,7 @@ STYLE: dict[Any, Any] = {
 
 def templates(package: str) -> jinja2.Environment:
     """The templates of a package, beside the style `page.css` that they include."""
-    places = (package, "formats")
+    places = (package, "eyespot.formats")
     return jinja2.Environment(
         loader=jinja2.ChoiceLoader([jinja2.PackageLoader(place) for place in places]),
         autoescape=lambda name: name is not None and ".html" in name,

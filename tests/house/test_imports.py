@@ -174,7 +174,9 @@ def test_our_packages_have_one_name():
             "git",
             "grep",
             "-nE",
-            rf"^\s*(>>> )?(from|import) ({'|'.join(PACKAGES)})\b",
+            rf"^\s*(>>> )?(from|import) ({'|'.join(PACKAGES)})\b"
+            # Names of packages as strings, such as those of folders of templates.
+            rf"|(templates|files|import_module|PackageLoader)\(.?({'|'.join(PACKAGES)})\b",
             "--",
             ":!CHANGELOG.md",
             ":!*.diff",
