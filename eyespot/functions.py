@@ -87,8 +87,8 @@ def track(
 
     Returns:
         A row a frame, units in the columns' names; the first twelve are what one looks at. `reason`
-        says why there is no spot. `attrs` has microscope, calibration, how the run ended, and how
-        far the tip withdrew by the robot and by the distances if these contradict.
+        says why there is no spot. `attrs` has microscope, calibration, how the run ended, and what
+        two sources state differently, such as the robot's travel and the distances.
 
     Raises:
         InputError: wrong options or files.
@@ -110,7 +110,7 @@ def track(
         tracking, _ = tracked(opened.recording, opened.reader())
     table = spots_table(tracking.records)
     table.attrs = {"source": f"{source}", "ended": tracking.ended.value, "fault": tracking.fault}
-    table.attrs["contradiction_mm"] = tracking.contradiction_mm
+    table.attrs["disagreements"] = tracking.disagreements
     if (view := opened.recording.view) is not None:
         names = ("width_px", "height_px", "scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
         table.attrs["microscope"] = {name: getattr(view, name) for name in names}

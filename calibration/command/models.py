@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.comparisons import cone_against_rig
 from eyespot.calibration.command.verdict import Fitted, bounds_hit
 from eyespot.calibration.pixels.data import CONE
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
@@ -32,6 +33,7 @@ from eyespot.calibration.spots.paper import (
     fit_plane,
     fit_plane_trials,
 )
+from eyespot.estimator.distance.consistency import disagreements
 from eyespot.formats.calibration import BEAM, QUANTITIES, Calibration
 from eyespot.formats.inputs import InputError
 
@@ -325,6 +327,7 @@ def _fitted(
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals=dict(zip(MISMATCHES, residuals.T, strict=True)),
+        disagreements=disagreements(cone_against_rig(fit, recordings)),
         recordings=recordings,
         used=len(residuals),
         others=[

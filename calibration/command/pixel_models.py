@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.comparisons import pixels_against_rig
 from eyespot.calibration.command.lens_guess import guessed_lenses
 from eyespot.calibration.command.models import cone_start, known_cone, tolerances_of
 from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
@@ -25,6 +26,7 @@ from eyespot.calibration.spots.cone_trials import (
     phantom_wall,
     wandering_boresight,
 )
+from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
@@ -241,6 +243,7 @@ def _fitted(
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals={},
+        disagreements=disagreements(pixels_against_rig(fit.parameters, recording)),
         recordings=[recording],
         used=len(pixels.frames),
         others=[

@@ -1,6 +1,7 @@
 """What a fit found, whether it is good, and what remedies a bad one.
 
-Judged by convergence, bounds, chi squared and the structure of residuals. A fit has one of four
+Judged by convergence, bounds, chi squared, the structure of residuals, and by what the rig file and
+the images state of the same thing. A fit has one of four
 verdicts. It is good; or good with too wide standard errors; or good with a stated misfit, whose
 effect its standard errors contain; or not good. Only the last writes no calibration.
 """
@@ -71,6 +72,8 @@ class Fitted:
     """Name, value, sigma and unit of fitted parameters that the file does not contain."""
     notes: list[str] = field(default_factory=list)
     """Sentences for the report."""
+    disagreements: list[str] = field(default_factory=list)
+    """What the fit and the rig file state differently, see `estimator.distance.consistency`."""
     lines: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = field(default_factory=dict)
     """By the recording's name: e1' of its spots, ascending, px; the model's distances and the
     half-widths of their 95 % confidence band, mm."""
@@ -154,6 +157,7 @@ class Fault(Enum):
     MISFIT = auto()
     OVERSTATED_NOISE = auto()
     STATED_MISFIT = auto()
+    DISAGREEMENT = auto()
 
     @property
     def harmless(self) -> bool:
@@ -215,6 +219,9 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
         "lens": f"{_SPREAD}, or a recording of {_EVEN}. A cap off centre, a tilted end and a "
         "Gaussian launch cannot be fitted",
     },
+    Fault.DISAGREEMENT: {
+        "cone image lens eye": "`eyespot rig check`, which compares the rig file with the recording"
+    },
 }
 """By fault and by models."""
 
@@ -247,6 +254,7 @@ def doubts(fitted: Fitted) -> list[Doubt]:
     if fitted.chi_squared_per_degree is not None:
         misfit = fitted.pixels.misfit if fitted.pixels else None
         found += of_chi_squared(fitted.chi_squared_per_degree, fitted.degrees_of_freedom, misfit)
+    found += [Doubt(Fault.DISAGREEMENT, f"disagree: {said}") for said in fitted.disagreements]
     return found + of_structure(fitted.residuals, noise_is_known=fitted.chi_squared is not None)
 
 
@@ -314,6 +322,7 @@ def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
     remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.fault.harmless)
     tries = "; ".join(list(dict.fromkeys(filter(None, remedies)))[:_SHOWN])
-    said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}.\nTry {tries}."
+    said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}."
+    said += f"\nTry {tries}." if tries else ""
     details = f"\nNo calibration was written; {report} shows the residuals."
     return said if report is None else said + details

@@ -17,15 +17,15 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
+from eyespot.estimator.distance.consistency import TipWay, disagreements
 from eyespot.estimator.distance.range import WallMemory
-from eyespot.estimator.distance.withdrawal import MOST_ASIDE_MM
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.exit_codes import finish_first
 from eyespot.estimator.run.progress_bar import say
 from eyespot.estimator.run.reader import Reader, Reading
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.inputs import InputError
-from eyespot.formats.poses import PoseTrack
+from eyespot.formats.poses import Pose, PoseTrack
 from eyespot.formats.spots import NoSpot, Reason, RecordedPose, SpotRecord
 
 if TYPE_CHECKING:
@@ -33,12 +33,6 @@ if TYPE_CHECKING:
 
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_LEAST_MOVES, _LEAST_TRAVEL_MM = 5, 1.0  # of a withdrawal that tells how true distances are
-_CONTRADICTED = 0.07
-"""Relative difference of the distances' change from the robot's travel that is a contradiction: a
-beam that points 6 degrees beside the tool's axis, twice what fits expect, causes as much at 30
-degrees of incidence."""
-_SURE = 5.0  # standard errors of that difference
 
 
 class Ended(Enum):
@@ -61,8 +55,9 @@ class Tracking:
         doubtful: number of spots without a distance or with a doubtful one, by `Reason`.
         wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
-        moves: the tip's place (mm) and the tool's axis by the robot, and the distance (mm), of
-            frames that have all of them and no doubt (56 bytes a frame).
+        way: the tip's by the robot and by the distances, of frames that have both and no doubt.
+        repeats: number of frames that equal the one before.
+        disagreements: what two sources state differently, a sentence each.
         clocks: what the times of frames and poses say that cannot be; empty if nothing.
         fault: what broke it; empty unless `ended` is BROKEN or DISK_FULL.
     """
@@ -75,7 +70,9 @@ class Tracking:
     doubtful: Counter[str] = field(default_factory=Counter)
     wall_memory: Counter[str] = field(default_factory=Counter)
     pose_ages_s: "array[float]" = field(default_factory=lambda: array("d"))
-    moves: "array[float]" = field(default_factory=lambda: array("d"))
+    way: TipWay = field(default_factory=TipWay)
+    repeats: int = 0
+    disagreements: list[str] = field(default_factory=list)
     clocks: str = ""
     ended: Ended = Ended.COMPLETE
     fault: str = ""
@@ -84,26 +81,6 @@ class Tracking:
     def spots(self) -> int:
         """Number of frames with a spot."""
         return self.frames - self.no_spot.total()
-
-    @property
-    def contradiction_mm(self) -> tuple[float, float] | None:
-        """How far the tip withdrew by the robot, and by the distances, where the two contradict.
-
-        None if they agree, or if the motion does not tell: it is no straight withdrawal.
-        """
-        place, axis, (distance,) = np.split(np.reshape(self.moves, (-1, 7)).T, (3, 6))
-        if distance.size < _LEAST_MOVES:
-            return None
-        towards = axis.mean(axis=1) / np.linalg.norm(axis.mean(axis=1))
-        gone = place[:, :1] - place
-        along = towards @ gone
-        aside = np.linalg.norm(gone - np.outer(towards, along), axis=0)
-        if np.ptp(along) < _LEAST_TRAVEL_MM or aside.max() > MOST_ASIDE_MM:
-            return None
-        (ratio, _), covariance = np.polyfit(along, distance, 1, cov=True)
-        if abs(ratio - 1.0) < max(_CONTRADICTED, _SURE * math.sqrt(covariance[0, 0])):
-            return None
-        return float(np.ptp(along)), float(ratio * np.ptp(along))
 
     def break_off(self, error: InputError | OSError) -> None:
         """Note what broke the run."""
@@ -158,6 +135,7 @@ def track_source(
     for note in source.notes:
         say(note)
     tracking, earliest, latest = Tracking(), math.inf, -math.inf
+    before: np.ndarray | None = None
     write = write or tracking.records.append
     try:
         for frame, reading in _readings(source, reader, poses):
@@ -170,9 +148,11 @@ def track_source(
             tracking._count(record)
             # A time that is not known, NaN, changes neither.
             earliest, latest = min(earliest, frame.time_s), max(latest, frame.time_s)
-            pose = poses.interpolated(frame.time_s) if poses is not None else None
-            if pose is not None and record.distance_mm > 0 and not record.reason:
-                tracking.moves.extend((*pose.position_mm, *pose.axis, record.distance_mm))
+            if before is not None and np.array_equal(before, frame.image):
+                tracking.repeats += 1
+            elif poses is not None:
+                _go_on(tracking.way, reader, reading, poses.interpolated(frame.time_s))
+            before = None if source.unrelated else frame.image
             progress(record)
     except KeyboardInterrupt:
         if not tracking.frames:
@@ -186,7 +166,28 @@ def track_source(
     if not tracking.frames:
         raise InputError(f"{source.name} holds no frames. Check that it is the right one.")
     tracking.clocks = _clocks(tracking.frames, earliest, latest, poses)
+    if reader.calibration is not None:
+        rig = recording.rig
+        found = tracking.way.compared(rig.robot, rig.view, reader.calibration)
+        tracking.disagreements = disagreements(found)
     return tracking
+
+
+def _go_on(way: TipWay, reader: Reader, reading: Reading, pose: Pose | None) -> None:
+    """Take a frame into the tip's way, if it has a distance without a doubt, and a pose."""
+    if pose is None or not reading.distance_mm > 0 or reading.doubt:
+        return
+    budget, parts = reading.budget, {"image": reading.sigma_distance_mm}
+    if budget is not None:
+        parts = {part.cause.value: part.sigma_mm for part in budget.parts}
+    way.add(
+        position_mm=pose.position_mm,
+        axis=reader.beam_of(pose),
+        spot=reading.result or None,
+        distance_mm=budget.corrected_mm if budget else reading.distance_mm,
+        sigma_mm=parts.get("image", math.nan),
+        parts_mm=parts,
+    )
 
 
 def _clocks(frames: int, earliest_s: float, latest_s: float, poses: PoseTrack | None) -> str:
@@ -294,7 +295,8 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "distances": tracking.distances,
         "doubtful_distances": tracking.doubtful,
         "wall_memory": tracking.wall_memory,
-        "contradiction_mm": tracking.contradiction_mm,
+        "disagreements": tracking.disagreements,
+        "repeats": tracking.repeats,
         "clocks": tracking.clocks,
         "median_pose_age_s": median(tracking.pose_ages_s) if tracking.pose_ages_s else None,
         "seconds": round(seconds, 3),
@@ -337,11 +339,7 @@ def table_of(summary: dict[str, Any]) -> Group:
         notes.append(f"Median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms.")
     if summary["clocks"]:
         notes.append(summary["clocks"])
-    if summary["contradiction_mm"] is not None:
-        notes.append(
-            "The tip withdrew by {:.2f} mm by the robot, by {:.2f} mm by the distances. One of "
-            "calibration, microscope's scale, robot's scale and clocks is wrong.".format(
-                *summary["contradiction_mm"]
-            )
-        )
+    if summary["repeats"]:
+        notes.append(f"{summary['repeats']} frames equal the one before and say nothing new.")
+    notes += [f"Disagree: {said}." for said in summary["disagreements"]]
     return Group(table, *notes)

@@ -20,7 +20,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.run import exit_codes
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
-from eyespot.formats.poses import Pose, PoseTrack, Quaternion, turned
+from eyespot.formats.poses import Pose, PoseTrack, Quaternion, Vector, turned
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.formats.stated import Stated
 
@@ -185,7 +185,16 @@ class Reader(ABC, Generic[S, R]):
         """The beam's direction at a pose of the robot, eye frame; None if unknown."""
         if pose is None or self._turn is None:
             return None
-        return np.array(turned(turned(self._beam_in_tool, pose.rotation), self._turn))
+        return np.array(turned(self.beam_of(pose), self._turn))
+
+    def beam_of(self, pose: Pose) -> Vector:
+        """The beam's direction at a pose of the robot, in the robot's frame."""
+        return turned(self._beam_in_tool, pose.rotation)
+
+    @property
+    def calibration(self) -> "Calibration | None":
+        """Of the beam; None without one."""
+        return None if self._ranger is None else self._ranger.calibration
 
     def _motion(self, time_s: float, poses: PoseTrack) -> ToolMotion:
         """The tool's motion at a frame's pose, from the pose some time before."""

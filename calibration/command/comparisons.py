@@ -1,0 +1,75 @@
+"""What a fit found, against what the rig file states of it."""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+
+import numpy as np
+
+from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
+from eyespot.calibration.spots.cone_fit import ConeFit
+from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA
+from eyespot.estimator.distance.consistency import Compared, against_prior, contact
+
+_OF_TOUCH = (
+    "The recording does not begin where the rig file says (robot.touch), or the tool's axis or the "
+    "travel has the wrong sense"
+)
+_OF_BEAM = (
+    "The tool's axis (robot.tool_axis), its motion and the way of the spot in the image do not "
+    "belong together: correct robot.tool_axis, robot.columns or robot.eye_from_robot"
+)
+
+
+def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Iterator[Compared]:
+    """A cone's radius at the tip, first distances and directions against the rig."""
+    names = [*fit.free]
+    angle, b = fit.values["half_angle"], fit.values["b"]
+    at = [names.index(name) if name in names else -1 for name in ("half_angle", "b")]
+    slopes = np.array([-b / math.cos(angle) ** 2, -math.tan(angle)])
+    known = min(at) >= 0
+    variance = slopes @ fit.covariance[np.ix_(at, at)] @ slopes if known else math.inf
+    for number, one in enumerate(recordings):
+        own = one.recording.rig.instrument
+        if one.trial.touch == FREE_TOUCH:  # b then rests on the core
+            continue
+        yield contact(
+            -b * math.tan(angle),
+            math.sqrt(variance),
+            core_mm=own.core_radius_mm,
+            core_sigma=own.core_radius_sigma,
+            fibre_mm=one.fibre_radius_mm,
+            where=one.name,
+        )
+        yield from _of_touch(one, fit.touch[number], fit.touch_error[number])
+        sigmas = np.sqrt(np.diag(fit.boresight_covariance[number]))
+        for angle, sigma in zip(fit.boresight[number], sigmas, strict=True):
+            yield from _of_beam(one, angle, sigma)
+
+
+def pixels_against_rig(
+    parameters: Mapping[str, tuple[float, float]], one: RecordedTrial
+) -> Iterator[Compared]:
+    """First distance and direction of a beam that was fitted to pixels, against the rig.
+
+    Args:
+        parameters: value and standard deviation of what was fitted.
+    """
+    for name, (value, sigma) in parameters.items():
+        if name == "touch":
+            yield from _of_touch(one, value, sigma)
+        elif name in ("boresight", "boresight_sideways"):
+            yield from _of_beam(one, value, sigma)
+
+
+def _of_touch(one: RecordedTrial, value: float, sigma: float) -> Iterator[Compared]:
+    """The distance in the first frame, mm, by the light and as stated."""
+    name = f"{one.name}: the distance in the first frame (mm)"
+    found = against_prior("touch", name, value, sigma, *one.trial.touch, cause=_OF_TOUCH)
+    yield from [found] if found else []
+
+
+def _of_beam(one: RecordedTrial, angle: float, sigma: float) -> Iterator[Compared]:
+    """An angle of the beam from the tool's axis, by the spots' way in the image."""
+    name = f"{one.name}: an angle of the beam from the tool's axis (rad)"
+    found = against_prior("beam", name, angle, sigma, 0.0, BORESIGHT_SIGMA, cause=_OF_BEAM)
+    yield from [found] if found else []
