@@ -1,28 +1,19 @@
-"""How far each model of the spot is from the truth, on exact contours and on measured spots."""
+"""Tables of models' errors: their geometry, their limits, and how figures show them."""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from functools import partial
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, first_reached, largest
-from eyespot.scenes import Scene
-from eyespot.scenes.world.world import World
+from eyespot.benchmarks.statistics import first_reached, largest
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""
-
-
-_Values = jax.Array | np.ndarray
 
 
 class Geometry(NamedTuple):
@@ -62,77 +53,23 @@ spots, as the paper does, and `c_mm` is the true one.
 """
 
 
-def geometry_of(scene: Scene) -> Geometry:
-    """The geometry that the models are given of a scene."""
-    half_angle, b = World(scene).cone
-    return Geometry(
-        scale=scene.microscope.scale_mm_px,
-        pinhole_height=scene.microscope.pinhole_height_mm,
-        eye_radius=scene.phantom.radius_mm,
-        half_angle=half_angle,
-        apex_offset=b,
-        incidence=math.radians(scene.spot.incidence_deg),
-        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
-    )
-
-
-def exact_spots(
-    geometry: Geometry, *, eccentricities: ArrayLike, distances: ArrayLike, medium: str = "air"
-) -> pd.DataFrame:
-    """Spots for `model_errors` at each c and d (mm), of the size of the exact contour."""
-    c, d = (a.ravel() for a in np.meshgrid(eccentricities, distances, indexing="ij"))
-    seen = np.asarray(semi_minor(geometry, c=c, d=d))
-    return pd.DataFrame({"c_mm": c, "d_mm": d, "semi_minor_px": seen, "medium": medium})
-
-
-def model_errors(
-    geometry: Geometry,
-    spots: pd.DataFrame,
-    *,
-    source: Literal["analytic", "rendered"],
-    models: Sequence[str] = COMPARED,
-) -> pd.DataFrame:
-    """Errors of the models on spots whose truth is known, and whose c they are given.
+def error_limits(errors: pd.DataFrame, tolerance: float) -> pd.DataFrame:
+    """The smallest c (mm) at which each model's largest error over d reaches a tolerance (mm).
 
     Args:
-        spots: columns c_mm, d_mm, semi_minor_px and medium: `exact_spots`, or those of
-            `paper.spots_of` that are used.
+        errors: of `eyespot.model_error`.
+
+    Returns:
+        A row for each model, tilt and azimuth; the azimuth is NaN for the worst one. c_mm is NaN if
+        the tolerance is not reached.
     """
-    c, d, e = spots[["c_mm", "d_mm", "semi_minor_px"]].to_numpy(float).T
-    about = {"source": source, "refit": False, "medium": spots.medium.iloc[0]}
-    about |= place(geometry, c=c, d=d)
-    found = jax.tree.map(np.asarray, estimates(geometry, c=c, semi_minor_px=e))
-    tables = [
-        pd.DataFrame({"model": m, **about, "estimate_mm": found[m], "error_mm": found[m] - d})
-        for m in models
+    keys = ["model", "incidence_deg", "azimuth_deg"]
+    rows = [(*key, limit_eccentricity(own, tolerance)) for key, own in page.grouped(errors, *keys)]
+    found = pd.DataFrame(rows, columns=[*keys, "c_mm"])
+    worst = found.groupby(keys[:2], sort=False).c_mm.min().reset_index()
+    return pd.concat([found, worst.assign(azimuth_deg=math.nan)], ignore_index=True)[
+        [*keys, "c_mm"]
     ]
-    return pd.concat(tables, ignore_index=True)
-
-
-@jax.jit
-def semi_minor(geometry: Geometry, *, c: _Values, d: _Values) -> jax.Array:
-    """e1' of the exact contour at eccentricities and distances (mm), px."""
-    forward = partial(optics.exact_semi_minor, *geometry.world, **geometry.beam)
-    return jax.vmap(lambda c, d: forward(eccentricity=c, distance=d))(c, d)
-
-
-@jax.jit
-def estimates(geometry: Geometry, *, c: _Values, semi_minor_px: _Values) -> dict[str, jax.Array]:
-    """Distance by every model, mm, from e1' (px) at known eccentricity (mm)."""
-    exact = partial(optics.exact_distance, *geometry.world, **geometry.beam)
-    closed = partial(
-        optics.closed_form_distance,
-        semi_minor_px=semi_minor_px,
-        scale=geometry.scale,
-        k=optics.slope(geometry.half_angle),
-        b=geometry.apex_offset,
-        eccentricity=c,
-        eye_radius=geometry.eye_radius,
-        inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
-    )
-    return {model: closed(model) for model in optics.CLOSED_FORMS} | {
-        "exact": jax.vmap(lambda c, e: exact(eccentricity=c, semi_minor_px=e))(c, semi_minor_px)
-    }
 
 
 def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
@@ -143,8 +80,12 @@ def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
 
 
 def largest_errors(errors: pd.DataFrame) -> pd.Series:
-    """The largest absolute error over all distances, by eccentricity; mm."""
-    return errors.error_mm.abs().groupby(errors.c_mm.round(6)).max()
+    """The largest absolute error over all distances, by eccentricity; mm.
+
+    It is infinite where a model has no distance.
+    """
+    size = errors.error_mm.abs().fillna(math.inf)
+    return size.groupby(errors.c_mm.round(6)).max()
 
 
 def limit_eccentricity(errors: pd.DataFrame, limit: float) -> float:
@@ -184,6 +125,7 @@ SHOWN = ("small_plane", "corrected", "exact")
 MODEL_COLOURS = dict(
     zip(COMPARED, (page.VERMILION, page.BLUE, page.GREEN, page.BLACK), strict=True)
 )
+COLOURS = {"planar": page.ORANGE} | MODEL_COLOURS
 TRIAL_COLOURS = (page.BLUE, page.ORANGE, page.GREEN)
 
 READING = "$d_r$, reading since contact (mm)"
@@ -191,45 +133,7 @@ MEASURED = "measured $e_1'$ (px)"
 DISTANCE = "$d$, tip to wall along the beam (mm)"
 ECCENTRICITY = "eccentricity $c$ (mm)"
 
-_SHADES = dict(zip(CHOSEN_DISTANCES_MM, ("#A6CEE3", page.SKY, page.BLUE, "#08306B"), strict=True))
-
 
 def pinhole_title(z_f_mm: float) -> str:
     """The pinhole's height, for titles and legends."""
     return "telecentric" if np.isinf(z_f_mm) else f"$z_F$ = {z_f_mm:g} mm"
-
-
-def model_error_figure(analytic: pd.DataFrame, rendered: pd.DataFrame) -> Figure:
-    """Signed error against c: a row for each pinhole, a column for each of the models `SHOWN`.
-
-    Tilted beams are shown at the first azimuth of their tilt.
-    """
-    tilted = analytic.incidence_deg.max()
-    leaning = analytic[analytic.incidence_deg == tilted]
-    square = analytic[analytic.incidence_deg != tilted]
-    azimuth = leaning.azimuth_deg.iloc[0]
-
-    def draw(axes: Axes, height: float, model: str) -> None:
-        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
-        for d, colour in _SHADES.items():
-            for errors, style in (
-                (square, {"ls": ":"}),
-                (leaning, {"label": f"exact contour, $d$ = {d:g} mm"}),
-                (rendered, {"ls": "", "marker": "o", "ms": 3.5}),
-            ):
-                here = (errors.model == model) & (errors.z_f_mm == height)
-                if errors is not square:
-                    here &= (errors.incidence_deg == tilted) & (errors.azimuth_deg == azimuth)
-                shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
-                axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
-
-    return page.small_multiples(
-        draw,
-        rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
-        columns=SHOWN,
-        title=lambda height, model: f"{model}\n{pinhole_title(height)}, azimuth {azimuth:g}°",
-        x=ECCENTRICITY,
-        y="estimate − $d$ (mm)",
-        sharex=True,
-        sharey="row",
-    )

@@ -1,4 +1,6 @@
 from . import studies as studies
+from .benchmarks.model_error import error_limits as error_limits
+from .benchmarks.rig_error import model_error as model_error
 from .command_line import main as main
 from .estimator.recording import Recording as Recording
 from .formats.rig import Rig as Rig

@@ -26,6 +26,7 @@ COMMANDS = {
         "scenes.commands:render": "Render a scene file to an image stack with labels.",
         "estimator.run.command:track": "Measure the spot in every frame; write a spots file.",
         "estimator.console.command:console": "Show a source and its distances in the browser.",
+        "benchmarks.rig_error:error": "Say how wrong each model is for a rig, in seconds.",
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
         "estimator.rig.node:node": "Measure a microscope's images under ROS 1 or 2.",
@@ -75,7 +76,7 @@ and its line in the list."""
 
 TASKS = {
     "Start": ("scene", "render", "fit", "track"),
-    "Judge": ("budget", "score", "validate", "study", "rivals"),
+    "Judge": ("error", "budget", "score", "validate", "study", "rivals"),
     "Data": ("dataset", "export"),
     "Rig": ("rig", "camera", "console", "node", "doctor"),
     "Plan": ("preregister", "adjudicate"),

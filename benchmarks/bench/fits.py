@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from eyespot import calibration, optics
-from eyespot.benchmarks.paper import rms
+from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
 from eyespot.calibration import Prior
 from eyespot.calibration.pixels.data import Footage, footage_of

@@ -19,9 +19,9 @@ from scipy.stats import chi2
 
 from eyespot import optics
 from eyespot.benchmarks.bench.load import memory_mb
-from eyespot.benchmarks.paper import largest, rms
 from eyespot.benchmarks.sets.read import own_reader, true_beam
 from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
+from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from eyespot.estimator.distance.range import TipPose
 from eyespot.estimator.recording import Recording

@@ -26,7 +26,7 @@ from matplotlib.axes import Axes
 from threadpoolctl import threadpool_limits
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.paper import rms, withdrawal
+from eyespot.benchmarks.paper import withdrawal
 from eyespot.benchmarks.reporting import (
     Claim,
     Column,
@@ -36,6 +36,7 @@ from eyespot.benchmarks.reporting import (
     Table,
     small_multiples,
 )
+from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from eyespot.estimator import Frame, Reader
 from eyespot.formats.inputs import InputError

@@ -19,6 +19,7 @@ from eyespot import optics, scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, number, rows_of, where
+from eyespot.benchmarks.statistics import first_reached, largest, rms
 from eyespot.benchmarks.study import (
     Changes,
     LightSource,
@@ -248,8 +249,8 @@ def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
     by = frames.groupby(keys)
     columns = [f"{name}_mm" for name in ("error", *PARTS)]
     used = frames[columns].where(~frames.left_out).groupby([frames[key] for key in keys])
-    sizes, means = used.agg(paper.rms).add_prefix("rms_"), used.mean().add_prefix("mean_")
-    sizes.insert(1, "largest_error_mm", used.error_mm.agg(paper.largest))
+    sizes, means = used.agg(rms).add_prefix("rms_"), used.mean().add_prefix("mean_")
+    sizes.insert(1, "largest_error_mm", used.error_mm.agg(largest))
     left_out = by.left_out.sum()
     counts = pd.DataFrame({"spots": by.size() - left_out, "left_out": left_out})
     return pd.concat([counts, sizes, means], axis=1).reset_index()
@@ -263,8 +264,8 @@ def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
     known = rows.dropna(subset="rms_error_mm").sort_values("speed_mm_s") if len(rows) else rows
     if known.empty:
         return math.nan
-    sizes = [paper.rms(known.rms_rest_mm), *known.rms_error_mm]
-    return paper.first_reached([0.0, *known.speed_mm_s], sizes, limit_mm)
+    sizes = [rms(known.rms_rest_mm), *known.rms_error_mm]
+    return first_reached([0.0, *known.speed_mm_s], sizes, limit_mm)
 
 
 def limits(spreads: pd.DataFrame) -> pd.DataFrame:
@@ -377,7 +378,7 @@ def report(
     shown, late = sources[-1], f"{1000 * LATENCIES_S[-1]:g} ms late"
     stamped, reached = where(errors, latency_s=LATENCIES_S[0]), limits(spreads)
     used = where(stamped, source=shown, way=paper.SUBPIXEL.name)
-    own = paper.largest(used.error_mm[used.doubt == ""])
+    own = largest(used.error_mm[used.doubt == ""])
     withdrawn = by_speed(spreads, shown, "withdrawal", paper.SUBPIXEL.name, LATENCIES_S[-1])
     last = where(withdrawn, speed_mm_s=top)
     fastest = where(spreads, source=shown, speed_mm_s=top)
@@ -389,7 +390,7 @@ def report(
         title="How wrong is the distance while the tip moves, and why?",
         answer=f"Up to {top:g} mm/s the distance from the {shown}'s spot is off by "
         f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
-        f"{late} make it {number(paper.rms(last.rms_error_mm), 2)} mm (rms, along the beam, at "
+        f"{late} make it {number(rms(last.rms_error_mm), 2)} mm (rms, along the beam, at "
         "that speed).",
         lead=f"Estimates from frames of {exposure_ms:g} ms while the tip moves along the beam, "
         "across the wall and as a hand moves it, against the robot's readings.",
@@ -459,7 +460,10 @@ def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame, frame_ms: float) -> It
     for source in sources:
         rows = where(stamped, source=source, way=paper.SUBPIXEL.name)
         used = rows[rows.doubt == ""]
-        worst, moved = paper.largest(used.error_mm), paper.largest(used.blur_mm + used.stamps_mm)
+        worst, moved = (
+            largest(used.error_mm),
+            largest(used.blur_mm + used.stamps_mm),
+        )
         reasons = rows.doubt[rows.doubt != ""].value_counts()
         why = "".join(f"; {number} {reason}" for reason, number in reasons.items())
         ms = 1000 * rows.exposure_s

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from eyespot import optics, scenes
-from eyespot.benchmarks import model_error, paper
+from eyespot.benchmarks import exact_spots, model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.studies import error_causes
@@ -117,8 +117,8 @@ def withdrawals(
     Of all models with the true c, then of small_plane with the fitted one, see `refitted`.
     """
     grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": DISTANCES_MM}
-    spots = model_error.exact_spots(geometry, **grid, medium=medium)
-    errors = model_error.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
+    spots = exact_spots.exact_spots(geometry, **grid, medium=medium)
+    errors = exact_spots.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
     found = [
         refitted(geometry, errors[errors.c_mm == c], own.semi_minor_px.to_numpy())
         for c, own in grouped(spots, "c_mm")
@@ -142,7 +142,7 @@ def refitted(
     fit = fit_eccentricity(**spots, distance=d, delta_k=geometry.scale * k)
     estimate = np.asarray(optics.small_plane_distance(**spots, k=k, eccentricity=fit.c))
     after = before.assign(refit=True, estimate_mm=estimate, error_mm=estimate - d)
-    before_mm, after_mm = paper.largest(before.error_mm), paper.largest(after.error_mm)
+    before_mm, after_mm = statistics.largest(before.error_mm), statistics.largest(after.error_mm)
     return after, {
         **{name: before[name].iloc[0] for name in ("source", "z_f_mm", "incidence_deg", "c_mm")},
         "fitted_c_mm": fit.c,
@@ -224,11 +224,11 @@ def measure(
     # Empty tables first, so that a run without spots has tables, too.
     errors, refits, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [], [pd.DataFrame()]
     for name, scene in every.items():
-        seen, geometry = tracked[name], model_error.geometry_of(scene)
+        seen, geometry = tracked[name], exact_spots.geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
             errors.append(
-                model_error.model_errors(geometry, spots, source="rendered", models=optics.MODELS)
+                exact_spots.model_errors(geometry, spots, source="rendered", models=optics.MODELS)
             )
         if len(spots) >= _FEWEST_SPOTS:
             rows, refit = refitted(geometry, errors[-1], spots.semi_minor_px.to_numpy())
@@ -274,7 +274,6 @@ def pinhole_heights(scene: Scene) -> tuple[float, float]:
 
 # Figures.
 
-_COLOURS = {"planar": page.ORANGE} | model_error.MODEL_COLOURS
 _GEOMETRIC = page.BLUE, page.VERMILION, page.ORANGE, page.BLACK, page.GREEN
 _OTHERS = page.SKY, page.PURPLE, "#8C6D31", "#B8B8B8", "#6E6E6E"
 _CAUSE_COLOURS = dict(zip(CAUSES, (*_GEOMETRIC, *_OTHERS), strict=True))
@@ -291,7 +290,7 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
             where(errors, z_f_mm=height, incidence_deg=incidence)
             for errors in (tables["withdrawals"], with_true_c(tables["rendered"]))
         )
-        for model, colour in _COLOURS.items():
+        for model, colour in model_error.COLOURS.items():
             line = model_error.largest_errors(where(exact, model=model, refit=False))
             if model != "exact":  # right to rounding on its own contours
                 axes.plot(line, color=colour, label=model)
@@ -355,7 +354,7 @@ def fill_space(
     The scene gives the scale, the spot's size at contact and the medium. The rows of `before` are
     written before those of the space.
     """
-    cone, filled = model_error.geometry_of(scene), []
+    cone, filled = exact_spots.geometry_of(scene), []
     about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": scene.source.medium}
     radius = -cone.apex_offset * float(np.tan(cone.half_angle))
     with (
@@ -476,7 +475,7 @@ def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Cla
             value=spot.whole_mm,
         )
     if len(errors):
-        worst = tuple(paper.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
+        worst = tuple(statistics.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
         yield page.Claim(
             name="rendered spots",
             sentence=f"Largest errors over {used.sum()} spots: {listed(worst, '.3f')} mm "
@@ -551,7 +550,7 @@ def eccentricity(
         for height in (0.0, *pinhole_heights(base), np.inf):
             for tilt in dict.fromkeys((0.0, base.spot.incidence_deg)):
                 view = {"microscope.pinhole_height_mm": height, "spot.incidence_deg": tilt}
-                geometry = model_error.geometry_of(scenes.changed(base, view))
+                geometry = exact_spots.geometry_of(scenes.changed(base, view))
                 c = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
                 found.append(withdrawals(geometry, eccentricities=c, medium=base.source.medium))
         on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))

@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from eyespot import optics
 from eyespot.benchmarks.model_error import Geometry, place
-from eyespot.benchmarks.paper import coalitions, shapley_values
+from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.optics.irradiance import in_batches
 from eyespot.scenes import Scene
 from eyespot.scenes.walls.picture import PRESETS_MM, wall_spread

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import ECCENTRICITY
-from eyespot.benchmarks.paper import coalitions, first_reached, shapley_values
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.statistics import coalitions, first_reached, shapley_values
 from eyespot.benchmarks.studies import eye_paths
 from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
 from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study

@@ -19,7 +19,6 @@ from matplotlib.axes import Axes
 from scipy.linalg import expm
 
 from eyespot import scenes
-from eyespot.benchmarks.paper import largest, rms
 from eyespot.benchmarks.reporting import (
     Claim,
     Column,
@@ -29,6 +28,7 @@ from eyespot.benchmarks.reporting import (
     Table,
     small_multiples,
 )
+from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from eyespot.estimator import Frame
 from eyespot.estimator.run.offline import record_of

@@ -15,8 +15,9 @@ from matplotlib.figure import Figure
 from eyespot import optics, scenes
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import DISTANCE
-from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, rms, withdrawal
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, withdrawal
 from eyespot.benchmarks.reporting import number, rows_of, where
+from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger

@@ -18,8 +18,9 @@ from scipy.stats import qmc
 
 from eyespot import optics, scenes
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, rms, write_results
+from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, write_results
 from eyespot.benchmarks.reporting import listed, number, where
+from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
 from eyespot.calibration.spots.tool_pose import (
     Tool,

@@ -17,8 +17,9 @@ from matplotlib.figure import Figure
 from eyespot import optics, scenes
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import DISTANCE
-from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, largest, withdrawal
+from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, withdrawal
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.statistics import largest
 from eyespot.benchmarks.studies import sensor_views
 from eyespot.benchmarks.studies.sensor_views import (
     CONTOUR_PX,

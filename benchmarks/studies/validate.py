@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from eyespot import optics
-from eyespot.benchmarks import model_error, paper
+from eyespot.benchmarks import exact_spots, model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
@@ -127,15 +127,15 @@ def fit_tables(
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
-    geometry = model_error.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
+    geometry = exact_spots.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
     tilts = [(0.0, 0.0)]
     tilts += [(geometry.incidence, math.radians(azimuth)) for azimuth in paper.TILT_AZIMUTHS_DEG]
     c, d = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
     tables = []
     for height, (tilt, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
         own = geometry._replace(pinhole_height=height, incidence=tilt, incidence_azimuth=azimuth)
-        spots = model_error.exact_spots(own, eccentricities=c, distances=d)
-        tables.append(model_error.model_errors(own, spots, source="analytic"))
+        spots = exact_spots.exact_spots(own, eccentricities=c, distances=d)
+        tables.append(exact_spots.model_errors(own, spots, source="analytic"))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -289,6 +289,49 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
     )
 
 
+_SHADES = dict(
+    zip(model_error.CHOSEN_DISTANCES_MM, ("#A6CEE3", page.SKY, page.BLUE, "#08306B"), strict=True)
+)
+
+
+def model_error_figure(analytic: pd.DataFrame, rendered: pd.DataFrame) -> Figure:
+    """Signed error against c: a row for each pinhole, a column for each of `model_error.SHOWN`.
+
+    Tilted beams are shown at the first azimuth of their tilt.
+    """
+    tilted = analytic.incidence_deg.max()
+    leaning = analytic[analytic.incidence_deg == tilted]
+    square = analytic[analytic.incidence_deg != tilted]
+    azimuth = leaning.azimuth_deg.iloc[0]
+
+    def draw(axes: Axes, height: float, model: str) -> None:
+        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        for d, colour in _SHADES.items():
+            for errors, style in (
+                (square, {"ls": ":"}),
+                (leaning, {"label": f"exact contour, $d$ = {d:g} mm"}),
+                (rendered, {"ls": "", "marker": "o", "ms": 3.5}),
+            ):
+                here = (errors.model == model) & (errors.z_f_mm == height)
+                if errors is not square:
+                    here &= (errors.incidence_deg == tilted) & (errors.azimuth_deg == azimuth)
+                shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
+                axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
+
+    return page.small_multiples(
+        draw,
+        rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
+        columns=model_error.SHOWN,
+        title=lambda height, model: (
+            f"{model}\n{model_error.pinhole_title(height)}, azimuth {azimuth:g}°"
+        ),
+        x=model_error.ECCENTRICITY,
+        y="estimate − $d$ (mm)",
+        sharex=True,
+        sharey="row",
+    )
+
+
 # The claims: the models' errors first, Table I last.
 
 
@@ -301,7 +344,7 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
             square.error_mm[np.isclose(square.c_mm, c)] for c in CHOSEN_ECCENTRICITIES_MM
         )
         reached = model_error.limit_eccentricity(here, ACCEPTABLE_ERROR_MM)
-        worst = paper.largest(here.error_mm)
+        worst = statistics.largest(here.error_mm)
         yield page.Claim(
             name=f"small_plane, z_F = {height:g} mm",
             sentence=f"The error of the paper's model reaches the acceptable "
@@ -314,7 +357,7 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
             high=ACCEPTABLE_ERROR_MM,
         )
     for (model, height), own in grouped(model_error.accuracy(findings.rendered), "model", "z_f_mm"):
-        worst = paper.largest(own.max_abs_error_mm)
+        worst = statistics.largest(own.max_abs_error_mm)
         yield page.Claim(
             name=f"{model} on rendered spots, z_F = {height:g} mm",
             sentence=f"The largest error is {worst:.3f} mm on {own.spots.sum()} spots of the ideal "
@@ -402,7 +445,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
         for fits in (findings.lines("lens", way) for way in (paper.SUBPIXEL, paper.LITERAL))
     )
     seen = where(findings.spots, source="lens", kind="plane", way=paper.SUBPIXEL.name, used=True)
-    bias = paper.rms(seen.semi_minor_px - seen.half_max_semi_minor_px)
+    bias = statistics.rms(seen.semi_minor_px - seen.half_max_semi_minor_px)
     length = 0.0 if math.isnan(first) else last - first
     yield page.Claim(
         name="the lens's half-maximum radius grows with distance",
@@ -438,7 +481,7 @@ def report(findings: ValidateFindings) -> page.Report:
         title="How accurate is a distance measured from a spot of light?",
         answer=f"With the paper's model a distance is off by {ACCEPTABLE_ERROR_MM:g} mm from c = "
         f"{number(low, 1)} mm on, and under a real microscope from c = {number(high, 1)} mm on; "
-        f"the exact geometry gives it within {number(paper.largest(exact), 3)} mm on all "
+        f"the exact geometry gives it within {number(statistics.largest(exact), 3)} mm on all "
         f"{len(exact)} rendered spots of the ideal cone.",
         lead="The static experiment of Zhou et al. 2020 (“Spotlight-based 3D Instrument Guidance "
         "for Retinal Surgery”) on rendered images whose truth is known, and its small-plane model "
@@ -477,7 +520,7 @@ def report(findings: ValidateFindings) -> page.Report:
                 "The models against the exact geometry",
                 page.Picture(
                     "model_error",
-                    model_error.model_error_figure(analytic, rendered),
+                    model_error_figure(analytic, rendered),
                     "The sign of the error: small_plane makes distances too short. Exact contours "
                     "(lines; dotted: square beam) and spots measured in rendered frames of the "
                     "ideal cone (dots, at the rendered distances). Every model is given the true "
@@ -565,10 +608,10 @@ def validate(
         spots, planes, spheres = fit_tables(trials, spots)
         # Each pinhole height and azimuth of the grid in one batch.
         used, rendered = spots[spots.used], []
-        geometries = {t.name: model_error.geometry_of(t.scene) for t in trials if t.kind == "grid"}
+        geometries = {t.name: exact_spots.geometry_of(t.scene) for t in trials if t.kind == "grid"}
         for geometry in dict.fromkeys(geometries.values()):
             own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-            rendered.append(model_error.model_errors(geometry, used[own], source="rendered"))
+            rendered.append(exact_spots.model_errors(geometry, used[own], source="rendered"))
         findings = ValidateFindings(
             stacks=study.folder / "stacks",
             trials=trials,

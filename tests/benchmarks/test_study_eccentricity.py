@@ -10,9 +10,9 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks import model_error
+from eyespot.benchmarks import exact_spots
 from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry
-from eyespot.benchmarks.paper import coalitions, shapley_values
+from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.benchmarks.studies import eccentricity, error_causes
 from eyespot.benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
@@ -140,10 +140,10 @@ def test_the_parts_sum_to_the_error_that_the_models_make_of_the_measured_spot(wo
         told = geometry(z_f=pinhole, incidence_deg=30.0 if where == MICROSCOPE else 0.0)
         # As many as a grid of withdrawals has, which spares a compilation.
         c, d = np.full(GRID, 4.0), np.full(GRID, 4.0)
-        seen = model_error.semi_minor(told, c=c, d=d) + EDGE_PX + PIXELS_PX + SPREAD_PX
+        seen = exact_spots.semi_minor(told, c=c, d=d) + EDGE_PX + PIXELS_PX + SPREAD_PX
         # The working distance z_F + r is the microscope's and stays.
         wrong = told._replace(eye_radius=R + WRONG_R_MM, pinhole_height=pinhole - WRONG_R_MM)
-        found = model_error.estimates(wrong, c=c + WRONG_C_MM, semi_minor_px=seen)
+        found = exact_spots.estimates(wrong, c=c + WRONG_C_MM, semi_minor_px=seen)
         for m, model in enumerate(optics.MODELS):
             parts = shapley_values(worths[where, m])
             # Solvers settle to 1e-9 mm.
@@ -259,7 +259,7 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
     told = geometry(z_f=math.inf, incidence_deg=30.0)
     spots = pd.DataFrame({"c_mm": np.full(GRID, 3.0), "d_mm": 2.0, "semi_minor_px": 55.0})
     spots["medium"] = "air"
-    row = model_error.model_errors(told, spots, source="rendered")[:1]
+    row = exact_spots.model_errors(told, spots, source="rendered")[:1]
     filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=row)
     rows = pd.read_csv(file)
     assert list(rows) == MODEL_ERROR

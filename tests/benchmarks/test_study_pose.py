@@ -10,8 +10,8 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.paper import rms
 from eyespot.benchmarks.reporting import where
+from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.studies import pose
 from eyespot.benchmarks.studies.pose import AxisPrior, scatter, tools_of
 from eyespot.calibration.spots.tool_pose import (

@@ -10,7 +10,8 @@ import pytest
 from uncertainties import correlated_values, ufloat, umath
 
 from eyespot import optics
-from eyespot.benchmarks.model_error import Geometry, estimates, semi_minor
+from eyespot.benchmarks.exact_spots import estimates, semi_minor
+from eyespot.benchmarks.model_error import Geometry
 from eyespot.estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
 from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
