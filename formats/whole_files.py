@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, arrays kept in the cache, and damage as one error.
+"""Files that are written whole or not at all, and damage as one error.
 
 Until it is whole, a file or folder NAME lies in the folder `.NAME.unfinished` beside it, which its
 writer has locked. A lock ends with its process, so what a killed writer has left is recognised: it
@@ -7,19 +7,13 @@ can be locked, and the next writer of NAME starts with an empty folder.
 
 import errno
 import fcntl
-import math
 import os
 import shutil
-import zipfile
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from io import FileIO
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from eyespot.formats.cache_folder import cache_folder
 from eyespot.formats.inputs import InputError
 
 UNFINISHED = ".unfinished"
@@ -258,45 +252,3 @@ def _taken(path: Path) -> InputError:
     return InputError(
         f"{path} already exists. Choose another name, or --overwrite if the command has it."
     )
-
-
-def cache_file(folder: str, key: str) -> Path:
-    """Where arrays are kept."""
-    return Path(cache_folder(), "eyespot", folder, f"{key}.npz")
-
-
-def _arrays_in(path: Path, names: Collection[str]) -> dict[str, Any]:
-    """The arrays of an .npz file that `np.savez` wrote, if they are these and all finite."""
-    with zipfile.ZipFile(path) as file:
-        for member in file.infolist():
-            # NumPy would take the memory that a header announces before it reads.
-            with file.open(member) as data:
-                np.lib.format.read_magic(data)
-                shape, _, kind = np.lib.format.read_array_header_1_0(data)
-            if math.prod(shape) * kind.itemsize > member.file_size:
-                raise InputError(f"has an array of {shape} in {member.file_size} bytes")
-    with np.load(path) as arrays:
-        found = dict(arrays)
-    if found.keys() != {*names} or not all(np.isfinite(array).all() for array in found.values()):
-        raise InputError("has other arrays, or numbers that are not finite")
-    return found
-
-
-def kept_arrays(
-    path: Path, names: Collection[str], compute: Callable[[], dict[str, Any]]
-) -> dict[str, Any]:
-    """Finite arrays by name from a file; they are computed and written if it lacks them.
-
-    Args:
-        names: of the arrays that `compute` returns.
-    """
-    with suppress(InputError), damage_reported(f"{path}", "It is written anew."):
-        return _arrays_in(path, names)
-    values = compute()
-    # A cache that cannot be written costs time, not results; another process may be writing it.
-    with suppress(OSError, InputError):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        sweep(path.parent)
-        with written_whole(path, replace=True) as partial:
-            np.savez(partial, **values)
-    return values

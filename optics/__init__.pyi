@@ -19,6 +19,7 @@ from .ellipse import Ellipse as Ellipse
 from .ellipse import ellipse_of_contour as ellipse_of_contour
 from .ellipse import ellipse_points as ellipse_points
 from .irradiance import vector_irradiance as vector_irradiance
+from .lens import LIGHT_CODE as LIGHT_CODE
 from .lens import GlueLens as GlueLens
 from .lens import glue_lens as glue_lens
 from .lens import lens_names as lens_names

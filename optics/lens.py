@@ -18,6 +18,12 @@ from eyespot.formats.inputs import InputError, check_schema, in_file, read_toml,
 _PRESETS = Path(__file__).parent / "lenses"
 _HISTORY = {1: "the format of eyespot 0.1"}
 
+LIGHT_CODE = tuple(
+    Path(__file__).with_name(f"{name}.py")
+    for name in ("irradiance", "irradiance_edges", "lens", "lens_table", "refraction")
+)
+"""The source files on which the light of a lens depends. What is kept of it holds for these."""
+
 _LARGEST_MM = 10.0  # of any length of a lens; a fibre has 0.1 to 1 mm
 
 

@@ -6,10 +6,10 @@ radius, the radii at a quarter and at three quarters of the peak relative to it,
 exposure, the peak's brightness.
 """
 
-import functools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -133,9 +133,8 @@ def distance_from_lens(
     return Range(distance_mm=distance, sigma_mm=float(np.sqrt(spread)), others_mm=others)
 
 
-@functools.lru_cache(2)  # several microscopes may look at one lens
 def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
-    """Trace a calibrated lens. Loads JAX; takes some 20 s.
+    """The spots of a calibrated lens. Loads JAX; traces it once, for some 30 s, and keeps that.
 
     Args:
         wall_curvature: 1/r of the eyeball, 1/mm; 0 of a plane.
@@ -144,23 +143,46 @@ def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
         InputError: no lens has these parameters; the text says which one is wrong.
     """
     from eyespot import optics
+    from eyespot.formats.kept_arrays import kept_arrays
 
-    lens = optics.glue_lens(
-        **{name: calibration.values[name] for name in LENS_PARAMETERS if name in calibration.values}
+    values = calibration.values
+    lens = optics.glue_lens(**{name: values[name] for name in LENS_PARAMETERS if name in values})
+    kept = kept_arrays(
+        "lens_curve",
+        ("radii", "peak", "relative_error"),
+        lambda: _traced(calibration, lens, wall_curvature),
+        inputs=(
+            list(values.items()),
+            calibration.covariance.tolist(),
+            calibration.medium_index,
+            wall_curvature,
+        ),
+        code=(*optics.LIGHT_CODE, Path(__file__)),
     )
+    return LensCurve(
+        distances=_DISTANCES,
+        incidences=_INCIDENCES,
+        tip_radius=values["aperture_radius"],
+        **kept,
+    )
+
+
+def _traced(
+    calibration: Calibration, lens: "optics.GlueLens", wall_curvature: float
+) -> dict[str, np.ndarray]:
+    """What a `LensCurve` has of a lens's light."""
+    from eyespot import optics
+
     table = optics.irradiance_table(lens, medium_index=calibration.medium_index)
     light, points = zip(
         *(_wall_light(table, wall_curvature, distance) for distance in _DISTANCES), strict=True
     )
     contours: Any = np.stack([_isophotes(*of_one) for of_one in zip(light, points, strict=True)])
-    return LensCurve(
-        distances=_DISTANCES,
-        incidences=_INCIDENCES,
-        radii=np.asarray(optics.ellipse_of_contour(contours).semi_minor),
-        peak=np.max(light, axis=(2, 3)),
-        relative_error=_relative_error(calibration),
-        tip_radius=calibration.values["aperture_radius"],
-    )
+    return {
+        "radii": np.asarray(optics.ellipse_of_contour(contours).semi_minor),
+        "peak": np.max(light, axis=(2, 3)),
+        "relative_error": _relative_error(calibration),
+    }
 
 
 def _wall_light(

@@ -5,10 +5,8 @@ fitted together with them (`solver`). The first is among them as long as its spo
 beside the newest, because a chain of frames that forgets its beginning drifts.
 """
 
-import hashlib
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,14 +29,15 @@ from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference
 from eyespot.estimator.pixels.verdict import flag_of, range_of, shake_covariance
 from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
+from eyespot.formats.kept_arrays import kept_arrays
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.spots import Outline, Reason
 from eyespot.formats.stated import USUAL_SHAKE_PX
-from eyespot.formats.whole_files import cache_file, kept_arrays
 from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.lens import (
     FLATTEST,
     PARAMETERS,
+    TABLE_CODE,
     LensTable,
     halvings_for,
     lens_parameters,
@@ -290,10 +289,13 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     def compute() -> dict[str, Any]:
         return lens_samples(parameters, free, **light).table().arrays()
 
-    key = hashlib.sha256(repr((sorted(parameters.items()), free, sorted(light.items()))).encode())
-    for source in (Path(__file__), *sorted(Path(optics.__file__).parent.rglob("*.py"))):
-        key.update(source.read_bytes())
-    kept = kept_arrays(cache_file("lens_table", key.hexdigest()), LensTable.array_names(), compute)
+    kept = kept_arrays(
+        "lens_table",
+        LensTable.array_names(),
+        compute,
+        inputs=(sorted(parameters.items()), free, sorted(light.items())),
+        code=TABLE_CODE,
+    )
     spread = _root(calibration.covariance[np.ix_(at, at)])
     least = {"sag": FLATTEST * parameters["aperture_radius"]}  # of a flat end
     sizes = np.array([[max(abs(values[name]), least.get(name, 0.0))] for name in free])

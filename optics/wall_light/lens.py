@@ -18,6 +18,7 @@ sharp image of its core.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -45,6 +46,8 @@ PARAMETERS = (
 )
 """A lens's shape and light. `rim_height` is the height of the cap's rim over the core, mm. It
 replaces the glue's length, so that a change of the sag alone keeps the lens possible."""
+TABLE_CODE = (*optics.LIGHT_CODE, Path(__file__), Path(__file__).with_name("cells.py"))
+"""The source files on which a `LensTable` depends."""
 FLATTEST = 0.02
 """Sag over the aperture's radius below which the end is nearly flat, and changes of the sag count
 as parts of this. The light is then linear in the sag, through zero, where the cap turns hollow."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import math
 from functools import cached_property
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from eyespot import optics
-from eyespot.formats.whole_files import cache_file, kept_arrays
+from eyespot.formats.kept_arrays import kept_arrays
 from eyespot.optics.viewing.camera import PathCamera
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import OutsideWindow, SceneError
@@ -81,10 +79,6 @@ class LensLight(NamedTuple):
     transmitted: float
 
 
-LIGHT_FILES = ("irradiance.py", "irradiance_edges.py", "lens.py", "lens_table.py", "refraction.py")
-"""The files of `optics` on which a lens's light depends."""
-
-
 @functools.lru_cache(maxsize=4)
 def lens_light(lens: str, medium_index: float) -> LensLight:
     """Light of a lens, computed once and then read from the user's cache folder.
@@ -101,12 +95,10 @@ def lens_light(lens: str, medium_index: float) -> LensLight:
         kept = {name: getattr(table, name) for name in names} | {"transmitted": transmitted}
         return {name: np.asarray(value) for name, value in kept.items()}
 
-    # The key is made of all that the result depends on: lens, medium and code.
     numbers = {name: x if x is None else float(x) for name, x in vars(glass).items()}
-    key = hashlib.sha256(repr((sorted(numbers.items()), medium_index)).encode())
-    for source in LIGHT_FILES:
-        key.update((Path(optics.__file__).parent / source).read_bytes())
-    kept = kept_arrays(cache_file("lens_light", key.hexdigest()), (*names, "transmitted"), compute)
+    inputs = sorted(numbers.items()), medium_index
+    with_power = (*names, "transmitted")
+    kept = kept_arrays("lens_light", with_power, compute, inputs=inputs, code=optics.LIGHT_CODE)
     table = optics.IrradianceTable(**{name: kept[name] for name in names})
     return LensLight(table, float(kept["transmitted"]))
 
