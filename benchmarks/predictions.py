@@ -37,7 +37,7 @@ from eyespot.formats.inputs import (
     validated,
 )
 from eyespot.formats.microscope import microscope_in, read_microscope
-from eyespot.formats.rig import Rig
+from eyespot.formats.rig import EXACT, rig_in
 from eyespot.formats.spots import PARAMETERS, spots_table
 from eyespot.formats.whole_files import refuse_existing, write_text
 from eyespot.scenes import Scene, World, changed, load_scene, render_stack, scene_toml
@@ -327,7 +327,8 @@ def judged(
     exposure = plan.exposure if is_stack else None
     frames = Recording.open(source, rig=rig, poses=poses, exposure=exposure)
     if frames.view is None:
-        frames = Recording(frames.source, poses=poses, rig=Rig(seen=microscope_in(plan.microscope)))
+        planned = rig_in(EXACT | {"seen": microscope_in(plan.microscope)}, where="plan")
+        frames = Recording(frames.source, poses=poses, rig=planned)
     if poses is None and is_stack:
         frames = Recording(frames.source, poses=frames.robot(), rig=frames.rig)
     options, beam = Options(), None

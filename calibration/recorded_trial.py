@@ -130,13 +130,14 @@ def recorded_trial(
     robot = rig.robot
     if touch is not None:  # known from elsewhere, so the recording may begin anywhere
         robot = robot.model_copy(update={"touch": tuple(touch)})
-    readings, *directions = withdrawal_of(recording.robot(), times, robot=robot, where=name)
+    way = withdrawal_of(recording.robot(), times, robot=robot, where=name)
     motion, axis, *across = (
-        np.array(turned(tuple(direction), turn)) for direction in np.vstack(directions)
+        np.array(turned(tuple(direction), turn))
+        for direction in (way.motion, way.axis, *way.across)
     )
     usable = [
         (record, record.result, reading)
-        for record, reading in zip(records, readings, strict=True)
+        for record, *reading in zip(records, way.readings, way.rates, strict=True)
         # The coverage is NaN in modes that do not measure it.
         if isinstance(record.result, Spot) and not record.result.coverage < _LEAST_COVERAGE
     ]
@@ -162,7 +163,8 @@ def recorded_trial(
             ellipses=ellipses,
             covariances=np.stack([spot.covariance for spot in spots]),
             coverage=np.nan_to_num([spot.coverage for spot in spots], nan=1.0),
-            readings=np.array([reading for _, _, reading in usable]),
+            readings=np.array([reading for _, _, (reading, _) in usable]),
+            rates=np.array([rate for _, _, (_, rate) in usable]),
             motion=motion,
             axis=axis,
             principal_point=np.array(view.principal_point_px),

@@ -7,6 +7,8 @@
      "covariance": {"order": ["k", "b"], "matrix": [[...], [...]]},
      "fitted_on": {"description": "...", "sha256": "..."},
      "sigma_inflation": 1.0,
+     "microscope": "A, zoom 1.6",
+     "stated": {"robot_scale": [[-0.2, 0.05]], "touch": [[0.0, 0.02]]},
      "software": "eyespot 0.1.0"}
 
 The standard errors are given twice, beside the values for people and in the covariance for
@@ -17,7 +19,7 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Any, NamedTuple
@@ -91,6 +93,8 @@ _NAMES = tuple(QUANTITIES)
 LENS_PARAMETERS = _NAMES[_NAMES.index("core_radius") : _NAMES.index("brightness")]
 _LENS_REQUIRED = LENS_PARAMETERS[:6]
 BEAM = ("beam_x", "beam_y")
+OF_MICROSCOPE = ("scale", "inverse_working_distance")
+"""Parameters of the microscope and its zoom, which all recordings through it share."""
 _COMMON = {"scale", "eye_radius", "inverse_working_distance", "eccentricity", *BEAM}
 
 
@@ -145,11 +149,13 @@ def _listed(names: set[str]) -> str:
     return ", ".join(sorted(names)) or "none"
 
 
-SCHEMA = 2
+SCHEMA = 3
 HISTORY = {
     1: "the format of eyespot 0.1",
     2: "the parameters may contain beam_x and beam_y, the beam's direction in the tool's frame; "
     "sigma_inflation says by how much a misfit enlarges the standard errors",
+    3: "microscope names the one whose scale and pinhole are among the parameters; stated says how "
+    "far the parameters follow what a rig stated",
 }
 
 _LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
@@ -173,6 +179,11 @@ class Calibration:
         software: name and version that made the fit.
         sigma_inflation: largest factor by which the standard errors exceed those from noise alone,
             because the model misses part of the light; 1 for a good fit and in files of version 1.
+        microscope: name of the microscope and zoom to which scale and pinhole among the values
+            belong; empty: they count for all images.
+        stated: by what a rig states (`robot_scale`, `touch`, ...), how far the values follow one
+            standard deviation of it, (m, p), a row for each independent statement. It is part of
+            the covariance.
     """
 
     model: str
@@ -184,6 +195,8 @@ class Calibration:
     data_sha256: str
     software: str
     sigma_inflation: float = 1.0
+    microscope: str = ""
+    stated: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Reject what no fit can give.
@@ -193,7 +206,15 @@ class Calibration:
         """
         object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
         object.__setattr__(self, "covariance", np.asarray(self.covariance, float))
+        rows = {name: np.asarray(moved, float) for name, moved in self.stated.items()}
+        object.__setattr__(self, "stated", MappingProxyType(rows))
         check_parameters(self.model, self.values)
+        for name, moved in rows.items():
+            if moved.ndim != 2 or moved.shape[1] != len(self.values):
+                raise InputError(
+                    f"stated.{shortened(name)[1:-1]} must have rows of {len(self.values)} numbers, "
+                    f"one a parameter; got shape {moved.shape}."
+                )
         _check_covariance(self.covariance, len(self.values))
         if not 1 <= self.medium_index <= 2:
             raise InputError(
@@ -225,6 +246,30 @@ class Calibration:
             covariance, angle = slopes @ covariance @ slopes, math.atan(1.0 / angle)
         return angle, b, covariance
 
+    def seen_by(self, microscope: str, *, own_path: bool = False) -> "Calibration":
+        """The calibration for images of a microscope.
+
+        Scale and pinhole of another one are left out; the errors of the other parameters contain
+        theirs.
+
+        Args:
+            microscope: its name; empty if it has none.
+            own_path: whether what lies between it and the wall is described elsewhere.
+        """
+        if not self.microscope:
+            return self
+        same = self.microscope == microscope
+        out = set(OF_MICROSCOPE) if not same else {OF_MICROSCOPE[1]} if own_path else set()
+        kept = [i for i, name in enumerate(self.values) if name not in out]
+        names = list(self.values)
+        return replace(
+            self,
+            values={names[i]: self.values[names[i]] for i in kept},
+            covariance=self.covariance[np.ix_(kept, kept)],
+            stated={name: rows[:, kept] for name, rows in self.stated.items()},
+            microscope=microscope if same else "",
+        )
+
     def sigma(self, name: str) -> float:
         """Standard error of a parameter, in its own unit."""
         index = list(self.values).index(name)
@@ -247,6 +292,8 @@ def write_calibration(path: str | Path, calibration: Calibration) -> None:
         },
         "fitted_on": {"description": calibration.fitted_on, "sha256": calibration.data_sha256},
         "sigma_inflation": calibration.sigma_inflation,
+        "microscope": calibration.microscope,
+        "stated": {name: rows.tolist() for name, rows in calibration.stated.items()},
         "software": calibration.software,
     }
     write_text(Path(path), json.dumps(content, indent=1) + "\n")
@@ -300,6 +347,8 @@ class _CalibrationFile(Strict):
     covariance: _Covariance
     fitted_on: _Origin
     sigma_inflation: Annotated[float, Field(ge=1, le=_LARGEST)] = 1.0
+    microscope: str = Field("", max_length=80)
+    stated: dict[str, list[list[Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]]]] = Field({})
     software: str
 
 
@@ -338,6 +387,8 @@ def calibration_in(content: dict[str, Any]) -> Calibration:
         data_sha256=file.fitted_on.sha256,
         software=file.software,
         sigma_inflation=file.sigma_inflation,
+        microscope=file.microscope,
+        stated={name: _rectangular(name, moved) for name, moved in file.stated.items()},
     )
     for name, entry in file.parameters.items():
         expected = calibration.sigma(name)
@@ -347,6 +398,12 @@ def calibration_in(content: dict[str, Any]) -> Calibration:
                 "both, or fit again."
             )
     return calibration
+
+
+def _rectangular(name: str, rows: list[list[float]]) -> np.ndarray:
+    if len({len(row) for row in rows}) != 1:
+        raise InputError(f"stated.{name} must have rows of equal length; got {shortened(rows)}.")
+    return np.array(rows, float)
 
 
 def _check_covariance(matrix: np.ndarray, count: int) -> None:

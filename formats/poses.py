@@ -186,7 +186,7 @@ class RobotKeys(Strict):
         "wall, in the robot's frame. The travel counts away from the wall.",
     )
     scale_sigma: ShareKey = Field(
-        0.0, description="Relative uncertainty of its distances; 0: taken as exact."
+        0.01, description="Relative uncertainty of its distances; 0: taken as exact."
     )
     touch: Literal["contact", "free"] | PairKey = Field(
         "contact",
@@ -207,7 +207,11 @@ class RobotKeys(Strict):
     clock_offset_s: NumberKey = Field(
         0.0, description="Added to the poses' times to get those of the images."
     )
-    clock_sigma_s: SigmaKey = Field(0.0, description="Standard uncertainty of that offset.")
+    clock_sigma_s: SigmaKey = Field(
+        0.05,
+        description="Standard uncertainty of that offset. 0.05 suits poses without stamps, which "
+        "count from their arrival; 0: one clock.",
+    )
     image_topic: str | None = Field(
         None, examples=['"/camera/image_raw"'], description="Image topic of a bag or a ROS."
     )

@@ -8,6 +8,7 @@ uncertainties of eyespot 0.1 and 0.2 is taken where a rig file is asked for.
 import math
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +27,16 @@ from pydantic import Strict as StrictType
 from pydantic.json_schema import SkipJsonSchema
 
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
-from eyespot.formats.inputs import InputError, Strict, check_schema, in_file, read_toml, validated
+from eyespot.formats.inputs import (
+    InputError,
+    Strict,
+    check_schema,
+    in_file,
+    object_in,
+    read_text,
+    read_toml,
+    validated,
+)
 from eyespot.formats.microscope import MicroscopeFile, read_microscope, response_of
 from eyespot.formats.poses import RobotKeys
 from eyespot.formats.settings_files import (
@@ -45,6 +55,12 @@ from eyespot.formats.stated import USUAL_SHAKE_PX, Stated
 
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.3"}
+EXACT: dict[str, dict[str, Any]] = {
+    "microscope": {"scale_sigma": 0.0, "pinhole_height_sigma_mm": 0.0},
+    "wall": {"radius_sigma_mm": 0.0},
+    "robot": {"scale_sigma": 0.0, "clock_sigma_s": 0.0},
+}
+"""Tolerances of a rig that is known exactly, as a rendered one is."""
 
 Medium = Literal["air", "water", "vitreous"]
 _Length = Annotated[float, Field(gt=0, le=1e6)]
@@ -64,7 +80,7 @@ class MicroscopeKeys(Strict):
         "",
         max_length=80,
         description="Name of microscope and zoom. What a calibration and a reading share cancels "
-        "in distances: scale_sigma counts where the names differ.",
+        "in distances, so that scale_sigma counts only where no name is given or the names differ.",
     )
     calibration: str | None = Field(
         None,
@@ -78,7 +94,7 @@ class MicroscopeKeys(Strict):
         None, examples=["0.0067"], description="Size of a pixel at the height of the retinal pole."
     )
     scale_sigma: ShareKey = Field(
-        0.0, description="Relative standard uncertainty of scale_mm_px; 0: taken as exact."
+        0.01, description="Relative standard uncertainty of scale_mm_px; 0: taken as exact."
     )
     principal_point_px: PairKey | None = Field(
         None,
@@ -95,7 +111,7 @@ class MicroscopeKeys(Strict):
         description="Height of the pinhole above the eyeball's centre; inf: telecentric.",
     )
     pinhole_height_sigma_mm: SigmaKey = Field(
-        0.0, description="Standard uncertainty of the height."
+        5.0, description="Standard uncertainty of the height."
     )
 
 
@@ -147,7 +163,7 @@ class WallKeys(Strict):
         description="Radius of the eyeball (of the layer that sends the light back); the pole of "
         "any wall lies at -radius_mm.",
     )
-    radius_sigma_mm: SigmaKey = Field(0.0, description="Standard uncertainty of the radius.")
+    radius_sigma_mm: SigmaKey = Field(0.3, description="Standard uncertainty of the radius.")
     medium: Medium | None = Field(
         None, examples=['"vitreous"'], description="Medium between the tip and the wall."
     )
@@ -366,6 +382,7 @@ class Rig(Strict):
         if self.microscope.pinhole_height_sigma_mm and self.view is not None:
             sigma = self.microscope.pinhole_height_sigma_mm * self.view.inverse_working_distance**2
         return Stated(
+            scale_sigma=self.microscope.scale_sigma,
             eye_radius_sigma_mm=self.wall.radius_sigma_mm,
             inverse_working_distance_sigma=sigma,
             size_per_mm=self.viewing.size_per_mm,
@@ -489,14 +506,22 @@ def read_rig(path: str | Path, changes: Sequence[str] = ()) -> Rig:
     """
     path = Path(path)
     if path.suffix.lower() != ".toml":
-        rig = Rig.model_validate({"microscope": {"calibration": path.name}, "folder": path.parent})
-        return rig.changed(changes, where=f"{path}")
+        known = EXACT if _is_written_by_eyespot(path) else {}
+        content = merged(known, {"microscope": {"calibration": path.name}})
+        return rig_in(content, where=f"{path}", folder=path.parent).changed(changes)
     with in_file(path):
         content = read_toml(path)
         if content and content.keys() <= Stated.model_fields.keys():
             content = _of_stated(content)
     rig = rig_in(content, where=f"{path}", folder=path.parent)
     return rig.changed(changes, where=f"{path}")
+
+
+def _is_written_by_eyespot(path: Path) -> bool:
+    """Whether a file is a microscope.json, not a camera calibration of another program."""
+    with suppress(InputError):
+        return "schema" in object_in(read_text(path))
+    return False
 
 
 RIG = "rig.toml"
@@ -556,15 +581,16 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
     at_contact = (motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact")
     return {
         "schema": SCHEMA,
-        "microscope": {"calibration": "microscope.json"},
-        "wall": some("phantom", kind="kind") | some("source", medium="medium"),
+        "microscope": EXACT["microscope"] | {"calibration": "microscope.json"},
+        "wall": EXACT["wall"] | some("phantom", kind="kind") | some("source", medium="medium"),
         "instrument": some(
             "instrument",
             fibre_diameter_mm="fibre_diameter_mm",
             fibre_length_mm="fibre_length_mm",
             visible="visible",
         ),
-        "robot": {
+        "robot": EXACT["robot"]
+        | {
             "eye_from_robot": [0.0, 0.0, 0.0, 1.0],
             "touch": "contact" if at_contact else "free",
         },
@@ -585,7 +611,7 @@ _OF_STATED = {
 
 
 def _of_stated(content: Mapping[str, Any]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    found: dict[str, Any] = {table: dict(keys) for table, keys in EXACT.items()}
     for name, value in content.items():
         if name not in _OF_STATED:
             raise InputError(

@@ -22,6 +22,11 @@ class Stated(Strict):
 
     model_config = ConfigDict(frozen=True)
 
+    scale_sigma: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.0,
+        description="Of the microscope's scale, relative; a calibration with a scale of its own, "
+        "made with the same microscope and zoom, has its own.",
+    )
     eye_radius_sigma_mm: _Sigma = Field(
         0.0, description="Of the eye's radius; a calibration with a radius of its own has its own."
     )

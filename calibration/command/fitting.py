@@ -204,6 +204,8 @@ class Fit:
             medium_index=optics.MEDIA[medium],
             fitted_on=f"{self.fitted.used} {self.fitted.unit} of {names}",
             sigma_inflation=self.fitted.inflation,
+            microscope=self.fitted.microscope,
+            stated=self.fitted.stated,
             **self._origin,
         )
 

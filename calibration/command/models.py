@@ -1,7 +1,7 @@
 """Fits to spots: the cone, and the models of the paper."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import cone_against_rig
 from eyespot.calibration.command.verdict import Fitted, bounds_hit
-from eyespot.calibration.pixels.data import CONE
+from eyespot.calibration.pixels.data import CONE, UNITS
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone
 from eyespot.calibration.spots.cone_trials import (
@@ -33,8 +33,15 @@ from eyespot.calibration.spots.paper import (
     fit_plane,
     fit_plane_trials,
 )
+from eyespot.calibration.tolerances import (
+    OF_ROBOT,
+    Known,
+    microscope_of,
+    said_of_priors,
+    tolerances,
+)
 from eyespot.estimator.distance.consistency import disagreements
-from eyespot.formats.calibration import BEAM, QUANTITIES, Calibration
+from eyespot.formats.calibration import BEAM, OF_MICROSCOPE, QUANTITIES, Calibration
 from eyespot.formats.inputs import InputError
 
 _TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
@@ -210,7 +217,10 @@ def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     tilts = [recording.tilt for recording in recordings if recording.trial.kind == "plane"]
     tilt = dict(zip(("tilt_x", "tilt_y"), tilts[0] if tilts else (0.0, 0.0), strict=True))
     own = known_cone(choices.known, recordings) if choices.known else None
-    tolerances = tolerances_of(recordings, choices)
+    shared = own.mean.keys() if own else ()
+    priors = {k: v for k, v in tolerances(recordings).items() if k not in shared}
+    free = tuple(dict.fromkeys((*(choices.names or CONE), *shared, *priors)))
+    priors |= _without_touch(choices)
     core = None if own else _free_core(recordings)
     start = dict(own.mean) if own else cone_start(recordings)
     for _ in range(_CORE_ROUNDS if core else 1):
@@ -219,21 +229,15 @@ def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> 
             [recording.trial for recording in recordings],
             recordings[0].microscope.pinhole(),
             start=start | (dict(joint.mean) if joint else {}) | tilt,
-            free=tuple(dict.fromkeys((*(choices.names or CONE), *tolerances))),
-            priors=tolerances | _without_touch(choices),
+            free=free,
+            priors=priors,
             joint_prior=joint,
             size_sigmas=[SIZE_SIGMA] * len(recordings),
         )
         start = start | {"half_angle": fit.values["half_angle"]}
-    return _fitted(fit, recordings, calibration_model="exact", core=core)
-
-
-def tolerances_of(recordings: Sequence[RecordedTrial], choices: Choices) -> dict[str, Prior]:
-    """What the rig states only to a tolerance: free in the fit, with this prior."""
-    sigma = max(one.recording.rig.robot.scale_sigma for one in recordings)
-    if sigma == 0 or "robot_scale" in choices.priors:
-        return {}
-    return {"robot_scale": Prior(1.0, sigma)}
+    return _fitted(
+        fit, recordings, choices.names or CONE, priors, calibration_model="exact", core=core
+    )
 
 
 _CORE_ROUNDS = 3
@@ -274,6 +278,14 @@ def _cone_from(core: Prior, half_angle: float) -> JointPrior:
     return JointPrior(mean, covariance)
 
 
+def _moved_by_core(fit: ConeFit, core: Prior) -> np.ndarray:
+    """How far the fitted parameters follow a standard deviation of the core's radius, (1, p)."""
+    angle, b = fit.values["half_angle"], fit.values["b"]
+    slopes = {"half_angle": -b / math.cos(angle) ** 2, "b": -math.tan(angle)}
+    gradient = np.array([slopes.get(name, 0.0) for name in fit.free])
+    return np.asarray(gradient @ fit.covariance / core.sigma)[None]
+
+
 def _without_touch(choices: Choices) -> dict[str, Prior]:
     return {name: prior for name, prior in choices.priors.items() if name != "touch"}
 
@@ -288,24 +300,40 @@ def _require_errors(recordings: Sequence[RecordedTrial]) -> None:
             )
 
 
+def _unit_of(name: str) -> str:
+    return QUANTITIES[name].unit if name in QUANTITIES else UNITS.get(name, "1")
+
+
 def _fitted(
     fit: ConeFit,
     recordings: Sequence[RecordedTrial],
+    asked: Sequence[str],
+    priors: Mapping[str, Prior],
     *,
     calibration_model: str,
     core: Prior | None = None,
 ) -> Fitted:
-    """The result of `fit_cone` in the form that all models share."""
-    kept = [i for i, name in enumerate(fit.free) if name in QUANTITIES]
+    """The result of `fit_cone` in the form that all models share.
+
+    Args:
+        asked: parameters that were chosen; the others are free because of a tolerance.
+    """
+    microscope = microscope_of(recordings)
+    in_file = (*asked, *OF_MICROSCOPE) if microscope else asked
+    kept = [i for i, name in enumerate(fit.free) if name in QUANTITIES and name in in_file]
     values = {fit.free[i]: fit.values[fit.free[i]] for i in kept}
     covariance = fit.covariance[np.ix_(kept, kept)]
+    stated = {name: rows[:, kept] for name, rows in fit.stated.items()}
+    if core is not None:
+        stated["core_radius"] = _moved_by_core(fit, core)[:, kept]
     if len(recordings) == 1 and np.isfinite(fit.boresight_covariance).all():
         # Several trials may have been made with several tools.
         slopes = recordings[0].beam_slopes
         values |= dict(zip(BEAM, (slopes @ fit.boresight[0]).tolist(), strict=True))
         of_beam = slopes @ fit.boresight_covariance[0] @ slopes.T
         covariance = block_diag(covariance, of_beam)
-    sigma = np.sqrt(np.diag(fit.covariance))
+        stated = {name: np.pad(rows, ((0, 0), (0, 2))) for name, rows in stated.items()}
+    sigma = dict(zip(fit.free, np.sqrt(np.diag(fit.covariance)).tolist(), strict=True))
     names = [recording.name for recording in recordings]
     touches = zip(names, fit.touch, fit.touch_error, strict=True)
     eccentricities = [
@@ -315,11 +343,21 @@ def _fitted(
         )
         if recording.trial.kind == "eyeball"
     ]
+    known = [Known(n, p, fit.values[n], sigma[n]) for n, p in priors.items() if n in sigma]
+    known += [
+        Known(f"touch of {name}", one.trial.touch, touch, error)
+        for one, name, touch, error in zip(
+            recordings, names, fit.touch, fit.touch_error, strict=True
+        )
+        if one.trial.touch != FREE_TOUCH
+    ]
     residuals = np.concatenate(fit.residuals)
     return Fitted(
         calibration_model=calibration_model,
         values=values,
         covariance=covariance,
+        stated=stated,
+        microscope=microscope if {*OF_MICROSCOPE} & {*values} - {*asked} else "",
         growth=fit.growth,
         converged=fit.converged,
         bounds=bounds_hit(values),
@@ -332,9 +370,9 @@ def _fitted(
         used=len(residuals),
         others=[
             *(
-                (name, fit.values[name], float(sigma[i]), "1")
-                for i, name in enumerate(fit.free)
-                if i not in kept
+                (name, fit.values[name], sigma[name], _unit_of(name))
+                for name in fit.free
+                if name not in values
             ),
             *((f"touch of {name}", touch, error, "mm") for name, touch, error in touches),
             *eccentricities,
@@ -350,7 +388,8 @@ def _fitted(
             for recording in recordings
             if calibration_model == "exact" and core is None
         ]
-        + [f"b rests on the core's radius, {c.mean:.4g} ± {c.sigma:.2g} mm." for c in (core,) if c],
+        + [f"b rests on the core's radius, {c.mean:.4g} ± {c.sigma:.2g} mm." for c in (core,) if c]
+        + said_of_priors(known),
     )
 
 
@@ -371,7 +410,12 @@ def fit_eye(
                 "by itself with --model cone, and give the result with --calibration."
             )
     own = known_cone(cone, recordings)
-    priors = {"eye_radius": RETINA} | _without_touch(choices)
+    of_robot = {
+        name: prior
+        for name, prior in tolerances(recordings).items()
+        if name in OF_ROBOT and name not in own.mean
+    }
+    priors = {"eye_radius": RETINA} | of_robot | _without_touch(choices)
     microscope = recordings[0].microscope
     # c to a few percent, which are those of the microscope file's scale.
     offsets = [
@@ -383,13 +427,13 @@ def fit_eye(
         [recording.trial for recording in recordings],
         microscope.pinhole(),
         start=dict(own.mean) | {"eye_radius": priors["eye_radius"].mean},
-        free=choices.names or EYE,
+        free=tuple(dict.fromkeys((*(choices.names or EYE), *own.mean, *of_robot))),
         priors=priors,
         joint_prior=own,
         size_sigmas=(SIZE_PER_MM * eccentricities).tolist(),
         outline_sigmas=(OUTLINE_PER_MM * eccentricities).tolist(),
     )
-    return _fitted(fit, recordings, calibration_model="area")
+    return _fitted(fit, recordings, choices.names or EYE, priors, calibration_model="area")
 
 
 def known_cone(calibration: Calibration, recordings: Sequence[RecordedTrial]) -> JointPrior:
@@ -407,4 +451,12 @@ def known_cone(calibration: Calibration, recordings: Sequence[RecordedTrial]) ->
             f"{calibration.medium}. Calibrate the cone in {medium}."
         )
     angle, b, covariance = calibration.cone
-    return JointPrior({"half_angle": angle, "b": b}, covariance)
+    mean = {"half_angle": angle, "b": b}
+    robot, moved = tolerances(recordings).get("robot_scale"), calibration.stated.get("robot_scale")
+    if robot and moved is not None:
+        # The robot of both fits is one, so that its scale's error does not average out.
+        of_cone = moved[:, [list(calibration.values).index(name) for name in mean]].sum(axis=0)
+        across = robot.sigma * of_cone[:, None]
+        covariance = np.block([[covariance, across], [across.T, robot.sigma**2 * np.eye(1)]])
+        mean["robot_scale"] = robot.mean
+    return JointPrior(mean, covariance)

@@ -14,7 +14,7 @@ from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import pixels_against_rig
 from eyespot.calibration.command.lens_guess import guessed_lenses
-from eyespot.calibration.command.models import cone_start, known_cone, tolerances_of
+from eyespot.calibration.command.models import cone_start, known_cone
 from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
@@ -26,6 +26,7 @@ from eyespot.calibration.spots.cone_trials import (
     phantom_wall,
     wandering_boresight,
 )
+from eyespot.calibration.tolerances import tolerances
 from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, Calibration
@@ -181,7 +182,7 @@ def _fitted(
             "the first frame before the beam is known. Give --prior touch=MEAN,SIGMA, in mm."
         )
     known = _pose_start(recording)
-    more = {**(more or {}), **tolerances_of([recording], choices)}
+    more = {**(more or {}), **tolerances([recording])}
     if "spread" in choices.names:
         known["spread"] = _SPREAD_MM
     begins = (known | start for start in starts)

@@ -58,6 +58,10 @@ class Fitted:
     """Number of spots, or of frames, that the fit used."""
     degrees_of_freedom: int
     """Number of data and priors minus number of parameters."""
+    stated: Mapping[str, Float[np.ndarray, "m p"]] = field(default_factory=dict)
+    """As of `Calibration`."""
+    microscope: str = ""
+    """As of `Calibration`."""
     growth: float = 1.0
     """Factor on the data's variances by which a misfit of spots enlarged the covariance."""
     failed: Failure | None = None

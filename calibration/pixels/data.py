@@ -31,6 +31,7 @@ class Footage:
         clear: whether a pixel is neither black nor saturated in any channel.
         exposure_s: exposure times that the camera reports, or in proportion to them.
         readings: distance of the tip from its place in the first frame, mm.
+        rates: change of each reading per second of `clock_offset`, mm/s.
         motion: unit vector against the tip's motion, towards the wall, reported by the robot.
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
@@ -55,6 +56,7 @@ class Footage:
     kind: str
     medium_index: float
     touch_sigma: float = 0.02
+    rates: Float[np.ndarray, "frames"] | None = None
 
 
 def footage_of(source: Any) -> Footage:
@@ -90,7 +92,7 @@ def footage_of(source: Any) -> Footage:
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
     known = exposure_s if np.isfinite(exposure_s).all() else None
-    readings, motion, axis, _ = withdrawal_of(
+    way = withdrawal_of(
         recording.robot(),
         times,
         robot=rig.robot,
@@ -102,9 +104,10 @@ def footage_of(source: Any) -> Footage:
         light=light,
         clear=np.stack([noise.is_within(frame.image) for frame in frames]),
         exposure_s=_relative_exposures(light, noise) if known is None else exposure_s,
-        readings=readings,
-        motion=motion,
-        axis=axis,
+        readings=way.readings,
+        rates=way.rates,
+        motion=way.motion,
+        axis=way.axis,
         noise=noise,
         microscope=view,
         instrument=BareFibre(instrument.fibre_diameter_mm / 2, instrument.fibre_length_mm),
@@ -158,6 +161,7 @@ UNITS = {
     "boresight": "rad",
     "boresight_sideways": "rad",
     "robot_scale": "1",
+    "clock_offset": "s",
 }
 """Every parameter's unit. `sensitivity`: full wells per radiance and second. `u`, `v`: image of
 the point where the beam meets the wall at reading 0, in the first frame. `touch`: distance along
@@ -165,7 +169,7 @@ the beam there. `lean`, `lean_sideways`: rotation of the robot's directions agai
 `optics.perpendicular_frame` of the tool's axis. `boresight`, `boresight_sideways`: angle of the
 beam from the tool's axis, along the same vectors. `spread`: L of the light's spread in the wall
 (`optics.spread_nodes`); without a start value there is none. `robot_scale`: true distances over the
-robot's."""
+robot's. `clock_offset`: by how much its clock is behind the camera's."""
 
 CONE = ("half_angle", "b")
 FREE = {"cone": CONE, "lens": ("sag", "numerical_aperture")}

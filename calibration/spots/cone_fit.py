@@ -43,16 +43,17 @@ PARAMETERS = (
     "tilt_x",
     "tilt_y",
     "robot_scale",
+    "clock_offset",
 )
-"""Parameters that can be fitted: rad, mm, mm/px, mm, 1/mm, the tangents of the plane's tilt, and
-true distances over the robot's.
+"""Parameters that can be fitted: rad, mm, mm/px, mm, 1/mm, the tangents of the plane's tilt, true
+distances over the robot's, and by how much its clock is behind the camera's, s.
 
 The focal length is 1/(scale inverse_working_distance) px; the pinhole's height is
 1/inverse_working_distance - eye_radius.
 """
 
 
-_SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1}
+_SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1, "clock_offset": 0.1}
 """Scales of parameters that may be zero; the scale of the others is their value."""
 MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
 """The components of `ConeFit.residuals` in words."""
@@ -80,6 +81,9 @@ class ConeFit(NamedTuple):
         chi_squared: sum of squared residuals over their sigma, priors included.
         degrees_of_freedom: number of data and priors minus number of parameters.
         undetermined: parameters that neither data nor priors determine, in words; may be empty.
+        stated: by prior, how far each of its standard deviations moves the fitted parameters,
+            (m, p): a row for a parameter, one per trial for `touch`. The squares' sum is the
+            prior's part of the variances.
     """
 
     values: dict[str, float]
@@ -97,6 +101,7 @@ class ConeFit(NamedTuple):
     chi_squared: float
     degrees_of_freedom: int
     undetermined: tuple[str, ...]
+    stated: dict[str, Float[np.ndarray, "m p"]]
     converged: bool
 
     @property
@@ -154,7 +159,8 @@ def fit_cone(
         "eye_radius": -float(microscope.pole_height),
         "inverse_working_distance": float(microscope.inverse_working_distance),
     }
-    fixed = known | {"tilt_x": 0.0, "tilt_y": 0.0, "robot_scale": 1.0} | dict(start)
+    zero = dict.fromkeys(("tilt_x", "tilt_y", "clock_offset"), 0.0)
+    fixed = known | zero | {"robot_scale": 1.0} | dict(start)
     # With these scales, the damping affects all parameters equally.
     sizes = np.array([_SIZES.get(name) or abs(fixed[name]) for name in free])
     own = {name: prior for name, prior in (priors or {}).items() if name in free}
@@ -213,6 +219,12 @@ def fit_cone(
     means, sigmas = np.array([trial.touch for trial in trials]).T
     beams = [slice(at + 5, at + 7) for at in len(free) + len(NUISANCES) * in_order]
     shared = slice(len(free))
+    # A prior's mean moves the minimum by the covariance over its variance.
+    at_touch = len(free) + len(NUISANCES) * np.arange(len(trials))
+    stated = {
+        name: covariance[[free.index(name)], shared] * sizes[free.index(name)] / prior.sigma
+        for name, prior in own.items()
+    } | {"touch": covariance[at_touch, shared]}
     slopes = np.asarray(spot_slopes)[in_order]
     return ConeFit(
         values=values,
@@ -230,6 +242,7 @@ def fit_cone(
         chi_squared=chi_squared,
         degrees_of_freedom=degrees,
         undetermined=undetermined,
+        stated={name: rows * sizes for name, rows in stated.items()},
         converged=bool(solution.converged),
     )
 

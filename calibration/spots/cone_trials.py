@@ -108,6 +108,8 @@ class ConeTrial:
         kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
             that is perpendicular to z except for its tilt.
         motion: unit vector against the tip's motion, towards the wall; None: the axis.
+        rates: change of each reading per second by which the robot's clock is behind the camera's,
+            mm/s; None: the tip rests in every frame.
     """
 
     ellipses: optics.Ellipse
@@ -119,6 +121,7 @@ class ConeTrial:
     touch: Prior
     kind: str
     motion: Float[np.ndarray, "3"] | None = None
+    rates: Float[np.ndarray, "n"] | None = None
 
 
 def beam_directions(
@@ -179,6 +182,8 @@ class TrialGroup(eqx.Module):
     numbers: tuple[int, ...] = eqx.field(static=True)
     coverage: Float[Array, "trials n"] | None = None
     """None: all ellipses are wholly visible."""
+    rates: Float[Array, "trials n"] | None = None
+    """Of `ConeTrial`; None: zero."""
 
     @property
     def size(self) -> int:
@@ -216,6 +221,7 @@ class TrialGroup(eqx.Module):
             whitening=whitening * real[..., None, None],
             coverage=stacked([t.coverage for t in trials]),
             readings=stacked([t.readings for t in trials]),
+            rates=stacked([0 * t.readings if t.rates is None else t.rates for t in trials]),
             motions=jnp.asarray(
                 np.stack([t.axis if t.motion is None else t.motion for t in trials])
             ),
@@ -333,9 +339,12 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
         larger = trial.size_sigmas * nuisance[7]
         touching = spot - (trial.touch_means + trial.touch_sigmas * nuisance[0]) * aim
 
-        def of_frame(ellipse, whiten, coverage, reading):
+        def of_frame(ellipse, whiten, coverage, reading, rate):
+            if rate is not None:
+                reading = reading + values["clock_offset"] * rate
+            gone = values.get("robot_scale", 1.0) * reading
             beam = optics.Beam(
-                tip=touching - values.get("robot_scale", 1.0) * reading * away,
+                tip=touching - gone * away,
                 axis=aim,
                 half_angle=values["half_angle"],
                 apex_offset=values["b"],
@@ -346,7 +355,9 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
             # Its third term is the relative difference in size.
             return whiten @ optics.ellipse_mismatch(contour, ellipse, seen).at[2].add(larger)
 
-        frames = jax.vmap(of_frame)(trial.ellipses, trial.whitening, trial.coverage, trial.readings)
+        frames = jax.vmap(of_frame)(
+            trial.ellipses, trial.whitening, trial.coverage, trial.readings, trial.rates
+        )
         # The spot's position in the image has no prior.
         return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])
 

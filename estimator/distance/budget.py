@@ -6,6 +6,7 @@ difference is the correction. Its derivatives say what the errors of each quanti
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
@@ -26,6 +27,8 @@ class Cause(Enum):
 
     IMAGE = "image"
     CALIBRATION = "calibration"
+    SCALE = "scale"
+    ROBOT = "robot"
     TILT = "tilt"
     EYE_RADIUS = "eye_radius"
     VIEWING = "viewing"
@@ -41,7 +44,8 @@ class Cause(Enum):
     def kind(self) -> str:
         """Type of evaluation: A from repeated observations, B from what was stated.
 
-        A fit contains both: its priors, such as the touch, are stated.
+        What a fit follows of its priors, such as the touch, is a part of its own, of type B, if the
+        calibration file has it; the rest of an older file contains both.
         """
         return {Cause.IMAGE: "A", Cause.CALIBRATION: "A, B"}.get(self, "B")
 
@@ -49,6 +53,8 @@ class Cause(Enum):
 _MEANINGS = {
     Cause.IMAGE: "image noise and texture",
     Cause.CALIBRATION: "calibration",
+    Cause.SCALE: "microscope's scale",
+    Cause.ROBOT: "robot's scale",
     Cause.TILT: "model at this tilt",
     Cause.EYE_RADIUS: "eye radius",
     Cause.VIEWING: "viewing path",
@@ -76,6 +82,8 @@ class Part(NamedTuple):
     @property
     def remedy(self) -> str:
         """What halves it."""
+        if self.source and math.isnan(self.source_sigma):
+            return f"Know {self.source} twice as well."
         remedy = _TOUCH_REMEDY if self.source == "b" else _REMEDIES[self.cause]
         return remedy.format(
             source=self.source, half=f"{self.source_sigma / 2:.3g} {self.unit}".strip()
@@ -91,6 +99,8 @@ _REMEDIES = {
     "if the wall's texture does.",
     Cause.CALIBRATION: "Know {source} to ± {half}: four times as many frames in the fit, or a "
     "better prior.",
+    Cause.SCALE: "Know {source} to ± {half}, or calibrate with this microscope and zoom, and name "
+    "them (microscope.id).",
     Cause.TILT: "Know {source} to ± {half}, or take the model exact or area.",
     Cause.EYE_RADIUS: "Know the eye's radius to ± {half}, or calibrate in the eye (`eyespot fit "
     "--model eye`).",
@@ -165,6 +175,34 @@ class Budget:
         unknown = (part for part in self.parts if math.isnan(part.sigma_mm))
         known = max(self.parts, key=lambda part: part.sigma_mm, default=None)
         return next(unknown, known)
+
+
+_OF_STATED = {
+    "scale": (Cause.SCALE, "the scale at the calibration (microscope.scale_sigma)"),
+    "robot_scale": (Cause.ROBOT, "the robot's scale (robot.scale_sigma)"),
+    "clock_offset": (Cause.CLOCK, "the clocks' offset at the calibration (robot.clock_sigma_s)"),
+    "eye_radius": (Cause.EYE_RADIUS, "the radius at the calibration (wall.radius_sigma_mm)"),
+    "inverse_working_distance": (
+        Cause.VIEWING,
+        "the pinhole at the calibration (microscope.pinhole_height_sigma_mm)",
+    ),
+    "touch": (Cause.TOUCH, "the distance at the calibration's contact (robot.touch_sigma_mm)"),
+    "core_radius": (Cause.TOUCH, "the core's radius (instrument.core_radius_sigma)"),
+}
+"""Cause of what a calibration follows of what a rig states, and the source in words."""
+
+
+def _by_cause(parts: Iterable[Part]) -> tuple[Part, ...]:
+    """The parts of each cause as one, which has the source of the largest."""
+    found: dict[Cause, list[Part]] = {}
+    for part in parts:
+        found.setdefault(part.cause, []).append(part)
+    return tuple(
+        max(own, key=lambda part: part.sigma_mm)._replace(
+            sigma_mm=math.hypot(*(part.sigma_mm for part in own))
+        )
+        for own in found.values()
+    )
 
 
 _ELLIPSE = 5  # parameters that a spot's profiles are fitted with
@@ -279,7 +317,7 @@ class Budgets:
         return Budget(
             reading_mm=found.distance_mm,
             correction_mm=0.0 if exact or unknown else mean - found.distance_mm,
-            parts=(*parts, self._of_clock(motion, speed, turned)),
+            parts=_by_cause((*parts, self._of_clock(motion, speed, turned))),
             left_out=("the model's error through this viewing path",) if unknown else (),
         )
 
@@ -308,8 +346,11 @@ class Budgets:
         self, spot: Spot, found: Range, slopes: dict[str, float], spread: float, *, known: bool
     ) -> list[Part]:
         stated, model = self._stated, self._ranger.model
-        parts = [self._of_image(spot, found, slopes), self._of_calibration(slopes)]
+        parts = [self._of_image(spot, found, slopes), *self._of_calibration(slopes)]
         values = self._ranger.calibration.values
+        if "scale" not in values:
+            moved = abs(slopes["scale"]) * self._eye.scale * stated.scale_sigma
+            parts.append(Part(Cause.SCALE, moved, math.inf, "the scale", stated.scale_sigma))
         # The model exact weighs the axis against the ellipse: it is in the image's part.
         if model != "exact" and known:
             sigma = stated.axis_sigma_deg
@@ -340,7 +381,8 @@ class Budgets:
             sigma = math.sqrt(gradient @ spot.covariance[:4, :4] @ gradient)
         return Part(Cause.IMAGE, sigma, _freedom(spot))
 
-    def _of_calibration(self, slopes: dict[str, float]) -> Part:
+    def _of_calibration(self, slopes: dict[str, float]) -> list[Part]:
+        """The part of the fit's data, and one for all that it follows of what its rig stated."""
         calibration = self._ranger.calibration
         k = float(self._eye.k[0])
         # dk/d(half_angle) = -1/sin^2; a boresight's error turns the axis, one way or the other.
@@ -349,10 +391,16 @@ class Budgets:
         of |= dict.fromkeys(BEAM, boresight)
         gradient = np.array([of.get(name, 0.0) for name in calibration.values])
         variance = float(gradient @ calibration.covariance @ gradient)
+        stated = []
+        for name, rows in calibration.stated.items():
+            moved = float(np.linalg.norm(rows @ gradient))
+            variance -= moved**2
+            cause, source = _OF_STATED.get(name, (Cause.CALIBRATION, name))
+            stated.append(Part(cause, moved, source=source))
         sigmas = np.sqrt(np.diag(calibration.covariance))
         most = int(np.argmax(np.abs(gradient) * sigmas))
         name = list(calibration.values)[most]
-        return Part(
+        of_data = Part(
             Cause.CALIBRATION,
             math.sqrt(max(variance, 0.0)),
             self._stated.calibration_freedom or math.inf,
@@ -360,6 +408,7 @@ class Budgets:
             float(sigmas[most]),
             QUANTITIES[name].unit.removeprefix("1"),
         )
+        return [of_data, *stated]
 
     def _of_viewing(self, found: Range, slopes: dict[str, float], spot: Spot) -> Part:
         stated = self._stated

@@ -22,6 +22,8 @@ _MOST_TRAVEL_MM = 60.0
 """Longest withdrawal: more than twice the length of an eye, 24 mm."""
 _DEEPEST_MM = 0.1
 """How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
+_RATE_S = 0.05
+"""Clocks without stamps differ by about this; over it a robot's speed is taken."""
 _EXPOSURE_PARTS = 32
 """In the middles of so many parts of an exposure the tip's place is averaged."""
 
@@ -34,12 +36,14 @@ class ReportedWithdrawal(NamedTuple):
         motion: the motion, reversed, a unit vector towards the wall.
         axis: the tool's mean axis, a unit vector towards the wall.
         across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
+        rates: (n,), change of each reading per second by which `clock_offset_s` is larger, mm/s.
     """
 
     readings: "Float[np.ndarray, 'n']"
     motion: "Float[np.ndarray, '3']"
     axis: "Float[np.ndarray, '3']"
     across: "Float[np.ndarray, '2 3']"
+    rates: "Float[np.ndarray, 'n']"
 
 
 def withdrawal_of(
@@ -85,9 +89,12 @@ def withdrawal_of(
         middles = (np.arange(_EXPOSURE_PARTS) + 0.5) / _EXPOSURE_PARTS - 0.5
         parts = exposure_s[:, None] * middles
     moments = times_s[:, None] + parts
-    places = np.stack(
-        [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T], axis=1
-    )
+
+    def places_at(moments: "Float[np.ndarray, 'n parts']") -> "Float[np.ndarray, 'n 3']":
+        along = [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T]
+        return np.stack(along, axis=1)
+
+    places = places_at(moments)
     axis = poses.axes[first : last + 1].mean(axis=0)
     axis /= np.linalg.norm(axis)
     gone = places[0] - places
@@ -107,7 +114,9 @@ def withdrawal_of(
     _check_sense(readings, axis, robot, where)
     middle = poses.rotations[(first + last) // 2]
     across = np.array([turned(side, tuple(middle)) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    return ReportedWithdrawal(readings, motion, axis, across)
+    velocities = (places_at(moments + _RATE_S) - places_at(moments - _RATE_S)) / (2 * _RATE_S)
+    rates = (velocities - velocities[0]) @ motion
+    return ReportedWithdrawal(readings, motion, axis, across, rates)
 
 
 def _check_times(poses: PoseTrack, first: int, last: int, where: str) -> None:

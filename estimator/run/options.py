@@ -208,6 +208,8 @@ class Options(Given):
                     raise InputError(f"{option(name)} needs --calibration. Give both, or neither.")
         else:
             _check_medium(rig, beam)
+            own_path = microscope is not None and microscope.viewing_path is not None
+            beam = beam.seen_by(rig.microscope.id, own_path=own_path)
             if beam.model in ("exact", "lens"):  # its errors contain the touch's
                 stated = stated.model_copy(update={"touch_sigma_mm": 0.0})
         mode: str = self.mode

@@ -100,7 +100,7 @@ def put(*keys, value):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (put("schema", value=0), r"schema is 0; this eyespot .* reads 1 to 2\. Fit again"),
+        (put("schema", value=0), r"schema is 0; this eyespot .* reads 1 to 3\. Fit again"),
         (put("model", value="sphere"), r"model must be one of planar.*'sphere'"),
         (put("parameters", "q", value={"value": 1, "unit": "1", "sigma": 0}), "q is unknown"),
         (put("parameters", "k", "unit", value="mm"), r"k must be in '1'; got unit 'mm'\. Convert"),

@@ -1,0 +1,288 @@
+"""Do 95 % intervals contain the truth in 95 % of rigs? Simulation-based calibration.
+
+Every rig is drawn: what its file states to a tolerance is off by a draw from that tolerance. Its
+withdrawal is fitted as `eyespot fit` does, and one spot is read as `eyespot track` does, with the
+same microscope or with another. The rank of the truth in the stated distribution is then uniform
+(Talts et al. 2018). Spots are drawn as ellipses of the exact geometry with noise.
+"""
+
+import functools
+import math
+import tempfile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pandas as pd
+from jaxtyping import Array, Float
+from scipy import stats
+from scipy.spatial.transform import Rotation
+
+import eyespot
+from eyespot import optics
+from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, phantom_wall
+from eyespot.estimator.distance.budget import Budgets
+from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.recording import Recording
+from eyespot.formats.calibration import Calibration
+from eyespot.formats.inputs import InputError
+from eyespot.formats.poses import Pose, PoseTrack, turned
+from eyespot.formats.rig import Rig
+from eyespot.formats.spots import Spot, SpotRecord, write_spots
+
+_WIDTH_PX, _HEIGHT_PX = 1280, 960
+_FRAMES, _RATE_HZ, _SPEED_MM_S, _REST_S = 24, 4.0, 1.0, 0.3
+_MODELS = ("exact", "area")
+
+
+class _World(NamedTuple):
+    """What is true of a rig, and what its file states."""
+
+    rig: Rig
+    scale: float
+    height: float
+    radius: float
+    robot_scale: float
+    clock_s: float
+    touch: float
+    boresight: Float[np.ndarray, "2"]
+    half_angle: float
+    b: float
+
+
+def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _World:
+    """A rig whose file has the default tolerances, and what it is."""
+    keys: dict[str, Any] = {
+        "microscope.id": microscope,
+        "microscope.width_px": _WIDTH_PX,
+        "microscope.height_px": _HEIGHT_PX,
+        "microscope.scale_mm_px": float(noise.uniform(0.004, 0.01)),
+        "microscope.pinhole_height_mm": 200.0,
+        "wall.kind": ("plane", "eyeball")[number % 2],
+        "wall.radius_mm": float(noise.uniform(11.0, 12.5)),
+        "wall.medium": "vitreous",
+        "robot.eye_from_robot": [0.0, 0.0, 0.0, 1.0],
+        "robot.touch": [0.15, 0.02],
+    }
+    rig = Rig().changed(keys)
+    seen, wall, robot = rig.microscope, rig.wall, rig.robot
+    z = noise.standard_normal(7)
+    core = noise.uniform(0.05, 0.25)
+    half_angle = float(np.arctan(1 / noise.uniform(5.0, 20.0)))
+    return _World(
+        rig=rig,
+        scale=keys["microscope.scale_mm_px"] * (1 + seen.scale_sigma * z[0]),
+        height=200.0 + seen.pinhole_height_sigma_mm * z[1],
+        radius=keys["wall.radius_mm"] + wall.radius_sigma_mm * z[2],
+        robot_scale=1 + robot.scale_sigma * z[3],
+        clock_s=robot.clock_sigma_s * z[4],
+        touch=0.15 + 0.02 * z[5],
+        boresight=0.5 * BORESIGHT_SIGMA * noise.standard_normal(2),
+        half_angle=half_angle,
+        b=-core / math.tan(half_angle),
+    )
+
+
+@functools.partial(jax.jit, static_argnames="kind")
+def _ellipses(
+    kind: str, eye: Any, cone: Any, spot: Array, beam: Array, motion: Array, distances: Array
+) -> optics.Ellipse:
+    """Ellipses of a cone that withdraws from a spot along a line."""
+    scale, height, radius = eye
+    camera = optics.microscope(scale=scale, pinhole_height=height, eye_radius=radius)
+    wall = phantom_wall(kind, eye_radius=radius)
+
+    def at(gone: Array) -> optics.Ellipse:
+        tip = spot - distances[0] * beam - (gone - distances[0]) * motion
+        own = optics.Beam(tip=tip, axis=beam, half_angle=cone[0], apex_offset=cone[1])
+        return optics.spot_ellipse(own, wall, camera)
+
+    return jax.vmap(at)(distances)
+
+
+def _measured(
+    ellipse: optics.Ellipse, noise: np.random.Generator, sigma_px: float, size: float
+) -> Spot:
+    """The spot that contour points with noise give (docs/theory/bounds.md).
+
+    Args:
+        sigma_px: standard deviation of the mean radius.
+        size: relative error of the size.
+    """
+    u, v = np.asarray(ellipse.centre).tolist()
+    major, minor = float(ellipse.semi_major) * size, float(ellipse.semi_minor) * size
+    e = sigma_px * noise.standard_normal(5) * np.array([math.sqrt(2)] * 4 + [1.0])
+    mean, long, oblique = (major + minor) / 2 + e[4], (major - minor) / 2 + e[2], e[3]
+    half = math.hypot(long, oblique)
+    angle = float(ellipse.angle) + math.atan2(oblique, long) / 2
+    covariance = sigma_px**2 * np.diag([2.0, 2.0, 3.0, 3.0, 2.0 / (2 * half) ** 2])
+    covariance[2, 3] = covariance[3, 2] = -(sigma_px**2)
+    return Spot(
+        x_px=u + e[0],
+        y_px=v + e[1],
+        semi_major_px=mean + half,
+        semi_minor_px=mean - half,
+        angle_rad=(angle + math.pi / 2) % math.pi - math.pi / 2,
+        covariance=covariance,
+        edge_width_px=1.0,
+        coverage=1.0,
+        inlier_fraction=1.0,
+        saturated=0.0,
+    )
+
+
+def _tool(kind: str, radius: float, c: float, noise: np.random.Generator, tilt_deg: float) -> Any:
+    """A spot at c in any direction, and a tool's axis at an incidence."""
+    azimuth, turn = noise.uniform(0, 2 * math.pi, 2)
+    height = -math.sqrt(radius**2 - c**2) if kind == "eyeball" else -radius
+    spot = np.array([c * math.cos(azimuth), c * math.sin(azimuth), height])
+    outward = spot / np.linalg.norm(spot) if kind == "eyeball" else np.array([0.0, 0.0, -1.0])
+    first, second = np.linalg.svd(outward[None])[2][1:]
+    lean = math.cos(turn) * first + math.sin(turn) * second
+    tilt = math.radians(tilt_deg)
+    return spot, math.cos(tilt) * outward + math.sin(tilt) * lean
+
+
+def _truly(axis: np.ndarray, world: _World, noise: np.random.Generator) -> Any:
+    """The tool's pose that the robot reports, the true motion and the true beam."""
+    pose = Pose.along(tuple(axis.tolist()), time_s=0.0, position_mm=(0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    first, second = (np.asarray(v) for v in optics.perpendicular_frame(jnp.asarray(axis)))
+    lean = LEAN_SIGMA * noise.standard_normal(2)
+    # Turned so that the axis moves by `lean` along the two vectors.
+    turn = Rotation.from_rotvec(np.cross(axis, lean[0] * first + lean[1] * second))
+    in_tool = np.array([*world.boresight, 1.0])
+    beam = np.array(turned(tuple((in_tool / np.linalg.norm(in_tool)).tolist()), pose.rotation))
+    return pose, turn.apply(axis), turn.apply(beam)
+
+
+def _calibrated(world: _World, noise: np.random.Generator, folder: Path) -> Calibration | None:
+    """The calibration of a drawn withdrawal; None if it is refused."""
+    kind = world.rig.wall.kind or "eyeball"
+    spot, axis = _tool(kind, world.radius, noise.uniform(0, 3), noise, noise.uniform(10, 30))
+    pose, motion, beam = _truly(axis, world, noise)
+    times = np.arange(_FRAMES) / _RATE_HZ
+
+    def gone(at: np.ndarray) -> np.ndarray:
+        return _SPEED_MM_S * np.maximum(at - _REST_S, 0.0)
+
+    distances = world.touch + gone(times) - gone(times[:1])
+    eye, cone = (world.scale, world.height, world.radius), (world.half_angle, world.b)
+    seen = _ellipses(kind, eye, cone, *map(jnp.asarray, (spot, beam, motion, distances)))
+    sigma, size = noise.uniform(0.005, 0.03), 1 + 1e-4 * noise.standard_normal()
+    centre = np.array([(_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2])
+    records = [
+        SpotRecord(
+            frame=n,
+            file_name=f"{n}.png",
+            time_s=float(times[n]),
+            mode="subpixel",
+            result=_measured(_at(seen, n, centre), noise, sigma, size),
+        )
+        for n in range(_FRAMES)
+    ]
+    path = folder / "spots.csv"
+    path.unlink(missing_ok=True)
+    write_spots(path, records)
+    at_s = np.arange(-1.0, times[-1] + 1.0, 0.05)
+    places = -np.outer(gone(at_s) / world.robot_scale, axis)
+    poses = PoseTrack.of_arrays(at_s - world.clock_s, places, np.tile(pose.rotation, (at_s.size, 1)))
+    try:
+        found = eyespot.fit(Recording.open(path, rig=world.rig, poses=poses), model="cone")
+    except InputError:
+        return None
+    if not found.good: print(found.verdict)
+    return found.calibration if found.good else None
+
+
+def _at(ellipses: optics.Ellipse, n: int, centre: np.ndarray) -> optics.Ellipse:
+    own = optics.Ellipse(*(leaf[n] for leaf in ellipses))
+    return own._replace(centre=own.centre + centre)
+
+
+def _one(number: int, folder: Path) -> dict[str, Any]:
+    """One rig: its fit, and the reading of one spot."""
+    noise = np.random.default_rng([63, number])
+    same = number % 4 < 2
+    world = _drawn(noise, number, microscope="A")
+    c, d, tilt = noise.uniform(0, 4), noise.uniform(0.5, 5), noise.uniform(5, 30)
+    row = {"c_mm": c, "d_mm": d, "tilt_deg": tilt, "same": same, "refused": True}
+    beam = _calibrated(world, noise, folder)
+    # The reading's eye, and its microscope if that is another one.
+    other = _drawn(noise, 1, microscope="A" if same else "B")
+    if same:
+        scale = world.rig.microscope.scale_mm_px
+        there = other.rig.changed({"microscope.scale_mm_px": scale})
+        kappa = 1 / (world.height + world.radius)
+        other = other._replace(rig=there, scale=world.scale, height=1 / kappa - other.radius)
+    if beam is None:
+        return row
+    spot, axis = _tool("eyeball", other.radius, c, noise, tilt)
+    pose, motion, true = _truly(axis, world, noise)
+    eye, cone = (other.scale, other.height, other.radius), (world.half_angle, world.b)
+    along = jnp.asarray([d])
+    seen = _ellipses("eyeball", eye, cone, *map(jnp.asarray, (spot, true, motion)), along)
+    view, stated = other.rig.view, other.rig.stated.model_copy(update={"touch_sigma_mm": 0.0})
+    assert view is not None
+    measured = _measured(_at(seen, 0, np.array(view.principal_point_px)), noise, 0.02, 1.0)
+    model = _MODELS[number // 4 % 2]
+    ranger = Ranger(beam.seen_by(other.rig.microscope.id), view, model=model)
+    told = np.array(turned(beam.beam_in_tool, pose.rotation))
+    found = ranger.distance(
+        measured, axis=told, axis_sigma_rad=math.radians(stated.axis_sigma_deg)
+    )
+    budget = Budgets(ranger, stated).of(measured, found, axis=told)
+    if budget is None:
+        return row
+    low, high = budget.interval_mm
+    error = budget.corrected_mm - d
+    rank = float(stats.t.cdf(-error / budget.sigma_mm, min(budget.freedom, 1e6)))
+    sigmas = {f"u_{part.cause.value}_mm": part.sigma_mm for part in budget.parts}
+    return row | sigmas | {
+        "refused": False,
+        "model": model,
+        "error_mm": error,
+        "sigma_mm": budget.sigma_mm,
+        "inside": low <= d <= high,
+        "rank": rank,
+    }
+
+
+def uniform_p(ranks: Float[np.ndarray, "n"]) -> float:
+    """Probability of ranks that are less even in ten bins, if they are uniform (chi squared)."""
+    return float(stats.chisquare(np.histogram(ranks, 10, (0, 1))[0]).pvalue)
+
+
+def readings_of_cones(count: int, first: int = 0) -> pd.DataFrame:
+    """One reading of each of some drawn rigs."""
+    with tempfile.TemporaryDirectory() as folder:
+        return pd.DataFrame([_one(n, Path(folder)) for n in range(first, first + count)])
+
+
+def judged(found: pd.DataFrame) -> pd.DataFrame:
+    """Coverage and evenness of readings, of all and of parts of them."""
+    read = found[~found.refused]
+    parts = {"all": read, "same microscope": read[read.same], "another": read[~read.same]}
+    parts |= {f"model {name}": read[read.model == name] for name in _MODELS}
+    for name in ("c_mm", "d_mm", "tilt_deg"):
+        thirds = pd.qcut(read[name], 3, labels=False)
+        parts |= {f"{name}, third {n + 1}": read[thirds == n] for n in range(3)}
+    rows = [
+        {
+            "readings": len(own),
+            "inside_percent": 100 * own.inside.mean(),
+            "rms_error_um": 1e3 * math.sqrt((own.error_mm**2).mean()),
+            "rms_sigma_um": 1e3 * math.sqrt((own.sigma_mm**2).mean()),
+            "p_of_ranks": uniform_p(own["rank"].to_numpy()),
+        }
+        for own in parts.values()
+    ]
+    table = pd.DataFrame(rows, index=pd.Index(parts, name="part"))
+    table["refused_percent"] = 100 * found.refused.mean()
+    return table
+
+
+def cones(full: bool = False) -> pd.DataFrame:
+    """Readings of rigs with cones, one each, with every tolerance drawn."""
+    return judged(readings_of_cones(450 if full else 60))
