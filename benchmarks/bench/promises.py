@@ -33,7 +33,7 @@ from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
 
 _WIDTH_PX, _HEIGHT_PX = 1280, 960
-_FRAMES, _RATE_HZ, _SPEED_MM_S, _REST_S = 24, 4.0, 1.0, 0.3
+_FRAMES, _RATE_HZ, _SPEED_MM_S, _START_S = 24, 2.0, 0.5, 1.0
 _MODELS = ("exact", "area")
 
 
@@ -147,7 +147,7 @@ def _tool(kind: str, radius: float, c: float, noise: np.random.Generator, tilt_d
 
 def _truly(axis: np.ndarray, world: _World, noise: np.random.Generator) -> Any:
     """The tool's pose that the robot reports, the true motion and the true beam."""
-    pose = Pose.along(tuple(axis.tolist()), time_s=0.0, position_mm=(0.0, 0.0, 0.0))  # type: ignore[arg-type]
+    pose = Pose.along(tuple(axis.tolist()), time_s=0.0, position_mm=(0.0, 0.0, 0.0))
     first, second = (np.asarray(v) for v in optics.perpendicular_frame(jnp.asarray(axis)))
     lean = LEAN_SIGMA * noise.standard_normal(2)
     # Turned so that the axis moves by `lean` along the two vectors.
@@ -165,7 +165,9 @@ def _calibrated(world: _World, noise: np.random.Generator, folder: Path) -> Cali
     times = np.arange(_FRAMES) / _RATE_HZ
 
     def gone(at: np.ndarray) -> np.ndarray:
-        return _SPEED_MM_S * np.maximum(at - _REST_S, 0.0)
+        """Way of a robot that begins at rest and takes a second to its speed."""
+        started = np.clip(at - 0.25, 0.0, _START_S)
+        return _SPEED_MM_S * (started**2 / (2 * _START_S) + np.maximum(at - 0.25 - _START_S, 0.0))
 
     distances = world.touch + gone(times) - gone(times[:1])
     eye, cone = (world.scale, world.height, world.radius), (world.half_angle, world.b)
@@ -187,12 +189,12 @@ def _calibrated(world: _World, noise: np.random.Generator, folder: Path) -> Cali
     write_spots(path, records)
     at_s = np.arange(-1.0, times[-1] + 1.0, 0.05)
     places = -np.outer(gone(at_s) / world.robot_scale, axis)
-    poses = PoseTrack.of_arrays(at_s - world.clock_s, places, np.tile(pose.rotation, (at_s.size, 1)))
+    turns = np.tile(pose.rotation, (at_s.size, 1))
+    poses = PoseTrack.of_arrays(at_s - world.clock_s, places, turns)
     try:
         found = eyespot.fit(Recording.open(path, rig=world.rig, poses=poses), model="cone")
     except InputError:
         return None
-    if not found.good: print(found.verdict)
     return found.calibration if found.good else None
 
 
@@ -229,9 +231,7 @@ def _one(number: int, folder: Path) -> dict[str, Any]:
     model = _MODELS[number // 4 % 2]
     ranger = Ranger(beam.seen_by(other.rig.microscope.id), view, model=model)
     told = np.array(turned(beam.beam_in_tool, pose.rotation))
-    found = ranger.distance(
-        measured, axis=told, axis_sigma_rad=math.radians(stated.axis_sigma_deg)
-    )
+    found = ranger.distance(measured, axis=told, axis_sigma_rad=math.radians(stated.axis_sigma_deg))
     budget = Budgets(ranger, stated).of(measured, found, axis=told)
     if budget is None:
         return row
@@ -239,14 +239,18 @@ def _one(number: int, folder: Path) -> dict[str, Any]:
     error = budget.corrected_mm - d
     rank = float(stats.t.cdf(-error / budget.sigma_mm, min(budget.freedom, 1e6)))
     sigmas = {f"u_{part.cause.value}_mm": part.sigma_mm for part in budget.parts}
-    return row | sigmas | {
-        "refused": False,
-        "model": model,
-        "error_mm": error,
-        "sigma_mm": budget.sigma_mm,
-        "inside": low <= d <= high,
-        "rank": rank,
-    }
+    return (
+        row
+        | sigmas
+        | {
+            "refused": False,
+            "model": model,
+            "error_mm": error,
+            "sigma_mm": budget.sigma_mm,
+            "inside": low <= d <= high,
+            "rank": rank,
+        }
+    )
 
 
 def uniform_p(ranks: Float[np.ndarray, "n"]) -> float:

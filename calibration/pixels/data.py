@@ -31,7 +31,7 @@ class Footage:
         clear: whether a pixel is neither black nor saturated in any channel.
         exposure_s: exposure times that the camera reports, or in proportion to them.
         readings: distance of the tip from its place in the first frame, mm.
-        rates: change of each reading per second of `clock_offset`, mm/s.
+        rates: of `ReportedWithdrawal`; None: the clocks are one.
         motion: unit vector against the tip's motion, towards the wall, reported by the robot.
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
@@ -56,7 +56,7 @@ class Footage:
     kind: str
     medium_index: float
     touch_sigma: float = 0.02
-    rates: Float[np.ndarray, "frames"] | None = None
+    rates: Float[np.ndarray, "frames 2"] | None = None
 
 
 def footage_of(source: Any) -> Footage:

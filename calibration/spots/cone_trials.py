@@ -108,8 +108,7 @@ class ConeTrial:
         kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
             that is perpendicular to z except for its tilt.
         motion: unit vector against the tip's motion, towards the wall; None: the axis.
-        rates: change of each reading per second by which the robot's clock is behind the camera's,
-            mm/s; None: the tip rests in every frame.
+        rates: of `ReportedWithdrawal`; None: the clocks are one.
     """
 
     ellipses: optics.Ellipse
@@ -121,7 +120,7 @@ class ConeTrial:
     touch: Prior
     kind: str
     motion: Float[np.ndarray, "3"] | None = None
-    rates: Float[np.ndarray, "n"] | None = None
+    rates: Float[np.ndarray, "n 2"] | None = None
 
 
 def beam_directions(
@@ -182,7 +181,7 @@ class TrialGroup(eqx.Module):
     numbers: tuple[int, ...] = eqx.field(static=True)
     coverage: Float[Array, "trials n"] | None = None
     """None: all ellipses are wholly visible."""
-    rates: Float[Array, "trials n"] | None = None
+    rates: Float[Array, "trials n 2"] | None = None
     """Of `ConeTrial`; None: zero."""
 
     @property
@@ -221,7 +220,9 @@ class TrialGroup(eqx.Module):
             whitening=whitening * real[..., None, None],
             coverage=stacked([t.coverage for t in trials]),
             readings=stacked([t.readings for t in trials]),
-            rates=stacked([0 * t.readings if t.rates is None else t.rates for t in trials]),
+            rates=stacked(
+                [np.zeros((t.readings.size, 2)) if t.rates is None else t.rates for t in trials]
+            ),
             motions=jnp.asarray(
                 np.stack([t.axis if t.motion is None else t.motion for t in trials])
             ),
@@ -341,7 +342,8 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
 
         def of_frame(ellipse, whiten, coverage, reading, rate):
             if rate is not None:
-                reading = reading + values["clock_offset"] * rate
+                late = values["clock_offset"]
+                reading = reading + rate @ jnp.stack([late, late**2])
             gone = values.get("robot_scale", 1.0) * reading
             beam = optics.Beam(
                 tip=touching - gone * away,

@@ -36,14 +36,15 @@ class ReportedWithdrawal(NamedTuple):
         motion: the motion, reversed, a unit vector towards the wall.
         axis: the tool's mean axis, a unit vector towards the wall.
         across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
-        rates: (n,), change of each reading per second by which `clock_offset_s` is larger, mm/s.
+        rates: (n, 2), by how much each reading changes if `clock_offset_s` is larger, per s and per
+            s^2, mm.
     """
 
     readings: "Float[np.ndarray, 'n']"
     motion: "Float[np.ndarray, '3']"
     axis: "Float[np.ndarray, '3']"
     across: "Float[np.ndarray, '2 3']"
-    rates: "Float[np.ndarray, 'n']"
+    rates: "Float[np.ndarray, 'n 2']"
 
 
 def withdrawal_of(
@@ -114,8 +115,10 @@ def withdrawal_of(
     _check_sense(readings, axis, robot, where)
     middle = poses.rotations[(first + last) // 2]
     across = np.array([turned(side, tuple(middle)) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    velocities = (places_at(moments + _RATE_S) - places_at(moments - _RATE_S)) / (2 * _RATE_S)
-    rates = (velocities - velocities[0]) @ motion
+    # The parabola through the readings of an earlier and a later clock, about the first frame's.
+    early, late = ((places_at(moments + off) - places) @ motion for off in (-_RATE_S, _RATE_S))
+    rates = np.stack([(late - early) / (2 * _RATE_S), -(late + early) / (2 * _RATE_S**2)], axis=1)
+    rates -= rates[0]
     return ReportedWithdrawal(readings, motion, axis, across, rates)
 
 
