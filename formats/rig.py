@@ -58,6 +58,7 @@ HISTORY = {1: "the format of eyespot 0.3"}
 EXACT: dict[str, dict[str, Any]] = {
     "microscope": {"scale_sigma": 0.0, "pinhole_height_sigma_mm": 0.0},
     "wall": {"radius_sigma_mm": 0.0},
+    "instrument": {"glue_index_sigma": 0.0, "rim_height_sigma_mm": 0.0},
     "robot": {"scale_sigma": 0.0, "clock_sigma_s": 0.0},
 }
 """Tolerances of a rig that is known exactly, as a rendered one is."""
@@ -183,6 +184,15 @@ class InstrumentKeys(Strict):
         "distances rest on it.",
     )
     core_radius_sigma: ShareKey = Field(0.01, description="Relative uncertainty of core_radius_mm.")
+    glue_index: Annotated[float, Field(ge=1, le=4)] = Field(
+        1.49, description="Refractive index of the drop of glue, where no lens is named."
+    )
+    glue_index_sigma: ShareKey = Field(0.002, description="Standard uncertainty of it.")
+    rim_height_sigma_mm: SigmaKey = Field(
+        0.05,
+        description="By how much the drop's rim may stand above the core's face, where no lens is "
+        "named; 0: they are level.",
+    )
     visible: bool = Field(True, description="Whether the images show the instrument.")
 
 
@@ -583,7 +593,8 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
         "schema": SCHEMA,
         "microscope": EXACT["microscope"] | {"calibration": "microscope.json"},
         "wall": EXACT["wall"] | some("phantom", kind="kind") | some("source", medium="medium"),
-        "instrument": some(
+        "instrument": EXACT["instrument"]
+        | some(
             "instrument",
             fibre_diameter_mm="fibre_diameter_mm",
             fibre_length_mm="fibre_length_mm",

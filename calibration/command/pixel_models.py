@@ -26,19 +26,22 @@ from eyespot.calibration.spots.cone_trials import (
     phantom_wall,
     wandering_boresight,
 )
-from eyespot.calibration.tolerances import tolerances
+from eyespot.calibration.tolerances import (
+    Known,
+    microscope_of,
+    said_of_priors,
+    tolerances,
+)
 from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.run.progress_bar import progress, say
-from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, Calibration
+from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, OF_MICROSCOPE, Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.lens import lens_parameters
 
-_GLUE_INDEX = 1.49
-"""Refractive index of cyanoacrylate: 1.48 to 1.50 in data sheets."""
 _APERTURE = 0.05  # numerical: start value
 _BLUR_PX = 1.0  # start value: a camera in focus
 _SPREAD_MM = 0.03  # start value: about that of paper
-_EITHER_IN_FILE = ("scale", "eye_radius")
+_EITHER_IN_FILE = ("scale", "eye_radius", "inverse_working_distance")
 _BEAM = ("boresight", "boresight_sideways")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
 """Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
@@ -56,6 +59,11 @@ to a quarter of it, glue may run over the edge, and glue that wets the face make
 three are free where neither the lens nor the free parameters are chosen."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
+_STATED_APART = (
+    *("touch", "robot_scale", "clock_offset", "scale", "eye_radius", "inverse_working_distance"),
+    *("core_radius", "glue_index", "rim_height"),
+)
+"""What a rig states and budgets show, by the names of parameters."""
 _BRIGHTNESS = ("sensitivity", "power", "reflectance")
 """Factors of a calibration file's brightness; it is their product over pi."""
 
@@ -85,17 +93,23 @@ def fit_image_of_lens(recordings: Sequence[RecordedTrial], choices: Choices) -> 
         start, joint = _known_lens(choices.known, choices.names)
         choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
         return _fitted(recording, footage, choices, "lens", [start], joint_prior=joint)
-    radius, drop = recording.fibre_radius_mm, {}
+    radius, drop, glue = recording.fibre_radius_mm, {}, {}
     if choices.lens:
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
         drop = {name: Prior(*(radius * x for x in prior)) for name, prior in DROP.items()}
         drop |= {name: prior for name, prior in choices.priors.items() if name in drop}
         kind = {name: prior.mean for name, prior in drop.items()}
-        kind |= {"rim_height": 0.0, "glue_index": _GLUE_INDEX}
+        tip = recording.recording.rig.instrument
+        kind |= {"rim_height": 0.0, "glue_index": tip.glue_index}
+        of_glue = {
+            "rim_height": Prior(0.0, tip.rim_height_sigma_mm),
+            "glue_index": Prior(tip.glue_index, tip.glue_index_sigma),
+        }
         kind["numerical_aperture"] = _APERTURE
+        glue = {name: prior for name, prior in of_glue.items() if prior.sigma > 0}
     starts = guessed_lenses(recording, footage, kind, drop)
-    more = {} if choices.names else drop
+    more = {} if choices.names else drop | glue
     return _fitted(recording, footage, choices, "lens", starts, more=more)
 
 
@@ -182,7 +196,11 @@ def _fitted(
             "the first frame before the beam is known. Give --prior touch=MEAN,SIGMA, in mm."
         )
     known = _pose_start(recording)
-    more = {**(more or {}), **tolerances([recording])}
+    shared = joint_prior.mean if joint_prior else ()
+    tolerated = {k: v for k, v in tolerances([recording]).items() if k not in shared}
+    more = {**(more or {}), **tolerated}
+    microscope = microscope_of([recording])
+    in_file = {*choices.names, *shared, *(OF_MICROSCOPE if microscope else ())}
     if "spread" in choices.names:
         known["spread"] = _SPREAD_MM
     begins = (known | start for start in starts)
@@ -196,16 +214,16 @@ def _fitted(
             source=source,
             start=next(begins),
             others=begins,
-            free=tuple(dict.fromkeys((*(choices.names or FREE[source]), *more))),
+            free=tuple(dict.fromkeys((*(choices.names or FREE[source]), *shared, *more))),
             priors={**more, **choices.priors},
             joint_prior=joint_prior,
             progress=lambda chi_squared: advance(note=f"chi squared {chi_squared:.4g}"),
         )
 
-    def in_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
+    def of_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """The calibration's parameters; with the beam's direction, if it is determined."""
         every = {**fit.values, **fitted}
-        names = [name for name in _EITHER_IN_FILE if name in fitted]
+        names = [name for name in _EITHER_IN_FILE if name in fitted and name in in_file]
         if source == "cone":
             found = {name: every[name] for name in (*CONE, *names)}
         else:
@@ -224,19 +242,28 @@ def _fitted(
         return {name: jnp.asarray(value, float) for name, value in found.items()}
 
     fitted = {name: value for name, (value, _) in fit.parameters.items()}
-    values = {name: float(value) for name, value in in_file(fitted).items()}
+    values = {name: float(value) for name, value in of_file(fitted).items()}
     if -_HOLLOW_MM < values.get("sag", 0.0) < 0.0:
-        values["glue_length"] = max(values["glue_length"] - values["sag"], 0.0)
+        values["glue_length"] -= values["sag"]
         values["sag"] = 0.0
     if source == "lens":
         values["aperture_radius"] = max(values["aperture_radius"], values["core_radius"])
-    slopes = jax.jacfwd(in_file)(fitted)
+        values["glue_length"] = max(values["glue_length"], values["sag"])  # the rim is not sunk
+    slopes = jax.jacfwd(of_file)(fitted)
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     pixels = pixel_residuals(fit)
+    own = list(fit.parameters)
+    stated = {
+        name: (follows @ fit.covariance[own.index(name)] / prior.sigma)[None]
+        for name, prior in fit.priors.items()
+        if name in _STATED_APART and math.isfinite(fit.parameters[name][1])
+    }
     return Fitted(
         calibration_model="exact" if source == "cone" else "lens",
         values=values,
         covariance=propagated(follows, fit.covariance),
+        stated=stated,
+        microscope=microscope if {*OF_MICROSCOPE} & {*values} - {*choices.names} else "",
         converged=fit.converged,
         failed=fit.failed,
         bounds=bounds_hit(values),
@@ -250,7 +277,7 @@ def _fitted(
         others=[
             (name, value, error, UNITS[name])
             for name, (value, error) in fit.parameters.items()
-            if name not in (*CONE, *LENS, *_EITHER_IN_FILE)
+            if name not in (*CONE, *LENS, *values)
         ],
         notes=_notes(fit),
         pixels=pixels,
@@ -280,7 +307,11 @@ def _notes(fit: ImageFit) -> list[str]:
             "Numerical errors of the lens's light enlarge the standard errors by a factor of up to "
             f"{fit.numerical_inflation:.2g}; these errors are included."
         )
-    return notes
+    return notes + said_of_priors(
+        Known(name, prior, *fit.parameters[name])
+        for name, prior in fit.priors.items()
+        if name in _STATED_APART
+    )
 
 
 def pixel_residuals(fit: ImageFit) -> PixelResiduals:

@@ -149,6 +149,7 @@ UNITS = {
     "numerical_aperture": "1",
     "scale": "mm/px",
     "eye_radius": "mm",
+    "inverse_working_distance": "1/mm",
     "reflectance": "1",
     "power": "mW",
     "sensitivity": "mm2 sr/mJ",
@@ -183,14 +184,20 @@ POSE = (
     "boresight",
     "boresight_sideways",
     "robot_scale",
+    "clock_offset",
 )
 """Parameters of the frames' poses."""
 _ANGLES = ("lean", "lean_sideways", "boresight", "boresight_sideways")
 NUISANCES = ("sensitivity", "illumination", "touch", "u", "v", *_ANGLES)
 """Parameters that are free in every fit, because no log book contains them accurately enough."""
 DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale": 1.0}
+DEFAULTS |= {"clock_offset": 0.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
+_MAY_BE_NEGATIVE |= {"clock_offset", "inverse_working_distance"}
 _HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
+_SUNK = 0.2
+"""Depth of a rim below the core's face over its radius, to which noise may move a rim of height 0.
+The light is linear in it."""
 _CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
 
 
@@ -230,6 +237,6 @@ def possible(values: Mapping[str, float]) -> bool:
     lens = "sag" not in values or (
         -_HOLLOW * values["aperture_radius"] <= values["sag"] <= values["aperture_radius"]
         and values["aperture_radius"] >= (1.0 - _CUT) * values["core_radius"]
-        and values["rim_height"] >= 0
+        and values["rim_height"] >= -_SUNK * values["aperture_radius"]
     )
     return positive and lens and values["reflectance"] < 1

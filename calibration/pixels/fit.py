@@ -32,6 +32,7 @@ class ImageFit:
     Attributes:
         parameters: value and standard error by name (see `UNITS`).
         values: values of all parameters, including those that were not fitted.
+        priors: of free parameters.
         covariance: covariance of `parameters` in their order, from camera noise, priors and misfit.
         misfit: the light that the model lacks.
         chi_squared: sum of squared residuals over their sigma, priors included.
@@ -54,6 +55,7 @@ class ImageFit:
 
     parameters: dict[str, tuple[float, float]]
     values: dict[str, float]
+    priors: Mapping[str, Prior]
     covariance: Float[np.ndarray, "p p"]
     chi_squared: float
     degrees_of_freedom: int
@@ -177,6 +179,7 @@ def fit_image(
         **DEFAULTS,
         "scale": file.scale_mm_px,
         "eye_radius": file.eye_radius_mm,
+        "inverse_working_distance": file.inverse_working_distance,
         "u": float(place[0]),
         "v": float(place[1]),
         **{name: prior.mean for name, prior in known.items()},
@@ -483,6 +486,7 @@ def _result(
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
+        priors={name: prior for name, prior in solver.priors.items() if name in names},
         covariance=covariance,
         chi_squared=solver.chi_squared,
         degrees_of_freedom=degrees,

@@ -91,7 +91,7 @@ class LinearLensLight:
     def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
         """Compute the table at these values of all parameters, unless it is the last one."""
         at = {name: values[name] for name in (*LENS, "touch")}
-        at["sag"] = max(at["sag"], _FLAT_MM)
+        at["sag"], at["rim_height"] = max(at["sag"], _FLAT_MM), max(at["rim_height"], 0.0)
         at["aperture_radius"] = max(at["aperture_radius"], ENCLOSED * at["core_radius"])
         if (at, coarse) == (self._at, self._coarse):
             return
@@ -137,6 +137,8 @@ class LinearLensLight:
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
         sizes = {name: abs(self._at[name]) for name in self._by}
+        if "rim_height" in sizes:  # which may be 0
+            sizes["rim_height"] = max(sizes["rim_height"], self._at["aperture_radius"])
         rim, flat = values["aperture_radius"], FLATTEST * values["aperture_radius"]
         if "sag" in sizes and sizes["sag"] < flat:
             sizes["sag"] = flat
@@ -205,7 +207,11 @@ STATES = ("power", "exposure", "x", "y", "z", "right", "down")
 is reported, the tip's place less the robot's, mm, and the shift of the image, px."""
 TIP, SHIFT = slice(2, 5), slice(5, 7)
 _AHEAD_MM = 0.3  # farther along the beam than the axis meets the wall: an oblique wall is lit there
-_STEP = 1e-4  # relative, of differences by the scale and by the eye's radius
+VIEW = ("scale", "eye_radius", "inverse_working_distance")
+"""Parameters of how the microscope sees the wall."""
+_STEP = 1e-4  # relative, of differences by these
+_LEAST_SIZE = 1e-3
+"""Size from which on a step is relative: of 1/mm, that of a pinhole a metre away."""
 
 
 class Cells(NamedTuple):
@@ -310,13 +316,13 @@ class Light:
         self.own = tuple(name for name in names if name in (CONE if lens is None else LENS))
         of_cone = np.array([[name == free for free in self.own] for name in CONE], float)
         self._of_cone = of_cone.reshape(len(CONE), len(self.own))
-        self.differences = [name for name in ("scale", "eye_radius") if name in names]
+        self.differences = [name for name in VIEW if name in names]
         self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
         self._last: tuple[Any, list[FrameLight]] = None, []
 
     def view(self, values: Mapping[str, float]) -> "_WallView":
         """The wall as the microscope sees it."""
-        return self._view(values["scale"], values["eye_radius"])
+        return self._view(*(values[name] for name in VIEW))
 
     def frames(
         self,
@@ -342,16 +348,13 @@ class Light:
         if found is None or not slopes:
             return found
         for name in self.differences:
-            step = _STEP * values[name]
-            ends = []
-            for off in (-step, step):
-                end = self._frames({**values, name: values[name] + off}, states, numbers, False)
-                if end is None:
-                    return None
-                ends.append(end)
+            step = _STEP * max(abs(values[name]), _LEAST_SIZE)
+            moved = self._frames({**values, name: values[name] + step}, states, numbers, False)
+            if moved is None:
+                return None
             at = self.names.index(name)
-            for own, low, high in zip(found, *ends, strict=True):
-                own.slopes[at] = (high.light - low.light) / (2.0 * step)
+            for own, other in zip(found, moved, strict=True):
+                own.slopes[at] = (other.light - own.light) / step
         self._last = place, found
         return found
 
@@ -363,12 +366,15 @@ class Light:
         slopes: bool,
     ) -> list[FrameLight] | None:
         footage, view = self.footage, self.view(values)
-        readings = footage.readings[list(numbers)]
+        chosen = list(numbers)
+        none = np.zeros((len(footage.readings), 2))
+        rates = (none if footage.rates is None else footage.rates)[chosen]
         poses, turns = map(
             np.asarray,
             _poses(
                 jnp.array([values[name] for name in POSE]),
-                jnp.asarray(readings),
+                jnp.asarray(footage.readings[chosen]),
+                jnp.asarray(rates),
                 jnp.asarray(footage.motion),
                 jnp.asarray(footage.axis),
                 view.camera,
@@ -398,7 +404,7 @@ class Light:
         state: Float[np.ndarray, "7"],
         number: int,
         pose: Float[np.ndarray, "6"],
-        turn: Float[np.ndarray, "6 8"],
+        turn: Float[np.ndarray, "6 9"],
         view: "_WallView",
         source: CellBeam,
         emitted: float,
@@ -512,13 +518,15 @@ class Light:
 
 
 class _WallView:
-    """The wall behind the cells, for one scale and radius of the eye."""
+    """The wall behind the cells, for one scale, radius of the eye and pinhole."""
 
-    def __init__(self, footage: Footage, cells: Cells, scale: float, eye_radius: float) -> None:
+    def __init__(
+        self, footage: Footage, cells: Cells, scale: float, eye_radius: float, kappa: float
+    ) -> None:
         file = footage.microscope
         self.camera = optics.microscope(
             scale=scale,
-            pinhole_height=file.pinhole_height_mm,
+            pinhole_height=1.0 / kappa - eye_radius if kappa else math.inf,
             eye_radius=eye_radius,
             principal_point=file.principal_point_px,
             distortion=tuple(file.distortion),
@@ -543,17 +551,18 @@ class _WallView:
 
 @eqx.filter_jit
 def _poses(
-    at: Float[Array, "8"],
+    at: Float[Array, "9"],
     readings: Float[Array, "frames"],
+    rates: Float[Array, "frames 2"],
     motion: Float[Array, "3"],
     axis: Float[Array, "3"],
     camera: optics.Microscope,
     wall: optics.Surface,
-) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 8"]]:
+) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 9"]]:
     """Tip and axis of frames by the parameters `POSE`, and their derivatives."""
 
-    def pose(at: Array, reading: Array) -> Array:
-        touch, u, v, lean, lean_sideways, boresight, boresight_sideways, scale = at
+    def pose(at: Array, reading: Array, rate: Array) -> Array:
+        touch, u, v, lean, lean_sideways, boresight, boresight_sideways, scale, late = at
         spot = wall.intersect(*camera.ray(jnp.stack([u, v]))).point
         way, beam = beam_directions(
             motion=motion,
@@ -561,6 +570,7 @@ def _poses(
             lean=jnp.stack([lean, lean_sideways]),
             boresight=jnp.stack([boresight, boresight_sideways]),
         )
-        return jnp.concatenate([spot - touch * beam - scale * reading * way, beam])
+        gone = scale * (reading + rate @ jnp.stack([late, late**2]))
+        return jnp.concatenate([spot - touch * beam - gone * way, beam])
 
-    return jax.vmap(lambda reading: (pose(at, reading), jax.jacfwd(pose)(at, reading)))(readings)
+    return jax.vmap(lambda *own: (pose(at, *own), jax.jacfwd(pose)(at, *own)))(readings, rates)

@@ -128,6 +128,7 @@ class BeamSolver:
     ) -> None:
         self.footage, self.cells, self.numbers, self.point = footage, cells, list(numbers), point
         self.names, self.lens, self.progress = names, lens, progress
+        self.priors = priors
         self._prior_means, self._prior_weights = prior_terms(names, priors, joint_prior)
         self.light = Light(footage, cells, names, lens)
         means = [cells.means(footage.light[i], footage.clear[i]) for i in self.numbers]
