@@ -51,7 +51,7 @@ def microscope_of(recordings: Sequence[RecordedTrial]) -> str:
     return names.pop() if len(names) == 1 else ""
 
 
-class Known(NamedTuple):
+class PriorOutcome(NamedTuple):
     """A parameter with its prior, and what the fit found."""
 
     name: str
@@ -60,7 +60,7 @@ class Known(NamedTuple):
     sigma: float
 
 
-def said_of_priors(parameters: Iterable[Known]) -> list[str]:
+def said_of_priors(parameters: Iterable[PriorOutcome]) -> list[str]:
     """Sentences for the report: which parameters rest on their prior, and which left it."""
     every = list(parameters)
     alone = [one.name for one in every if one.sigma > _UNTOUCHED * one.prior.sigma]

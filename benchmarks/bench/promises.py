@@ -37,7 +37,7 @@ _FRAMES, _RATE_HZ, _SPEED_MM_S, _START_S = 24, 2.0, 0.5, 1.0
 _MODELS = ("exact", "area")
 
 
-class _World(NamedTuple):
+class _DrawnRig(NamedTuple):
     """What is true of a rig, and what its file states."""
 
     rig: Rig
@@ -52,7 +52,7 @@ class _World(NamedTuple):
     b: float
 
 
-def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _World:
+def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _DrawnRig:
     """A rig whose file has the default tolerances, and what it is."""
     keys: dict[str, Any] = {
         "microscope.id": microscope,
@@ -71,7 +71,7 @@ def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _Worl
     z = noise.standard_normal(7)
     core = noise.uniform(0.05, 0.25)
     half_angle = float(np.arctan(1 / noise.uniform(5.0, 20.0)))
-    return _World(
+    return _DrawnRig(
         rig=rig,
         scale=keys["microscope.scale_mm_px"] * (1 + seen.scale_sigma * z[0]),
         height=200.0 + seen.pinhole_height_sigma_mm * z[1],
@@ -145,7 +145,7 @@ def _tool(kind: str, radius: float, c: float, noise: np.random.Generator, tilt_d
     return spot, math.cos(tilt) * outward + math.sin(tilt) * lean
 
 
-def _truly(axis: np.ndarray, world: _World, noise: np.random.Generator) -> Any:
+def _truly(axis: np.ndarray, world: _DrawnRig, noise: np.random.Generator) -> Any:
     """The tool's pose that the robot reports, the true motion and the true beam."""
     pose = Pose.along(tuple(axis.tolist()), time_s=0.0, position_mm=(0.0, 0.0, 0.0))
     first, second = (np.asarray(v) for v in optics.perpendicular_frame(jnp.asarray(axis)))
@@ -157,7 +157,7 @@ def _truly(axis: np.ndarray, world: _World, noise: np.random.Generator) -> Any:
     return pose, turn.apply(axis), turn.apply(beam)
 
 
-def _calibrated(world: _World, noise: np.random.Generator, folder: Path) -> Calibration | None:
+def _calibrated(world: _DrawnRig, noise: np.random.Generator, folder: Path) -> Calibration | None:
     """The calibration of a drawn withdrawal; None if it is refused."""
     kind = world.rig.wall.kind or "eyeball"
     spot, axis = _tool(kind, world.radius, noise.uniform(0, 3), noise, noise.uniform(10, 30))

@@ -35,7 +35,7 @@ from eyespot.calibration.spots.paper import (
 )
 from eyespot.calibration.tolerances import (
     OF_ROBOT,
-    Known,
+    PriorOutcome,
     microscope_of,
     said_of_priors,
     tolerances,
@@ -343,9 +343,9 @@ def _fitted(
         )
         if recording.trial.kind == "eyeball"
     ]
-    known = [Known(n, p, fit.values[n], sigma[n]) for n, p in priors.items() if n in sigma]
+    known = [PriorOutcome(n, p, fit.values[n], sigma[n]) for n, p in priors.items() if n in sigma]
     known += [
-        Known(f"touch of {name}", one.trial.touch, touch, error)
+        PriorOutcome(f"touch of {name}", one.trial.touch, touch, error)
         for one, name, touch, error in zip(
             recordings, names, fit.touch, fit.touch_error, strict=True
         )

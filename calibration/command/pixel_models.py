@@ -27,7 +27,7 @@ from eyespot.calibration.spots.cone_trials import (
     wandering_boresight,
 )
 from eyespot.calibration.tolerances import (
-    Known,
+    PriorOutcome,
     microscope_of,
     said_of_priors,
     tolerances,
@@ -308,7 +308,7 @@ def _notes(fit: ImageFit) -> list[str]:
             f"{fit.numerical_inflation:.2g}; these errors are included."
         )
     return notes + said_of_priors(
-        Known(name, prior, *fit.parameters[name])
+        PriorOutcome(name, prior, *fit.parameters[name])
         for name, prior in fit.priors.items()
         if name in _STATED_APART
     )
