@@ -3,9 +3,10 @@
 bridge/      Mitsuba as a JAX function
 command/     `eyespot fit`
 pixels/      Fits to every pixel of a stack
-recordings/  Stacks, spots files and bags read as trials with the robot's readings
-solvers/     Least squares with covariance
+recorded_trial  Stacks, spots files and bags read as trials with the robot's readings
+solvers      Least squares with covariance
 spots/       Fits to the ellipses of spots
+tolerances   What a rig states to a tolerance, as priors of every fit
 """
 
 import lazy_loader

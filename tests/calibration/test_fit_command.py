@@ -1,6 +1,7 @@
 """`eyespot fit`: recordings in, a calibration out where the fit is good, and a reason where not."""
 
 import base64
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -244,6 +245,32 @@ def test_a_robot_known_to_a_tolerance_widens_the_half_angle(rig, tmp_path):
     # tan(half-angle) is a size over a distance, which the robot knows to 1 %.
     assert tolerant.sigma["half_angle"] == pytest.approx(0.01 / K, rel=0.05)
     assert exact.sigma["half_angle"] < 0.1 * tolerant.sigma["half_angle"]
+
+
+def test_what_a_rig_states_is_in_the_calibration_apart_from_the_data(rig, tmp_path):
+    spots, poses = rig()
+    sigmas = {"microscope.scale_sigma": 0.02, "robot.scale_sigma": 0.01, "microscope.id": "A"}
+    source = recorded(tmp_path, spots, poses, touch=[RIM, 0.02])
+    own = Recording.open(source, changes=sigmas)
+    found = eyespot.fit(own, model="cone").calibration
+    angle, _, covariance = found.cone
+    # tan(half-angle) is a size in the image's scale over a distance in the robot's.
+    assert math.sqrt(covariance[0, 0]) / angle == pytest.approx(math.hypot(0.02, 0.01), rel=0.02)
+    rows = {name: found.stated[name][0] for name in ("scale", "robot_scale", "touch")}
+    at = list(found.values).index("half_angle")
+    assert rows["scale"][at] / angle == pytest.approx(0.02, rel=0.02)
+    assert rows["robot_scale"][at] / angle == pytest.approx(-0.01, rel=0.02)
+    assert rows["touch"][list(found.values).index("b")] == pytest.approx(0.02, rel=0.02)
+    # Through the same microscope a spot's radius on the wall stands for a distance whatever the
+    # scale is: size * scale / tan(half-angle) follows the robot alone.
+    scale = list(found.values).index("scale")
+    relative = found.covariance / np.outer([*found.values.values()], [*found.values.values()])
+    distance = relative[scale, scale] - 2 * relative[scale, at] + relative[at, at]
+    assert math.sqrt(distance) == pytest.approx(0.01, rel=0.05)
+    # Another microscope does not share it.
+    assert found.seen_by("A").values == found.values
+    assert "scale" not in found.seen_by("B").values
+    assert found.seen_by("B").sigma("half_angle") == found.sigma("half_angle")
 
 
 def test_the_rim_of_a_tilted_tip_touches_first(rig, tmp_path):

@@ -256,7 +256,8 @@ def test_light_of_a_lens_is_the_mean_over_a_pixel():
     np.testing.assert_allclose(found, expected, atol=3e-4 * expected.max())
 
 
-SEEN = {"scale": 0.02, "eye_radius": 11.5, "reflectance": 0.5, "power": 1.0}
+SEEN = {"scale": 0.02, "eye_radius": 11.5, "inverse_working_distance": 1 / 23}
+SEEN |= {"reflectance": 0.5, "power": 1.0, "robot_scale": 1.0, "clock_offset": 0.0}
 SEEN |= {"sensitivity": 200.0, "illumination": 0.05, "touch": 0.15, "u": 64.0, "v": 63.0}
 
 
@@ -269,7 +270,7 @@ def changed_light(light: Light, *ends: tuple[dict[str, float], np.ndarray]) -> n
 
 def test_slopes_are_those_of_central_differences():
     pose = {"lean": 0.01, "lean_sideways": -0.02, "boresight": 0.03, "boresight_sideways": 0.005}
-    values = {"half_angle": HALF_ANGLE, "b": B, "blur": 2.0, "spread": 0.03, "robot_scale": 1.0}
+    values = {"half_angle": HALF_ANGLE, "b": B, "blur": 2.0, "spread": 0.03}
     values |= SEEN | pose
     light = Light(one_frame(), Cells.over((128, 128), 4), tuple(values), None)
     states = 0.1 * np.eye(1, len(STATES))
@@ -301,7 +302,7 @@ def test_slopes_of_a_lens_beside_its_table_are_those_of_central_differences():
     lens = LinearLensLight(one_frame(), names)
     lens.tabulate(LENS_BESIDE_ITS_TABLE, coarse=True)
     pose = dict.fromkeys(("lean", "lean_sideways", "boresight", "boresight_sideways"), 0.0)
-    values = LENS_BESIDE_ITS_TABLE | SEEN | pose | {"robot_scale": 1.0}
+    values = LENS_BESIDE_ITS_TABLE | SEEN | pose
     values |= {"aperture_radius": 0.276, "sag": 0.0515}
     light, still = Light(one_frame(), Cells.over((128, 128), 4), names, lens), np.zeros((1, 7))
     found = light.frames(values, still, [0])
@@ -364,6 +365,7 @@ def one_frame() -> Footage:
         clear=np.ones((1, 128, 128), bool),
         exposure_s=np.array([0.05]),
         readings=np.array([3.0]),
+        rates=np.array([[0.4, 0.1]]),
         motion=motion / np.linalg.norm(motion),
         axis=axis / np.linalg.norm(axis),
         microscope=a_microscope(**size, principal_point_px=(-37.0, 63.0)),
