@@ -14,6 +14,7 @@
 The next run that describes the same stack uses what a stopped run has left in the other folder.
 """
 
+import html
 import io
 import json
 import math
@@ -239,6 +240,15 @@ class Stack:
     def __repr__(self) -> str:
         return f"<Stack {self.folder}: {len(self.labels)} images>"
 
+    def _repr_html_(self) -> str:
+        """The first labels, for notebooks."""
+        import pandas as pd
+
+        columns = ["file_name", "exposure", "d_mm", "c_mm"]
+        rows = [[getattr(row, name) for name in columns] for row in self.labels[:5]]
+        table = pd.DataFrame(rows, columns=columns).to_html(index=False)
+        return f"<p>{html.escape(f'{self}'.strip('<>'))}; the first {len(rows)}:</p>{table}"
+
     def exposed(self, exposure: str) -> tuple[FrameLabels, ...]:
         """Labels of the images with one kind of exposure."""
         return tuple(labels for labels in self.labels if labels.exposure == exposure)
@@ -346,7 +356,7 @@ class Stack:
             raise InputError(f"{self.folder / difference}.")
 
 
-def read_stack(folder: Path) -> Stack:
+def read_stack(folder: str | Path) -> Stack:
     """Open a stack and read its labels; images are read later, one by one.
 
     Raises:

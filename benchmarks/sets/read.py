@@ -129,7 +129,7 @@ class _SetFile(Strict):
     stacks: list[_StackRow] = Field(description="The stacks of the set.")
 
 
-def read_set(folder: Path) -> LabelledSet:
+def read_set(folder: str | Path) -> LabelledSet:
     """Open a set, complete or not (`verify_set` checks that); SetError if the folder is none."""
     folder = Path(folder)
     with in_file(folder / "set.json", SetError):

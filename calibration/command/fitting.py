@@ -4,6 +4,7 @@ It may be recorded for the viewer rerun: frames, spots, distances by fit and rob
 """
 
 import hashlib
+import html
 import importlib.metadata
 import json
 import math
@@ -168,6 +169,10 @@ class Fit:
 
     def __repr__(self) -> str:
         return f"{self.verdict}\n{self.parameters}"
+
+    def _repr_html_(self) -> str:
+        """Verdict and parameters, for notebooks."""
+        return f"<p>{html.escape(self.verdict)}</p>{self.parameters.to_html()}"
 
     @property
     def good(self) -> bool:

@@ -3,11 +3,13 @@
 The table [unrest] comes first: what else does not keep still while the tip moves.
 """
 
+import html
 import math
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 import numpy as np
+import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
 from eyespot.formats.inputs import InputError
@@ -110,6 +112,11 @@ class Scene(SceneTable):
     viewing: Viewing = Viewing()
     camera: CameraSettings = CameraSettings()
     exposures: Exposures = Exposures()
+
+    def _repr_html_(self) -> str:
+        """Its file, for notebooks."""
+        content = self.model_dump(mode="json", by_alias=True)
+        return f"<pre>{html.escape(tomli_w.dumps(content))}</pre>"
 
     @property
     def approximations(self) -> list[str]:

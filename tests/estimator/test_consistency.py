@@ -119,7 +119,9 @@ def test_a_prior_is_contradicted_only_by_data_that_add_to_it():
         measured = truth + measured_to * rng.normal()
         weights = np.array([0.02, measured_to]) ** -2.0
         value, sigma = weights[1] * measured / weights.sum(), weights.sum() ** -0.5
-        sigmas.append(against_prior("touch", "x", value, sigma, 0.0, 0.02, cause=cause).sigmas)
+        found = against_prior("touch", "x", value, sigma, 0.0, 0.02, cause=cause)
+        assert found is not None
+        sigmas.append(found.sigmas)
     # As above: 3.2 % of 500 numbers.
     assert np.std(sigmas) == pytest.approx(1.0, abs=4 * 0.032)
     assert against_prior("touch", "x", 0.001, 0.0199, 0.0, 0.02, cause=cause) is None

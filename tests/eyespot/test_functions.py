@@ -1,5 +1,6 @@
 """`import eyespot`: the functions return what the commands write, and print nothing."""
 
+from importlib import metadata
 from pathlib import Path
 
 import pandas as pd
@@ -116,3 +117,14 @@ def test_a_study_has_its_commands_options():
 def test_setting_what_the_study_varies_is_refused():
     with pytest.raises(InputError, match="no effect in this study"):
         eyespot.studies.eccentricity(out=Path("never"), changes=("spot.eccentricity_mm=6",))
+
+
+def test_notebooks_show_a_stack_and_a_scene(made):
+    stack = eyespot.read_stack(f"{made / 'stack'}")
+    shown = stack._repr_html_()
+    assert all(row.file_name in shown for row in stack.labels[:5])
+    assert "pinhole_height_mm" in eyespot.Scene()._repr_html_()
+
+
+def test_the_version_is_that_of_the_distribution():
+    assert eyespot.__version__ == metadata.version("eyespot")

@@ -265,8 +265,16 @@ class Score:
     errors: pd.DataFrame
 
     def __repr__(self) -> str:
+        return self._overall.to_string(index=False)
+
+    def _repr_html_(self) -> str:
+        """The errors over all images, for notebooks."""
+        return self._overall.to_html(index=False)
+
+    @property
+    def _overall(self) -> pd.DataFrame:
         columns = ["estimator", "quantity", "n", "bias", "rmse", "within_2_sigma"]
-        return self.errors[self.errors.condition == ALL][columns].to_string(index=False)
+        return self.errors[self.errors.condition == ALL][columns]
 
     @property
     def by_condition(self) -> pd.DataFrame:
