@@ -45,7 +45,7 @@ CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "
 MODELS = (*CONE_MODELS, "lens")
 
 
-_ASKEW = math.radians(20)  # of a fibre against its tool; more is another tool
+_MOST_ASKEW_RAD = math.radians(20)  # a fibre that is more askew belongs to another tool
 _LARGE, _BRIGHTEST = 1e6, 1e12
 """End of a range that has none by nature; squares and products of such values stay finite."""
 
@@ -67,8 +67,8 @@ QUANTITIES = {
     "eye_radius": Quantity("mm", 0, _LARGE),
     "inverse_working_distance": Quantity("1/mm", -_LARGE, _LARGE),
     "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
-    "beam_x": Quantity("rad", -_ASKEW, _ASKEW),
-    "beam_y": Quantity("rad", -_ASKEW, _ASKEW),
+    "beam_x": Quantity("rad", -_MOST_ASKEW_RAD, _MOST_ASKEW_RAD),
+    "beam_y": Quantity("rad", -_MOST_ASKEW_RAD, _MOST_ASKEW_RAD),
     "core_radius": Quantity("mm", 0, _LARGE),
     "glue_length": Quantity("mm", 0, _LARGE, low_included=True),
     "aperture_radius": Quantity("mm", 0, _LARGE),
@@ -158,7 +158,7 @@ HISTORY = {
     "far the parameters follow what a rig stated",
 }
 
-_LARGEST = 1e24  # of a covariance, in the square of a parameter's unit
+_LARGEST = 1e24  # largest covariance, in the square of a parameter's unit
 
 _SAME = 1e-6  # relative; sigma and covariance are one number written twice
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 FULL_SCALE = {np.uint8: 255.0, np.uint16: 65535.0, np.float32: 1.0, np.float64: 1.0}
 """Types of a frame's values, and the value at which they saturate by default."""
 
-_ROWS = 8  # that are looked at
-_CHANGES = 64  # in them; by chance all are at even places once in 2^64 frames
-_MOST_REPEATS = 8  # of a pixel by a digital zoom
+_ROWS = 8  # number of rows that are examined
+_CHANGES = 64  # changes of value in these rows; all are at even places by chance in 2^-64 of frames
+_MOST_REPEATS = 8  # largest factor of a digital zoom that repeats pixels
 
 
 def checked_frame(frame: np.ndarray) -> np.ndarray:

@@ -235,7 +235,7 @@ def _samples(image: np.ndarray, page: TiffPage) -> tuple[np.ndarray, float | Non
     return image.astype(f"u{image.dtype.itemsize}"), full_scale
 
 
-_MOST_BYTES = 2**30  # that many pixels as RGB floats, uncompressed, and some more
+_MOST_BYTES = 2**30  # largest file: as many pixels as RGB floats, uncompressed, and some more
 _HEADED = ("PNG", "JPEG", "BMP", "WEBP", "PPM", "JPEG2000")  # Pillow's names
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _PNG = b"\x89PNG"

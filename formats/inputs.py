@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-_MOST_LINES = 3  # of a message
+_MOST_LINES = 3  # lines of a message that are shown
 
 
 class InputError(ValueError):
@@ -55,7 +55,7 @@ MOST_BYTES = 2**26
 """Largest text file unless its reader says otherwise, 64 MiB: set.json of 100,000 stacks."""
 
 _MOST_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
-_MOST_DOTS = 100  # of a line
+_MOST_DOTS = 100  # dots in a line of TOML that is read
 _DEEPEST = 16  # levels of lists and tables; our formats have eight at most
 _LARGEST = 2**63  # TOML's whole numbers, those of NumPy and of HDF5 have 64 bits
 _SURROGATE = re.compile("[\ud800-\udfff]")  # alone it cannot be written

@@ -91,11 +91,11 @@ HISTORY = {1: "the format of eyespot 0.1"}
 _BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
 _MOST_PX = 2**20  # sides of a frame, and the place of its principal point
 _LARGEST_MM = 1e6
-_LARGEST = 1e12  # of other numbers
+_LARGEST = 1e12  # largest number that is no length
 _MOST_BYTES = 2**20
 _STEEPEST = 100  # exponent of a gamma curve
 _SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
-_UNIT = 1e-3  # of a normal's length, as people round it
+_UNIT = 1e-3  # deviation of a normal's length from 1 that comes from rounding
 _SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 
-_MOST_YAML_BYTES = 2**16  # of metadata.yaml; a bag of fifty topics has 40 kB
+_MOST_YAML_BYTES = 2**16  # largest metadata.yaml; that of a bag of fifty topics has 40 kB
 _REMEDY = "Repair a truncated bag with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`."
 
 

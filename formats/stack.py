@@ -71,8 +71,8 @@ HISTORY = {1: "the format of eyespot 0.1"}
 KINEMATICS = ("time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z")
 """Columns of kinematics.csv."""
 
-_MOST_LABEL_BYTES = 2**28  # of metadata.jsonl: 250,000 images
-_LARGEST = 1e12  # of any label; times in s since 1970 have ten digits
+_MOST_LABEL_BYTES = 2**28  # largest metadata.jsonl: 250,000 images
+_LARGEST = 1e12  # largest label; times in s since 1970 have ten digits
 _AGAIN = "Render the stack again."
 _Kind = TypeVar("_Kind")
 

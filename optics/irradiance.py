@@ -39,12 +39,12 @@ from eyespot.optics.lens import GlueLens
 
 _MERIDIAN = 160  # cells of the scan along the meridian
 _ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
-_EXTREMES = 3  # of the excess along the meridian that may pass zero between two samples
-_PINCHES = 2  # of the lit part across the meridian
-_CROSSINGS = 8  # of the meridian with the lit part's edge, for a disc and a ring
+_EXTREMES = 3  # extremes of the excess along the meridian that may cross zero between two samples
+_PINCHES = 2  # pinches of the lit part across the meridian
+_CROSSINGS = 8  # crossings of the meridian and the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
 _BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
-_SAME = 1e-6  # of the aperture: two candidates are one turn
+_SAME = 1e-6  # distance over the aperture below which two candidates are one turn
 _BREAKS = 11  # kept of all candidates; more do not occur together
 
 

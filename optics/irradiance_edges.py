@@ -196,9 +196,9 @@ class BackwardRays(NamedTuple):
 
 
 _RINGS, _TURNS = 16, 10  # cells of the search for turns of the edge
-_STARTS = 4  # of the search, for each kind of turn
+_STARTS = 4  # starts of the search for each kind of turn
 _NEWTON_STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
-_AROUND = 0.5  # of the range that may be lit: its bounds are estimates
+_AROUND = 0.5  # part of the lit range that is added to it, because its bounds are estimates
 _CLOSE = 1e-6  # residual of a turn
 
 # A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.

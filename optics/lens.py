@@ -24,7 +24,7 @@ LIGHT_CODE = tuple(
 )
 """The source files on which the light of a lens depends. What is kept of it holds for these."""
 
-_LARGEST_MM = 10.0  # of any length of a lens; a fibre has 0.1 to 1 mm
+_LARGEST_MM = 10.0  # largest length of a lens; a fibre has 0.1 to 1 mm
 
 
 class GlueLens(eqx.Module):

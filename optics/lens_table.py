@@ -151,7 +151,7 @@ _ROWS, _COLUMNS = 96, 96
 from row to row, and a look-up between two rows blurs it: with half the rows, images near a focus
 missed up to 0.26 % of their peak, with these 0.08 %."""
 _DOUBLINGS = 4
-_TOLERANCE = 3e-4  # of the row's peak; points with a larger interpolation error are refined
+_TOLERANCE = 3e-4  # interpolation error over the row's peak above which a point is refined
 _BESIDE = 1e-9
 """Cells before a sample at which the next cell begins. Many points lie on a sample, and XLA may
 compute their place twice with different rounding, so rounding must not decide on the cell there."""

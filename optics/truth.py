@@ -106,7 +106,7 @@ def half_maximum_contour(
     return wall_irradiance(table, beam, surface, radius=edge, angle=angles)[1]
 
 
-_RINGS, _DIRECTIONS = 8, 16  # of the nodes of a smooth light
+_RINGS, _DIRECTIONS = 8, 16  # numbers of nodes for smooth light
 
 
 def enclosed(radius: Float[Array, "*batch"], length: ScalarLike) -> Float[Array, "*batch"]:
@@ -129,7 +129,7 @@ def spread_nodes() -> tuple[Float[np.ndarray, "n 2"], Float[np.ndarray, "n"]]:
 
 _SIDES = 256  # directions in which the cone's edge is looked for
 _SPREAD_BISECTIONS = 40
-_FARTHEST = 8.0  # of the contour from the unspread one, in L; 99.7 % of the light is nearer
+_FARTHEST = 8.0  # largest shift of the contour by spread, in L; 99.7 % of the light is nearer
 _PEAK_RADII, _PEAK_ANGLES = 48, 12
 
 

@@ -23,7 +23,7 @@ from eyespot.formats.rig import Rig
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.whole_files import write_text
 
-_SATURATED = 0.01  # of the spot; below it are single hot pixels and reflections
+_SATURATED = 0.01  # part of the spot below which saturated pixels are hot ones and reflections
 _DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has four times its least
 
 

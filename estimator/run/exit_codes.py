@@ -44,7 +44,7 @@ PATIENCE_S = 2.0
 """Time that a command has to end by itself. All results are written whole or not at all, so a
 process may end at any moment."""
 
-_AGAIN_S = 0.02  # until a dropped KeyboardInterrupt is raised again
+_AGAIN_S = 0.02  # time after which a dropped KeyboardInterrupt is raised again
 
 _pressed = threading.Event()
 _finishing = threading.Event()

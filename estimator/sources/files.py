@@ -166,7 +166,7 @@ def open_tiff(path: Path) -> Source:
     )
 
 
-_MOST_DIGITS = 4  # of a camera's number; video4linux counts to 63
+_MOST_DIGITS = 4  # digits of a camera's number; video4linux counts to 63
 _MOST_FRAMES = 2**31
 _SIDES = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
 

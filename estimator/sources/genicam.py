@@ -20,7 +20,7 @@ from eyespot.formats.whole_files import damage_reported
 GENICAM = "genicam:"
 """What the name of such a source begins with."""
 _NAMES = ("serial_number", "id_", "user_defined_name")
-_PATIENCE_S = 10.0  # for a frame; longer than exposures are
+_PATIENCE_S = 10.0  # time to wait for a frame, longer than exposures are
 _ENCODINGS = {
     **{f"bayer{pattern[:2]}": f"bayer_{pattern}" for pattern in ("rggb", "grbg", "gbrg", "bggr")},
     **dict.fromkeys(("yuv422_8_uyvy", "ycbcr422_8_cbycry"), "uyvy"),

@@ -212,7 +212,7 @@ def _camera(path: ViewingPath, scale: Float[Array, ""], upright: bool) -> PathCa
 
 
 _SIDE_NEWTON_STEPS = 6
-_STEP_MM = 1e-4  # of the derivatives; Newton's steps then gain four digits each
+_STEP_MM = 1e-4  # step of the derivatives, with which each Newton step gains four digits
 
 
 class SideCamera(Camera):

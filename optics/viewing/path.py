@@ -60,7 +60,7 @@ DILATED_MM = 3.5
 _IMPLANT_INDEX, _IMPLANT_THICKNESS_MM = 1.55, 0.8
 """An artificial lens of hydrophobic acrylic, with faces of equal curvature (assumed), in the middle
 of the crystalline lens's place (assumed). Its power is what makes the eye emmetropic."""
-_START_MM = 1.0  # above the first element; rays are straight there
+_START_MM = 1.0  # height of a ray's start above the first element; it is straight there
 
 
 class ViewingPath(eqx.Module):

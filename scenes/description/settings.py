@@ -14,12 +14,12 @@ MOST_HZ = 1e5
 _MOST_MM = 1e4  # larger than any room; squares of it are exact to a nanometre
 _MOST_S = 1e6
 _LONGEST_HAND_S = 600.0  # its top speed is sought at steps of 1 ms, in 1 GB
-_LEAST = 1e-6  # of lengths and speeds that something is divided by
+_LEAST_DIVISOR = 1e-6  # least length or speed that something is divided by
 
-Positive = Annotated[float, Field(ge=_LEAST, le=_MOST_MM)]
+Positive = Annotated[float, Field(ge=_LEAST_DIVISOR, le=_MOST_MM)]
 """A length in mm, or a speed in mm/s."""
 _Seconds = Annotated[float, Field(ge=0, le=_MOST_S)]
-_Hertz = Annotated[float, Field(ge=_LEAST, le=MOST_HZ)]
+_Hertz = Annotated[float, Field(ge=_LEAST_DIVISOR, le=MOST_HZ)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
 """A share below 1."""
@@ -100,7 +100,7 @@ class Hand(_NamedMotion):
     kind: Literal["hand"] = "hand"
     distance_mm: Positive = Field(3.0, description="Mean distance along the beam.")
     duration_s: float = Field(
-        6.0, ge=_LEAST, le=_LONGEST_HAND_S, description="Duration of the trial."
+        6.0, ge=_LEAST_DIVISOR, le=_LONGEST_HAND_S, description="Duration of the trial."
     )
     top_speed_mm_s: Positive = Field(
         5.0, description="Highest speed of the tip; the slow motion is scaled to reach it."

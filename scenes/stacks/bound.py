@@ -134,12 +134,12 @@ def _eliminated(
     return np.asarray(own - mixed @ np.linalg.pinv(others, hermitian=True) @ mixed.T)
 
 
-_STEP_MM = 0.02  # of the tip, for differences of ellipses: 3 px, in which they are straight
+_STEP_MM = 0.02  # step of the tip for differences of ellipses: 3 px, over which they are linear
 _BEND = 0.1  # most difference between forward and backward, as part of both together
 _SHARP, _SMOOTH = 4, 1  # places along a side of a pixel for a cone's edge, and for other light
 # Around the ellipse, in semi-axes: a cone's light ends at its edge, a lens's has tails.
 _EDGE, _TAILS, _MARGIN_PX = 1.05, 2.5, 6
-_MOST_PARTS = 9  # of an exposure; more change the mean light little
+_MOST_PARTS = 9  # parts of an exposure; more of them change the mean light little
 _WORST_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
 
 

@@ -115,7 +115,7 @@ def _fundus(seed: int, palette: Any, pixels: int) -> np.ndarray:
     return fundus(seed=seed, extent_mm=PICTURE_MM, pixels=pixels, palette=palette)
 
 
-_LEAST = 0.0031308  # of a reflectance in a random wall
+_LEAST_REFLECTANCE = 0.0031308  # least reflectance in a random wall
 
 
 def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
@@ -134,7 +134,7 @@ def write_random_wall(path: Path, *, seed: int, width_mm: float) -> None:
     amplitude = np.sqrt(np.maximum(np.fft.fft2(covariance).real, 0.0))
     white = np.random.default_rng(seed).standard_normal((pixels, pixels))
     log_reflectance = np.fft.ifft2(np.fft.fft2(white) * amplitude).real
-    coded = srgb_of_light(np.clip(0.5 * np.exp(log_reflectance), _LEAST, 1.0))
+    coded = srgb_of_light(np.clip(0.5 * np.exp(log_reflectance), _LEAST_REFLECTANCE, 1.0))
     cv2.imwrite(str(path), np.round(65535 * coded).astype(np.uint16))
 
 

@@ -27,9 +27,9 @@ _TREMOR_HZ = (8.0, 12.0)
 _VOLUNTARY_HZ = (0.3, 1.2)
 """Slow motion; 99 % of the power of voluntary motion lies below 2 Hz (Riviere et al. 1997)."""
 _LINES = 64  # sinusoids per band: enough to look random, few enough to sum exactly
-_STEP_S = 1e-6  # for differences: in this time the speed of a tremor changes by 1e-4
-_FINE_S = 1e-3  # to find the top speed: a hundredth of the period of a tremor
-_MOST_POSES = 2**20  # of the robot: 90 minutes at 200 Hz; memory for more is not taken
+_STEP_S = 1e-6  # step of time for differences: in it the speed of a tremor changes by 1e-4
+_FINE_S = 1e-3  # step in the search for the top speed: a hundredth of the period of a tremor
+_MOST_POSES = 2**20  # robot's poses that memory is taken for: 90 minutes at 200 Hz
 _MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after the last
 
 

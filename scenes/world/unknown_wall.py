@@ -17,7 +17,7 @@ from eyespot.optics.wall_light.unknown_wall import SpotCells, distance_sigmas, s
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.world.world import World
 
-_NEAREST_MM, _FARTHEST_MM = 0.25, 9.0  # of a table of light
+_NEAREST_MM, _FARTHEST_MM = 0.25, 9.0  # distances that a table of light covers
 _FINENESS = {True: (3, 0.05), False: (5, 0.01)}
 """How often a table's cells are halved, and their finest width in mm; for coarse and exact ones.
 With 0.02 mm a gradient by the core's radius is a fifth off, because the edge of the light moves."""
