@@ -63,6 +63,7 @@ class Reason(Enum):
     INTERNAL_ERROR = "internal_error"
     OUT_OF_RANGE = "out_of_range"
     MISFIT = "misfit"
+    GHOST = "ghost"
     NOT_CONVERGED = "not_converged"
 
     @property
@@ -94,6 +95,8 @@ _MEANINGS = {
     "axis and there is none. Check the calibration, the microscope file and the poses.",
     Reason.MISFIT: "The light is not that of the calibrated beam on a wall. Look for reflexes, a "
     "second light or another lens; check the calibration and the camera's noise.",
+    Reason.GHOST: "A second, fainter image of the spot moves with it and pulls the distance. Look "
+    "for reflexes of a cover glass, of a lens or of the eye, and turn or remove what makes them.",
     Reason.NOT_CONVERGED: "No pose was found that explains the light. The next frame is fitted "
     "anew.",
 }

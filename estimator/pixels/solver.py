@@ -84,9 +84,15 @@ class PoseSolution:
 
     @property
     def chi_squared(self) -> float:
-        """Of all data given texture and noise, by their number; 1 where the model is right."""
-        total = sum(line.weight @ np.square(line.residual) for line in self.linear)
-        total -= sum((line.weight * line.residual) @ self.texture_map for line in self.linear)
+        """Of all data given texture and noise, by their number; 1 where the model is right.
+
+        The noise's part, and that of the map by the texture. Both are sums of squares, also where a
+        weight has changed since the map was made.
+        """
+        total = sum(
+            line.weight @ np.square(line.residual - self.texture_map) for line in self.linear
+        )
+        total += self.solver.texture_cost(self.texture_map)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
 
     @property
@@ -316,6 +322,13 @@ class PoseSolver:
             factor=factor,
             converged=converged,
         )
+
+    def texture_cost(self, texture_map: Float[np.ndarray, "n"]) -> float:
+        """Square of a map's deviation from what is known of the wall before any frame."""
+        off = texture_map
+        if self._reference is not None:
+            off = off - solved(cho_factor(self._precision, lower=True), self._pull)
+        return float(off @ self._precision @ off)
 
     def deviance_of(self, kept: Kept, own: Float[np.ndarray, "q"]) -> float:
         """-2 log likelihood of frames at their states, whatever the wall's texture is."""

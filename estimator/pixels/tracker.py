@@ -15,6 +15,7 @@ from threadpoolctl import ThreadpoolController
 from eyespot import optics
 from eyespot.estimator.distance.cone import calibrated_view
 from eyespot.estimator.distance.range import Range, WallMemory
+from eyespot.estimator.ghost import FRAMES_TO_DENY
 from eyespot.estimator.pixels.beam import BeamLight, Sweep
 from eyespot.estimator.pixels.first_frame import (
     Hypothesis,
@@ -26,7 +27,8 @@ from eyespot.estimator.pixels.first_frame import (
 from eyespot.estimator.pixels.frame_fit import FARTHEST
 from eyespot.estimator.pixels.frame_model import Direction, RobotPose
 from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference
-from eyespot.estimator.pixels.verdict import flag_of, range_of, shake_covariance
+from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.estimator.pixels.verdict import flag_of, ghost_pull, range_of, shake_covariance
 from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.kept_arrays import kept_arrays
@@ -114,6 +116,8 @@ class PixelRanger:
         self._noise, self._shake_px = microscope.noise, shake_px
         self._reference = None if reference is None else Reference(reference, self._noise)
         self._hypotheses: list[Hypothesis] = []
+        self._haunted = False  # whether the last frames show a ghost that pulls the distance
+        self._ghost_pull = np.zeros(POSE)  # of a ghost that hardly does
         self._last: Outline | None = None  # in the last frame with a pose
         self._mix: Mix | None = None
         self._shaken = np.zeros((POSE, POSE))  # what the first frame's shake does, per px²
@@ -126,6 +130,11 @@ class PixelRanger:
 
     def forget(self) -> None:
         """Fit the next frame by itself, on a wall that is not known."""
+        self._haunted, self._ghost_pull = False, np.zeros(POSE)
+        self._drop_wall()
+
+    def _drop_wall(self) -> None:
+        """Forget the wall, but not what is known of the light."""
         if self._hypotheses:
             first = self._hypotheses[0]
             self._drift = self._drift + first.drift(first.solution.newest)
@@ -166,7 +175,7 @@ class PixelRanger:
             wall = WallMemory.DROPPED if self._hypotheses else WallMemory.NEW
             if self._hypotheses:
                 self._reference = None  # nor does it
-            self.forget()
+            self._drop_wall()
             flag = self._begun(observation, outline)
             if self._reference is not None:
                 wall = WallMemory.KNOWN
@@ -174,7 +183,7 @@ class PixelRanger:
                     self._reference, wall = None, WallMemory.DROPPED
                     flag = self._begun(observation, outline)
         if flag is not None:
-            self.forget()
+            self._drop_wall()
             return _missing(flag, wall)
         return self._range(wall, outline)
 
@@ -213,11 +222,21 @@ class PixelRanger:
             return Reason.NOT_CONVERGED, WallMemory.DROPPED
         self._hypotheses = followed
         best = followed[0]
+        self._look_for_ghost(best.solution)
         wall = WallMemory.MOVED if best.drifted(self._shake_px) else WallMemory.KNOWN
         flag = flag_of(best, outline)
         if flag is None and best.other_wall:
             flag = Reason.MISFIT  # of the wall that was learnt
         return flag, wall
+
+    def _look_for_ghost(self, solution: PoseSolution) -> None:
+        """Note what a ghost does in these frames; what earlier ones showed, a few do not deny."""
+        pull = ghost_pull(solution)
+        if pull is None and len(solution.frames) < FRAMES_TO_DENY:
+            return
+        self._ghost_pull = np.zeros(POSE) if pull is None else pull
+        sigma = math.sqrt(solution.newest_covariance[2, 2])
+        self._haunted = abs(self._ghost_pull[2]) > sigma
 
     def _begun(self, observation: Observation, outline: Outline) -> Reason | None:
         """Fit a frame by itself: why that failed; None if it did not."""
@@ -231,6 +250,8 @@ class PixelRanger:
 
     def _range(self, wall: WallMemory, outline: Outline) -> Range:
         best, *others = self._hypotheses
+        if self._haunted:
+            return _missing(Reason.GHOST, wall)
         self._last = outline if outline.measured else best.outline
         if wall is WallMemory.DROPPED:
             farthest_px = float(FARTHEST * best.solution.solver.window.side)
@@ -243,6 +264,7 @@ class PixelRanger:
             shaken=self._shaken,
             drift_px=self._drift,
             unknown_px=self._unknown_px,
+            ghost_pull=self._ghost_pull,
         )
 
 

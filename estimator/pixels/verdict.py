@@ -1,6 +1,6 @@
 """Whether a pose explains its frame, and what its stated error contains.
 
-Four covariances are added to the fit's own:
+Five covariances are added to the fit's own:
 
 - Ambient light. Its logarithm is a polynomial of the second degree over the window, and its texture
   is that of the wall. The reflection of a lamp by a wet wall has a shape of its own and no texture.
@@ -20,6 +20,8 @@ Four covariances are added to the fit's own:
   well as it is large, and its error is alike in all frames: it does not average out. Where the
   wall's reflectance grows to one side, its blur brings light from there, and the edge moves that
   way by the variance times the growth of the logarithm.
+- Ghost. A second image of the spot that several frames show (`estimator.ghost`) pulls the pose.
+  Where that is less than the fit's own error it counts as an error, else there is no distance.
 """
 
 import math
@@ -29,6 +31,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.estimator.distance.range import Range, TipPose, WallMemory
+from eyespot.estimator.ghost import GHOST_SIGMAS, strongest_ghost
 from eyespot.estimator.pixels.cells import COUNT, SIDES, WallMotion
 from eyespot.estimator.pixels.first_frame import Hypothesis
 from eyespot.estimator.pixels.frame_model import (
@@ -107,6 +110,26 @@ def _even_part(solution: PoseSolution, change: Float[np.ndarray, "5"]) -> Float[
         light.append(model.log_light(frame, solution.light(replace(frame, pose=pose))))
     ahead, here, back = light
     return 0.5 * (ahead + back) - here
+
+
+def ghost_pull(solution: PoseSolution) -> Float[np.ndarray, "5"] | None:
+    """What a ghost does to the newest pose, in the terms of `POSE`; None if frames show none."""
+    model, lines = solution.solver.model, solution.linear
+    lights = [np.maximum(solution.light(frame), 0.0) for frame in solution.frames]
+    logs = [
+        model.log_light(frame, light) for frame, light in zip(solution.frames, lights, strict=True)
+    ]
+    found = strongest_ghost(
+        np.stack([line.residual for line in lines]),
+        np.stack([line.weight for line in lines]),
+        np.reshape(lights, (-1, COUNT, COUNT)),
+        np.exp(logs).reshape(-1, COUNT, COUNT),
+        [np.concatenate([line.slopes, line.shared]) for line in lines],
+        side_px=solution.solver.window.side,
+    )
+    if found is None or found.sigmas < GHOST_SIGMAS:
+        return None
+    return solution.answer(list(found.share * found.added))
 
 
 _STEP_PX = 0.5  # of the numerical derivative
@@ -285,6 +308,7 @@ def range_of(
     shaken: Float[np.ndarray, "5 5"],
     drift_px: Float[np.ndarray, "2"],
     unknown_px: float,
+    ghost_pull: Float[np.ndarray, "5"],
 ) -> Range:
     """What is stated of the newest frame's pose.
 
@@ -293,6 +317,7 @@ def range_of(
         shaken: what a shake does to the pose, per px².
         drift_px: of the view before the wall's map was begun.
         unknown_px: what it may have drifted without anybody seeing it.
+        ghost_pull: of a ghost, see `ghost_pull`.
     """
     solution, beam = hypothesis.solution, hypothesis.solution.solver.beam
     # If the view shakes, its place in the first frame is not known.
@@ -304,7 +329,7 @@ def range_of(
     covariance = solution.newest_covariance + place_and_distance
     covariance += edge_covariance(solution) + ambient_covariance(solution)
     covariance += bend_covariance(solution, covariance)
-    covariance += shake**2 * shaken
+    covariance += shake**2 * shaken + np.outer(ghost_pull, ghost_pull)
     drifts = [drift_px + hypothesis.drift(frame) for frame in solution.frames]
     for shift in unknown_px * np.eye(2) if unknown_px else ():
         covariance += drift_covariance(solution, [shift for _ in drifts])
