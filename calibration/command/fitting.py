@@ -23,6 +23,7 @@ from rich.table import Table
 from eyespot import optics
 from eyespot.calibration.command import report as fit_report
 from eyespot.calibration.command.choices import Choices, one_each
+from eyespot.calibration.command.crossed import Crossed, crossed
 from eyespot.calibration.command.models import (
     EYE,
     fit_cone_to_spots,
@@ -31,7 +32,7 @@ from eyespot.calibration.command.models import (
     fit_sphere,
 )
 from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
-from eyespot.calibration.command.verdict import Doubt, Fitted, doubts, refusal, verdict
+from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, doubts, refusal, verdict
 from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS
@@ -160,12 +161,14 @@ class Fit:
     Attributes:
         model: that was fitted, by its name on the command line.
         doubts: reasons why it may be wrong; empty for a good fit.
+        crossed: the recordings fitted apart; None for one, or where they were not.
     """
 
     model: str
     fitted: Fitted
     recordings: Sequence[RecordedTrial]
     doubts: Sequence[Doubt]
+    crossed: Crossed | None = None
 
     def __repr__(self) -> str:
         return f"{self.verdict}\n{self.parameters}"
@@ -182,7 +185,10 @@ class Fit:
     @property
     def verdict(self) -> str:
         """What the fit is worth, in a sentence; if it is not good, what to try."""
-        return verdict(self.doubts) if self.good else refusal(self.doubts, model=self.model)
+        if not self.good:
+            return refusal(self.doubts, model=self.model)
+        said = verdict(self.doubts)
+        return f"{said}; {self.crossed.verdict}" if self.crossed else said
 
     @property
     def parameters(self) -> pd.DataFrame:
@@ -345,12 +351,12 @@ def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
                 )
                 fitted.notes.append(change)
                 say(change)
-    return Fit(
-        model=model,
-        fitted=fitted,
-        recordings=recordings,
-        doubts=doubts(fitted),
-    )
+    found, others = doubts(fitted), None
+    if model == "cone" and len(recordings) > 1 and choices.known is None:
+        others = crossed(recordings, lambda one: MODELS[model].fit(one, choices))
+        if others is not None and not others.agree:
+            found.insert(0, Doubt(Fault.DISAGREEMENT, others.verdict))
+    return Fit(model=model, fitted=fitted, recordings=recordings, doubts=found, crossed=others)
 
 
 def _check(model: str, choices: Choices, *, sources: int, without_images: int) -> None:

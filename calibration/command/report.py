@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from eyespot.calibration.command.crossed import Crossed
 from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from eyespot.calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
 from eyespot.formats.inputs import in_figure
@@ -21,18 +22,23 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
 
 
-def render(fitted: Fitted, doubts: Sequence[Doubt], **about: Any) -> str:
+def render(
+    fitted: Fitted, doubts: Sequence[Doubt], crossed: Crossed | None = None, **about: Any
+) -> str:
     """The HTML page of a fit; `about` has the template's other variables."""
     with matplotlib.rc_context(STYLE):
         figures = {"residuals": _svg(residuals_figure(fitted))}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
+        if crossed is not None:
+            figures["crossed"] = _svg(crossed.figure())
     return (
         templates("eyespot.calibration.command")
         .get_template("fit.html.j2")
         .render(
             **about,
             fitted=fitted,
+            crossed=crossed,
             doubts=doubts,
             figures=figures,
             mean_squares={n: float(np.mean(v**2)) for n, v in fitted.residuals.items()},

@@ -245,7 +245,8 @@ class Doubt(NamedTuple):
 
 def doubts(fitted: Fitted) -> list[Doubt]:
     """Reasons why a fit is not good; empty for a good fit."""
-    found: list[Doubt] = []
+    # First, because they are the causes of others.
+    found = [Doubt(Fault.DISAGREEMENT, f"disagree: {said}") for said in fitted.disagreements]
     if not fitted.converged:
         fault, reason = fitted.failed or ("STEPS", "")
         why = "the solver did not converge" + (f": {reason}" if reason else "")
@@ -258,7 +259,6 @@ def doubts(fitted: Fitted) -> list[Doubt]:
     if fitted.chi_squared_per_degree is not None:
         misfit = fitted.pixels.misfit if fitted.pixels else None
         found += of_chi_squared(fitted.chi_squared_per_degree, fitted.degrees_of_freedom, misfit)
-    found += [Doubt(Fault.DISAGREEMENT, f"disagree: {said}") for said in fitted.disagreements]
     return found + of_structure(fitted.residuals, noise_is_known=fitted.chi_squared is not None)
 
 

@@ -1,0 +1,196 @@
+"""Recordings of one beam agree within their errors; of two beams they do not."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+
+from eyespot import optics
+from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.crossed import crossed
+from eyespot.calibration.command.models import fit_cone_to_spots
+from eyespot.calibration.command.verdict import Fitted
+from eyespot.calibration.recorded_trial import RecordedTrial
+from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
+from eyespot.estimator.recording import Recording
+from eyespot.formats.rig import Rig
+
+SCALE, RADIUS = 0.0067, 11.5
+ANGLE, B = math.atan(1 / 20), -5.0
+SIGMAS = np.array([2e-5, 0.02])  # of half-angle and b
+RIG = Rig.model_validate(
+    {
+        "schema": 1,
+        "microscope": {
+            "width_px": 640,
+            "height_px": 480,
+            "scale_mm_px": SCALE,
+            "pinhole_height_mm": 200.0,
+            "principal_point_px": [0.0, 0.0],
+        },
+        "wall": {"kind": "eyeball", "radius_mm": RADIUS, "medium": "air"},
+        "robot": {"eye_from_robot": [0.0, 0.0, 0.0, 1.0], "scale_sigma": 0.01},
+    }
+)
+
+
+def recorded(name, trial, across):
+    """A recording whose spots are known."""
+    view = RIG.view
+    assert view is not None
+    return RecordedTrial(
+        name=name,
+        recording=Recording(np.zeros((1, 480, 640), np.uint8), rig=RIG, name=name),
+        trial=trial,
+        tilt=(0.0, 0.0),
+        across=across,
+        frames=len(trial.readings),
+        microscope=view,
+        medium="air",
+        fibre_radius_mm=0.25,
+        sha256="0" * 64,
+    )
+
+
+def square(name, touched=0.1):
+    """A withdrawal square to the wall at its pole: circles with d = kR + b + sagitta."""
+    distances = np.linspace(touched, 4.0, 8)
+    radius = np.linspace(0.2, 0.5, 4001)
+    way = 20.0 * radius + B + RADIUS - np.sqrt(RADIUS**2 - radius**2)
+    size = np.interp(distances, way, radius)
+    # The circle lies nearer to the pinhole by its sagitta.
+    depth = 1.0 - (RADIUS - np.sqrt(RADIUS**2 - size**2)) / (200.0 + RADIUS)
+    size_px, none = jnp.asarray(size / (SCALE * depth)), jnp.zeros(len(size))
+    trial = ConeTrial(
+        ellipses=optics.Ellipse(jnp.zeros((len(size), 2)), size_px, size_px, none),
+        covariances=np.tile(np.eye(5), (len(size), 1, 1)),
+        coverage=np.ones(len(size)),
+        readings=distances - touched,
+        axis=np.array([0.0, 0.0, -1.0]),
+        principal_point=np.zeros(2),
+        touch=Prior(touched, 0.02),
+        kind="eyeball",
+    )
+    return recorded(name, trial, np.eye(3)[:2])
+
+
+def drawn_fit(rng, angles):
+    """A fit whose results scatter as it states, about the half-angle of each recording."""
+
+    def fit(recordings):
+        (one,) = recordings
+        values = np.array([angles[one.name], B]) + SIGMAS * rng.normal(size=2)
+        return Fitted(
+            calibration_model="exact",
+            values=dict(zip(("half_angle", "b"), values.tolist(), strict=True)),
+            covariance=np.diag(SIGMAS**2),
+            converged=True,
+            residuals={},
+            recordings=recordings,
+            used=8,
+            degrees_of_freedom=30,
+            others=[(f"touch of {one.name}", 0.1, 0.0, "mm")],
+        )
+
+    return fit
+
+
+def test_recordings_of_one_beam_agree_as_chance_has_it():
+    rng, pair = np.random.default_rng(1), [square("A"), square("B")]
+    found = [crossed(pair, drawn_fit(rng, {"A": ANGLE, "B": ANGLE})) for _ in range(300)]
+    chances = [one.chance for one in found if one]
+    # The level is that of one test: of right programs one in 1,000 fails.
+    assert stats.kstest(chances, "uniform").pvalue > 1e-3
+    assert all(one.agree for one in found if one)
+    # Read by the other's calibration, 0.020 mm of b is the error, and nothing of the robot's.
+    rms = [one.distances["rms_sigmas"].mean() for one in found if one]
+    assert np.sqrt(np.mean(np.square(rms))) == pytest.approx(1.0, abs=0.1)
+
+
+def test_the_one_recording_of_another_beam_is_named():
+    rng, three = np.random.default_rng(2), [square(name) for name in "ABC"]
+    other = ANGLE + 12 * SIGMAS[0]
+    found = crossed(three, drawn_fit(rng, {"A": ANGLE, "B": other, "C": ANGLE}))
+    assert found is not None
+    assert not found.agree
+    assert found.foreign == "B"
+    assert "Without B the others agree" in found.verdict
+
+
+@jax.jit
+def seen(distances, c, azimuth, incidence, leaning, half_angle, b):
+    eye = optics.microscope(scale=SCALE, pinhole_height=200.0, eye_radius=RADIUS)
+    wall = optics.Sphere(RADIUS)
+
+    def at(distance):
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            azimuth=azimuth,
+            incidence=incidence,
+            incidence_azimuth=leaning,
+            distance=distance,
+            half_angle=half_angle,
+            apex_offset=b,
+        )
+        return optics.spot_ellipse(beam, wall, eye), beam.axis
+
+    return jax.vmap(at)(distances)
+
+
+def drawn(rng, name, half_angle, b, robot_scale, frames=16):
+    """A withdrawal at a place, tilt, contact and travel that are drawn, with noise on its spots."""
+    c, incidence = rng.uniform(0.5, 3.0), np.radians(rng.uniform(10, 35))
+    azimuth, leaning = rng.uniform(0, 2 * np.pi, 2)
+    touched = 0.25 * math.sin(incidence)
+    distances = np.linspace(touched, touched + rng.uniform(3, 5), frames)
+    ellipses, axes = seen(
+        jnp.asarray(distances), c, azimuth, incidence, leaning, half_angle, jnp.asarray(b)
+    )
+    major, minor = np.asarray(ellipses.semi_major), np.asarray(ellipses.semi_minor)
+    of_angle = 0.012 / np.maximum(major - minor, 1e-3 * minor)
+    sigmas = np.stack([*np.tile([[0.01], [0.01], [0.012], [0.012]], frames), of_angle], axis=1)
+    noise = sigmas * rng.normal(size=sigmas.shape)
+    axis = np.asarray(axes[0])
+    trial = ConeTrial(
+        ellipses=optics.Ellipse(
+            ellipses.centre + noise[:, :2],
+            major + noise[:, 2],
+            minor + noise[:, 3],
+            ellipses.angle + noise[:, 4],
+        ),
+        covariances=np.stack([np.diag(row**2) for row in sigmas]),
+        coverage=np.ones(frames),
+        readings=(distances - touched) / robot_scale,
+        axis=axis,
+        principal_point=np.zeros(2),
+        touch=Prior(touched + 0.02 * rng.normal(), 0.02),
+        kind="eyeball",
+    )
+    return recorded(name, trial, np.stack(optics.perpendicular_frame(axis)))
+
+
+@pytest.mark.slow
+def test_pairs_of_withdrawals_agree_and_of_two_beams_2_percent_apart_do_not():
+    rng, chances, told = np.random.default_rng(7), [], 0
+    for other in (0.0, 0.02):
+        for _ in range(50):
+            half_angle, robot = math.atan(1 / rng.uniform(15, 25)), 1.0 + 0.01 * rng.normal()
+            b = -0.25 / math.tan(half_angle)
+            pair = [
+                drawn(rng, name, half_angle * (1.0 + more), b, robot)
+                for name, more in (("A", 0.0), ("B", other))
+            ]
+            found = crossed(pair, lambda one: fit_cone_to_spots(one, Choices()))
+            assert found is not None
+            if other:
+                told += not found.agree
+            else:
+                chances.append(found.chance)
+    counts = np.histogram(chances, 10, (0.0, 1.0))[0]
+    # One of 1,000 right programs fails.
+    assert stats.chisquare(counts).pvalue > 1e-3
+    assert told >= 45
