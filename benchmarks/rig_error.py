@@ -5,7 +5,7 @@ JAX, whose import alone takes as long, is not needed.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -43,7 +43,7 @@ _LEAST_MM = 1e-3
 def model_error(
     rig: Rig | Path | str | None = None,
     *,
-    changes: RigChanges = (),
+    changes: Mapping[str, Any] | Sequence[str] = (),
     height: float | None = None,
     eye_radius: float | None = None,
     na: float | None = None,
@@ -97,19 +97,22 @@ def model_error(
             for models, spots in ((optics.CLOSED_FORMS, every), (("exact",), few)):
                 at = dict(zip("cd", spots, strict=True))
                 where = errors_of_models.place(tilted, **at)
-                for model, estimate in estimates(tilted, models, **at).items():
+                seen = exact_spots(tilted, **at).semi_minor
+                for model, estimate in readings(
+                    tilted, models, c=at["c"], semi_minor_px=seen
+                ).items():
                     about = {"model": model, **where, "estimate_mm": estimate}
                     tables.append(pd.DataFrame(about | {"error_mm": estimate - at["d"]}))
     return pd.concat(tables, ignore_index=True)
 
 
-def estimates(
-    geometry: Geometry, models: Sequence[str], *, c: np.ndarray, d: np.ndarray
+def readings(
+    geometry: Geometry, models: Sequence[str], *, c: np.ndarray, semi_minor_px: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """What models read off the exact contours at eccentricities and distances (mm), mm."""
-    seen, view = exact_spots(geometry, c=c, d=d).semi_minor, _cone_view(geometry)
+    """What models read off spots of known eccentricity (mm) and semi-minor axis (px), mm."""
+    view = cone_view(geometry)
     closed: dict[str, Any] = {
-        "semi_minor_px": seen,
+        "semi_minor_px": semi_minor_px,
         "scale": view.scale,
         "k": view.k,
         "b": view.b,
@@ -118,7 +121,7 @@ def estimates(
         "inverse_working_distance": view.inverse_working_distance,
     }
     return {
-        model: exact_distance(geometry, c=c, semi_minor_px=seen)
+        model: exact_distance(geometry, c=c, semi_minor_px=semi_minor_px)
         if model == "exact"
         else np.asarray(optics.closed_form_distance(model, **closed))
         for model in models
@@ -127,7 +130,7 @@ def estimates(
 
 def exact_distance(geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray) -> np.ndarray:
     """Distance (mm) whose exact contour has this semi-minor axis: `optics.exact_distance`."""
-    view = _cone_view(geometry)
+    view = cone_view(geometry)
     apart = view.k * view.scale * semi_minor_px
     for _ in range(_STEPS):
         seen = exact_spots(geometry, c=c, d=view.b + apart).semi_minor
@@ -137,6 +140,12 @@ def exact_distance(geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarr
 
 def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> SpotImage:
     """Ellipses of the spots of beams at eccentricities and distances, mm, at azimuth 0."""
+    spot, axis = places(geometry, c)
+    return spot_image(cone_view(geometry), spot=spot, axis=axis, distance=d)
+
+
+def places(geometry: Geometry, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Spots O at eccentricities (mm) in the plane of x and z, and axes of the beams, (n, 3)."""
     sin_phi = c / geometry.eye_radius
     cos_phi, zero = np.sqrt(1.0 - sin_phi**2), np.zeros_like(c)
     outward = np.stack([sin_phi, zero, -cos_phi], axis=1)
@@ -144,11 +153,11 @@ def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> SpotImag
     azimuth = geometry.incidence_azimuth
     sideways = math.cos(azimuth) * meridional + math.sin(azimuth) * np.array([0.0, 1.0, 0.0])
     axis = math.cos(geometry.incidence) * outward + math.sin(geometry.incidence) * sideways
-    spot = geometry.eye_radius * outward
-    return spot_image(_cone_view(geometry), spot=spot, axis=axis, distance=d)
+    return geometry.eye_radius * outward, axis
 
 
-def _cone_view(geometry: Geometry) -> ConeView:
+def cone_view(geometry: Geometry) -> ConeView:
+    """The geometry as `estimator.distance.tilted_cone` takes it."""
     return ConeView(
         k=1.0 / math.tan(geometry.half_angle),
         b=geometry.apex_offset,

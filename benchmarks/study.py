@@ -23,14 +23,18 @@ from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt
 
 from eyespot import scenes
+from eyespot.benchmarks.exact_spots import geometry_of
 from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from eyespot.benchmarks.reporting import STYLE, Report, write_page
 from eyespot.benchmarks.sets.spec import by_dotted_name
+from eyespot.benchmarks.workspace import scene_of_rig, workspace_of_scene
 from eyespot.estimator import Reader
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.progress_bar import progress, say
-from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
+from eyespot.formats.inputs import InputError, in_file, object_in, read_text, read_toml, shortened
+from eyespot.formats.rig import WorkspaceKeys, read_rig
+from eyespot.formats.settings_files import change_of
 from eyespot.formats.stack import Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import (
     errors_named,
@@ -42,6 +46,7 @@ from eyespot.formats.whole_files import (
 )
 from eyespot.scenes import Scene, SceneError
 from eyespot.scenes.commands import Changes as Changes
+from eyespot.scenes.description.settings import OutsideWindow
 from eyespot.scenes.world.labels import true_calibration
 
 OutputFolder = Annotated[
@@ -53,6 +58,13 @@ OutputFolder = Annotated[
 StartingScene = Annotated[
     Path | None,
     Parameter(help="Scene file (TOML) to start from (default: the study's own scene)."),
+]
+RigFile = Annotated[
+    Path | None,
+    Parameter(
+        "--rig",
+        help="Rig file (TOML): its microscope, eye, beam, camera and tilt replace the scene's.",
+    ),
 ]
 Quick = Annotated[bool, Parameter(help="Run a smaller study, for a first look.")]
 Seed = Annotated[NonNegativeInt | None, Parameter(help="Random seed (default: the scene file's).")]
@@ -78,6 +90,13 @@ class Study:
     Args:
         defaults: changes of the default scene, used if no scene file is given, before `changes`.
         check: raises if the study cannot use the scene.
+        rig: the rig, whose numbers come before `changes`.
+        varies: keys of the scene that the study sets itself, so that a change of one has no effect;
+            "motion" is the whole table.
+        in_workspace: whether the study works over `space`, which is then checked.
+
+    Attributes:
+        space: ranges of c, d, tilt and azimuth: those of the rig, or usual ones.
         options: of this study only, by their names on the command line without dashes.
 
     Raises:
@@ -97,27 +116,41 @@ class Study:
         check: Callable[[Scene], None] = lambda scene: None,
         *,
         options: Mapping[str, int | float | str] | None = None,
+        rig: Path | None = None,
+        varies: Sequence[str] = (),
+        in_workspace: bool = False,
     ) -> None:
         self.name, self.quick, self.options = name, quick, options or {}
         own = defaults if scene is None else ()
         seeded = () if seed is None else (f"seed={seed}",)
-        self.scene = scenes.load_scene(scene, (*own, *changes, *seeded))
+        self.rig = None if rig is None else read_rig(rig)
+        stated, self.unread = ({}, []) if self.rig is None else scene_of_rig(self.rig)
+        of_rig = [change_of(*item) for item in stated.items()]
+        self.scene = scenes.load_scene(scene, (*own, *of_rig, *changes, *seeded))
+        _refuse_varied(name, changes, varies)
+        if scene is not None:
+            self.unread += [key for key in by_dotted_name(read_toml(scene)) if among(key, varies)]
         self.seed = self.scene.seed
         self.folder = Path(out)
         self.seconds: dict[str, float] = {}
         start = "eyespot validate" if name == "validate" else f"eyespot study {name}"
         words = [str(scene)] if scene else []
+        words += ["--rig", str(rig)] if rig else []
         words += [word for change in changes for word in ("--set", change)]
         words += [word for key, value in self.options.items() for word in (f"--{key}", str(value))]
         words += ["--seed", str(self.seed), "--out", str(out), *(["--quick"] * quick)]
         self.command = f"{start} {shlex.join(words)}"  # repeats this run
         check(self.scene)
+        self.space = WorkspaceKeys()
+        if in_workspace:
+            self.space = workspace_of_scene(self.scene, self.rig, geometry_of(self.scene))
         scenes.load_mitsuba()  # before the folder is made, in case this machine cannot render
         settings = {
             "schema": _RUN_SCHEMA,
             "study": name,
             "scene": self.scene.model_dump(mode="json", by_alias=True),
             "quick": quick,
+            **({} if self.rig is None else {"workspace": self.space.model_dump(mode="json")}),
             **self.options,
         }
         claimed = claim(self.folder, settings, command=start)
@@ -152,6 +185,7 @@ class Study:
         """
         folder = self.folder / "stacks"
         folder.mkdir(exist_ok=True)
+        require_possible({n: s for n, s in trials.items() if not (folder / n).exists()})
         total = sum(scenes.frame_count(scene) for scene in trials.values())
         new = [name for name in trials if not StackWriter(folder / name).has_begun]
         new = [name for name in new if not (folder / name).exists()]
@@ -224,6 +258,51 @@ class Study:
             write_page(folder, made, command=self.command, versions=used, **run)
         self._let_go()
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
+
+
+def among(key: str, keys: Sequence[str]) -> bool:
+    """Whether a key, or the table that it belongs to, is one of some."""
+    return key in keys or key.partition(".")[0] in keys
+
+
+def _refuse_varied(study: str, changes: Sequence[str], varies: Sequence[str]) -> None:
+    for change in changes:
+        key = change.partition("=")[0].strip()
+        if among(key, varies):
+            raise InputError(
+                f"{key} has no effect in this study: `{study}` sets it itself. Leave it out."
+            )
+
+
+def require_possible(trials: Mapping[str, Scene]) -> None:
+    """Refuse trials that cannot be rendered, all at once and before the first one is.
+
+    Raises:
+        SceneError: of the first trial that is impossible; if spots leave the window, it has the
+            size of a window that shows them all.
+    """
+    leaving = []
+    for scene in trials.values():
+        try:
+            scenes.check_scene(scene)
+        except OutsideWindow as problem:
+            leaving.append((problem, scene.microscope))
+    if not leaving:
+        return
+    # Trials may differ in scale, as noise-free ones of twice the resolution do.
+    sizes = [(p.needed_px[0] / m.width_px, p.needed_px[1] / m.height_px) for p, m in leaving]
+    view = leaving[0][1]
+    across, along = (max(size) for size in zip(*sizes, strict=True))
+    width, height = (
+        16 * math.ceil(x / 16) for x in (across * view.width_px, along * view.height_px)
+    )
+    scale = view.scale_mm_px * max(across, along)
+    raise OutsideWindow(
+        f"in {len(leaving)} of {len(trials)} trials the spot leaves the {view.width_px} x "
+        f"{view.height_px} px window. Set microscope.width_px={width} and "
+        f"microscope.height_px={height}, or microscope.scale_mm_px={scale:.3g}.",
+        (width, height),
+    )
 
 
 _PACKAGES = (

@@ -8,10 +8,11 @@ import numpy as np
 
 from eyespot import optics
 from eyespot.benchmarks.model_error import Geometry
-from eyespot.formats.calibration import CONE_MODELS, read_calibration
+from eyespot.formats.calibration import CONE_MODELS, Calibration, read_calibration
 from eyespot.formats.camera import CameraSheet
 from eyespot.formats.inputs import InputError, Strict
 from eyespot.formats.rig import Rig, WorkspaceKeys
+from eyespot.scenes import Scene
 from eyespot.scenes.description.settings import CameraSettings
 
 USUAL_SCALE_MM_PX = 0.0067
@@ -19,6 +20,8 @@ USUAL_SCALE_MM_PX = 0.0067
 
 _USUAL_REACH = 0.7
 """Largest eccentricity over the eye's radius, if the rig states none: 8 mm in an eye of 11.5 mm."""
+USUAL_REACH_MM = 8.0
+"""Largest eccentricity of studies."""
 _LARGEST_REACH = 0.95
 """Farther out the wall is seen at a grazing angle, and a spot extends beyond the equator."""
 _LARGEST_LEAN_DEG = 85.0
@@ -75,7 +78,8 @@ def cone_of_rig(rig: Rig) -> tuple[float, float]:
     """
     beam, known = rig.beam, _known(_needed_of_the_cone(rig), "the cone")
     if beam.calibration is not None and not known:
-        return _calibrated_cone(rig.folder / beam.calibration)
+        file = rig.folder / beam.calibration
+        return calibrated_cone(file, read_calibration(file))
     if beam.half_angle_deg is not None:
         half_angle = math.radians(beam.half_angle_deg)
     else:
@@ -106,9 +110,8 @@ def _known(needed: Mapping[str, float | None], what: str) -> dict[str, float]:
     return known
 
 
-def _calibrated_cone(file: Path) -> tuple[float, float]:
-    """Half-angle (rad) and b (mm) of a calibration."""
-    calibration = read_calibration(file)
+def calibrated_cone(file: Path, calibration: Calibration) -> tuple[float, float]:
+    """Half-angle (rad) and b (mm) of the calibration in a file."""
     if calibration.model not in CONE_MODELS:
         raise InputError(
             f"{file} is of a {calibration.model}; a model's error is that of a cone. State "
@@ -157,6 +160,22 @@ def workspace_of(rig: Rig, geometry: Geometry) -> WorkspaceKeys:
             "workspace.distance_mm."
         )
     return own.model_copy(update={"eccentricity_mm": c})
+
+
+def workspace_of_scene(scene: Scene, rig: Rig | None, geometry: Geometry) -> WorkspaceKeys:
+    """The ranges of a study: those that a rig states, at the scene's tilt if it states none.
+
+    Raises:
+        InputError: the wall is no eyeball, or no tip or spot can be there.
+    """
+    if scene.phantom.kind != "eyeball":
+        raise InputError("the study varies c in an eyeball. Set phantom.kind=eyeball.")
+    reach = min(_USUAL_REACH * scene.phantom.radius_mm, USUAL_REACH_MM)
+    tilt = (0.0, scene.spot.incidence_deg)
+    given = WorkspaceKeys() if rig is None else rig.workspace
+    usual = {"eccentricity_mm": (0.0, reach), "tilt_deg": tilt}
+    stated = given.model_dump(include=given.model_fields_set)
+    return workspace_of(Rig(workspace=WorkspaceKeys(**usual | stated)), geometry)
 
 
 def azimuths_deg(workspace: WorkspaceKeys) -> tuple[float, ...]:

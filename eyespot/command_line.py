@@ -27,6 +27,7 @@ COMMANDS = {
         "estimator.run.command:track": "Measure the spot in every frame; write a spots file.",
         "estimator.console.command:console": "Show a source and its distances in the browser.",
         "benchmarks.rig_error:error": "Say how wrong each model is for a rig, in seconds.",
+        "benchmarks.explore_page:explore": "Play with eye, beam and models in the browser.",
         "estimator.run.budget_command:budget": "Say how uncertain a distance is, and why.",
         "estimator.run.camera_command:camera": "Measure a camera's noise (EMVA 1288).",
         "estimator.rig.node:node": "Measure a microscope's images under ROS 1 or 2.",
@@ -76,7 +77,7 @@ and its line in the list."""
 
 TASKS = {
     "Start": ("scene", "render", "fit", "track"),
-    "Judge": ("error", "budget", "score", "validate", "study", "rivals"),
+    "Judge": ("error", "explore", "budget", "score", "validate", "study", "rivals"),
     "Data": ("dataset", "export"),
     "Rig": ("rig", "camera", "console", "node", "doctor"),
     "Plan": ("preregister", "adjudicate"),

@@ -37,7 +37,15 @@ from eyespot.benchmarks.reporting import (
     small_multiples,
 )
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.estimator import Frame, Reader
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import Stack
@@ -300,6 +308,7 @@ def design(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     goal: Goal = "worst",
     dose: float | None = None,
@@ -320,7 +329,7 @@ def design(
     asked = np.array([*limits_in(limits).values()]).T
     defaults = "source.medium=vitreous", "microscope.height_px=600"
     options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
-    study = Study("design", out, scene, changes, quick, seed, defaults, options=options)
+    study = Study("design", out, scene, changes, quick, seed, defaults, options=options, rig=rig)
     count, random, starts, steps = (4, 12, 1, 5) if quick else (6, 500, 2, 25)
     search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only

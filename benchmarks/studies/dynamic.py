@@ -25,6 +25,7 @@ from eyespot.benchmarks.study import (
     LightSource,
     OutputFolder,
     Quick,
+    RigFile,
     Seed,
     StartingScene,
     Study,
@@ -521,6 +522,7 @@ def dynamic(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
@@ -538,7 +540,9 @@ def dynamic(
     check = partial(Study.demand, needed={"phantom.kind": "eyeball"}, why=why)
     # A robot's stamps jitter; without, they would fall on the frames' own moments.
     jitter = ("clocks.kinematics_jitter_s=0.001",)
-    study = Study("dynamic", out, scene, changes, quick, seed, jitter, check, options=options)
+    study = Study(
+        "dynamic", out, scene, changes, quick, seed, jitter, check, options=options, rig=rig
+    )
     sources = ("cone", "lens") if source == "both" else (source,)
     speeds = (0.5, 1.5, 5.0) if quick else (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
     runs = 1 if quick else 2

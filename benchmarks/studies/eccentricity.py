@@ -1,8 +1,7 @@
 """`eyespot study eccentricity`: how wrong each model is, where, and by which cause."""
 
 import math
-from collections.abc import Iterator, Mapping
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -22,9 +21,18 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.studies import error_causes
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.calibration import fit_eccentricity
 from eyespot.formats.inputs import InputError
+from eyespot.formats.rig import WorkspaceKeys
 from eyespot.formats.whole_files import written_whole
 from eyespot.scenes import Scene
 
@@ -102,21 +110,26 @@ def _estimates(eye: error_causes.CauseEye, d: jax.Array) -> dict[str, jax.Array]
 
 # The c at which a model's error reaches a limit, with the true c and with a fitted one.
 
-LARGEST_C_MM = 8.0  # end of the axis c of every part
-SHOWN_C_MM = 4.0  # where the report splits the error
+SHOWN_C_MM = 4.0
+"""Where the report splits the error, in c and in d."""
 LIMITS_MM = (0.1, 0.5)
 """Errors whose crossing is reported; the paper calls 0.5 mm acceptable."""
-DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))  # of one withdrawal
+DISTANCES_MM = tuple(0.5 * n for n in range(1, 13))
+"""Of one withdrawal; a rig's [workspace] may have others."""
 
 
 def withdrawals(
-    geometry: model_error.Geometry, *, eccentricities: np.ndarray, medium: str
+    geometry: model_error.Geometry,
+    *,
+    eccentricities: np.ndarray,
+    medium: str,
+    distances: Sequence[float] = DISTANCES_MM,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Errors on exact contours at each c (mm) and all `DISTANCES_MM`; and a fit of each c.
+    """Errors on exact contours at each c and all distances, mm; and a fit of each c.
 
     Of all models with the true c, then of small_plane with the fitted one, see `refitted`.
     """
-    grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": DISTANCES_MM}
+    grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": distances}
     spots = exact_spots.exact_spots(geometry, **grid, medium=medium)
     errors = exact_spots.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
     found = [
@@ -184,15 +197,19 @@ _NOISE_FREE = {
 _FEWEST_SPOTS = 3  # fewer do not determine c
 
 
-def trials(scene: Scene, *, quick: bool) -> tuple[dict[str, Scene], dict[str, Scene]]:
+def trials(
+    scene: Scene, space: WorkspaceKeys, *, quick: bool
+) -> tuple[dict[str, Scene], dict[str, Scene]]:
     """Withdrawals at the scene's incidence and square ones without the instrument, by name.
 
     The instrument would hide a square beam. The second result is some of the former again, at twice
     the resolution without noise.
     """
-    every = np.linspace(0.0, LARGEST_C_MM, 3 if quick else 9).tolist()
-    few = [4.0, LARGEST_C_MM] if quick else np.linspace(0.0, LARGEST_C_MM, 5).tolist()
-    moves = paper.withdrawal(start_mm=0.5, travel_mm=5.5, frames=3 if quick else 12)
+    least, most = space.eccentricity_mm or (0.0, 0.0)
+    every = np.linspace(least, most, 3 if quick else 9).tolist()
+    few = every[1:] if quick else every[::2]
+    start, end = space.distance_mm
+    moves = paper.withdrawal(start_mm=start, travel_mm=end - start, frames=3 if quick else 12)
     found, noise_free = {}, {}
     for height, kind in product(pinhole_heights(scene), ("tilted", "square")):
         bare = {"spot.incidence_deg": 0.0, "instrument.visible": False} if kind == "square" else {}
@@ -267,9 +284,11 @@ def limit_of(tables: Tables, model: str, height: float, incidence: float) -> flo
     return float(of.c_mm.iloc[-1])
 
 
-def pinhole_heights(scene: Scene) -> tuple[float, float]:
-    """z_F of the paper's geometry, on the sphere, and of a microscope, mm."""
-    return scene.phantom.radius_mm, paper.MICROSCOPE_MM
+def pinhole_heights(scene: Scene) -> tuple[float, ...]:
+    """z_F of the paper's geometry, on the sphere, of a microscope, and of the scene's own, mm."""
+    own = scene.microscope.pinhole_height_mm
+    known = scene.phantom.radius_mm, paper.MICROSCOPE_MM
+    return known if own in (*known, 0.0, math.inf) else (*known, own)
 
 
 # Figures.
@@ -381,11 +400,26 @@ def fill_space(
 
 
 def _report(
-    scene: Scene, tables: Tables, used: np.ndarray, within: Mapping[str, float], geometries: int
+    scene: Scene,
+    space: WorkspaceKeys,
+    tables: Tables,
+    used: np.ndarray,
+    within: Mapping[str, float],
+    geometries: int,
 ) -> page.Report:
     """The report; `within` is the part of the space in which a model keeps the largest limit."""
     heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
-    on_sphere, microscope = (limit_of(tables, "small_plane", h, incidence) for h in heights)
+    reached = [limit_of(tables, "small_plane", height, incidence) for height in heights]
+    places = (
+        "on the eyeball's sphere",
+        "at 200 mm, as under a microscope",
+        "at the rig's own height",
+    )
+    said = ", and from ".join(
+        f"{number(c)} mm on if the pinhole lies {at}"
+        for c, at in zip(reached, places, strict=False)
+    )
+    low, high = space.distance_mm
     limits = [
         (height, tilt, *(limit_of(tables, model, height, tilt) for model in model_error.SHOWN))
         for height, tilt in product(heights, dict.fromkeys((0.0, incidence)))
@@ -397,10 +431,9 @@ def _report(
     ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in AXES.items())
     return page.Report(
         title="How wrong is the distance, at which eccentricity, and why?",
-        answer=f"The paper's model is off by {largest_mm:g} mm from c = {number(on_sphere)} mm on "
-        "if the pinhole lies on the eyeball's sphere, and from c = "
-        f"{number(microscope)} mm on under a microscope; over all geometries it stays within that "
-        f"in {100 * within['small_plane']:.0f} %, corrected in {100 * within['corrected']:.0f} %, "
+        answer=f"The paper's model is off by {largest_mm:g} mm from c = {said}; over all "
+        f"geometries it stays within that in {100 * within['small_plane']:.0f} %, corrected in "
+        f"{100 * within['corrected']:.0f} %, "
         f"exact in {100 * within['exact']:.0f} %.",
         lead="Five models from spot size to distance against the exact geometry: on exact "
         f"contours, on spots measured in rendered frames, and on {geometries:,} geometries, a "
@@ -411,8 +444,8 @@ def _report(
                 "largest_error",
                 worst_errors(scene, tables),
                 "The paper's model fails with growing c, and sooner under a microscope. Largest "
-                "absolute error over d = 0.5 to 6 mm, on exact contours (lines) and on rendered "
-                "spots (dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
+                f"absolute error over d = {low:g} to {high:g} mm, on exact contours (lines) and on "
+                "rendered spots (dots). Dashed: with c fitted to the withdrawal itself. Dotted: "
                 f"{' and '.join(f'{limit:g}' for limit in LIMITS_MM)} mm. On exact contours the "
                 "model exact has no error except rounding and is not drawn.",
                 data="model_error.csv",
@@ -421,7 +454,7 @@ def _report(
                 pd.DataFrame(limits, columns=headings),
                 {heading: page.Column(heading, 1) for heading in headings},
                 f"Smallest c in mm at which the largest error over d reaches {largest_mm:g} mm; a "
-                f"dash: not up to c = {LARGEST_C_MM:g} mm.",
+                f"dash: not up to c = {tables['withdrawals'].c_mm.max():g} mm.",
                 data="limits.csv",
             ),
         ],
@@ -513,11 +546,18 @@ def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
 
 # The command.
 
+VARIED = (
+    *("spot.eccentricity_mm", "motion.kind", "motion.start_mm", "motion.travel_mm"),
+    *("motion.frames", "exposures.kinds"),
+)
+"""Keys of the scene that the study sets itself."""
+
 
 def eccentricity(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
@@ -533,17 +573,18 @@ def eccentricity(
         raise InputError(
             f"--geometries must be at least 512, to fill each range of c; got {geometries}."
         )
-    if any(change.partition("=")[0].strip() == "spot.eccentricity_mm" for change in changes):
-        raise InputError(
-            "spot.eccentricity_mm has no effect in this study, which varies c. Leave it out."
-        )
     count = geometries or (1 << 14 if quick else 1 << 17)
-    check = partial(paper.require_roomy_eyeball, reach=f"c reaches {LARGEST_C_MM:g} mm")
     cone, options = ("source.kind=cone",), {"geometries": count}
-    study = Study("eccentricity", out, scene, changes, quick, seed, cone, check, options=options)
-    base = study.scene
+    about: dict[str, Any] = {"options": options, "rig": rig, "varies": VARIED, "in_workspace": True}
+    study = Study("eccentricity", out, scene, changes, quick, seed, cone, **about)
+    base, medium = study.scene, study.scene.source.medium
+    distances = np.linspace(*study.space.distance_mm, len(DISTANCES_MM)).tolist()
+    least, most = study.space.eccentricity_mm or (0.0, 0.0)
+    c = np.linspace(least, most, 17 if quick else 81)
     with study.timed("render and measure"):
-        rendered, rendered_refits, shares, used = measure(study, *trials(base, quick=quick))
+        rendered, rendered_refits, shares, used = measure(
+            study, *trials(base, study.space, quick=quick)
+        )
     with study.timed("withdrawals on exact contours"):
         # Four pinholes, square to the wall and at the scene's incidence.
         found = []
@@ -551,8 +592,9 @@ def eccentricity(
             for tilt in dict.fromkeys((0.0, base.spot.incidence_deg)):
                 view = {"microscope.pinhole_height_mm": height, "spot.incidence_deg": tilt}
                 geometry = exact_spots.geometry_of(scenes.changed(base, view))
-                c = np.linspace(0.0, LARGEST_C_MM, 17 if quick else 81)
-                found.append(withdrawals(geometry, eccentricities=c, medium=base.source.medium))
+                found.append(
+                    withdrawals(geometry, eccentricities=c, medium=medium, distances=distances)
+                )
         on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))
     with study.timed("space of geometries"):
         csv_file, before = study.folder / "model_error.csv", pd.concat([on_exact, rendered])
@@ -566,5 +608,5 @@ def eccentricity(
         "causes": shares,
     }
     within = {m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS}
-    study.publish(_report, base, tables, used, within, len(space))
+    study.publish(_report, base, study.space, tables, used, within, len(space))
     return tables

@@ -29,7 +29,15 @@ from eyespot.benchmarks.reporting import (
     small_multiples,
 )
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.estimator import Frame
 from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.overlay import annotated, overlay_writer
@@ -303,6 +311,7 @@ def loop(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
@@ -313,7 +322,7 @@ def loop(
     To continue a run that was stopped, start it again with the same folder.
     """
     defaults = "source.kind=cone", "source.power_mw=5"
-    study = Study("loop", out, scene, changes, quick, seed, defaults)
+    study = Study("loop", out, scene, changes, quick, seed, defaults, rig=rig)
     errors, every, eye, film = [], [], LoopCamera(study), study.folder / "film.mp4"
     with study.timed("runs"):
         for name, run in runs(quick=quick).items():

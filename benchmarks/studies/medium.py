@@ -18,7 +18,15 @@ from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, withdrawal
 from eyespot.benchmarks.reporting import number, rows_of, where
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger
 from eyespot.formats.calibration import Calibration
@@ -398,6 +406,7 @@ def medium(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
@@ -406,7 +415,7 @@ def medium(
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
     why = "the study compares one lens in two media, and the ideal cone beside it"
     check = partial(Study.demand, needed={"source.kind": "lens"}, why=why)
-    study = Study("medium", out, scene, changes, quick, seed, check=check)
+    study = Study("medium", out, scene, changes, quick, seed, check=check, rig=rig)
     base = study.scene
     own = base.source.lens
     lenses = (own,) if quick else tuple(dict.fromkeys((own, *_LENSES)))

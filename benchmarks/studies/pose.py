@@ -21,7 +21,15 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, write_results
 from eyespot.benchmarks.reporting import listed, number, where
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -601,13 +609,14 @@ def pose(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
 ) -> pd.DataFrame:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
-    study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check)
+    study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check, rig=rig)
     wall, rows = optics.Sphere(study.scene.phantom.radius_mm), []
     with study.timed("noise on exact contours"):
         own, tools = study.scene.microscope, tools_of(*World(study.scene).cone)

@@ -19,7 +19,15 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
 from eyespot.benchmarks.reporting import listed, number, rows_of, where
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.calibration import Lines, fit_eccentricity, fit_lines
 from eyespot.scenes import Scene, SceneError
 
@@ -455,13 +463,14 @@ def static(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
 ) -> pd.DataFrame:
     """Repeat the paper's Tables I and II many times, and split their error by cause."""
-    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check)
+    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check, rig=rig)
     runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
     with study.timed("render"):
         photographers = rendered(study, textures=textures, frames=frames)

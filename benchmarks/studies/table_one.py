@@ -21,7 +21,15 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import MEASURED, READING
 from eyespot.benchmarks.reporting import listed, rows_of, where
-from eyespot.benchmarks.study import Changes, OutputFolder, Quick, Seed, StartingScene, Study
+from eyespot.benchmarks.study import (
+    Changes,
+    OutputFolder,
+    Quick,
+    RigFile,
+    Seed,
+    StartingScene,
+    Study,
+)
 from eyespot.calibration import Lines, fit_lines
 from eyespot.estimator import LiteralSettings
 from eyespot.formats.page import PALETTE
@@ -585,13 +593,16 @@ def table_one(
     scene: StartingScene = None,
     /,
     *,
+    rig: RigFile = None,
     out: OutputFolder,
     changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
 ) -> list[ConfirmedLens]:
     """Find the lenses that give the paper's Table I, and why its trials differ."""
-    study = Study("table-one", out, scene, changes, quick, seed, ("phantom.kind=plane",), check)
+    study = Study(
+        "table-one", out, scene, changes, quick, seed, ("phantom.kind=plane",), check, rig=rig
+    )
     base = study.scene
     apertures, sags = [0.05, 0.10, 0.15, 0.20], [0.0, 0.04]
     if not quick:

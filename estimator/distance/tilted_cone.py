@@ -82,22 +82,32 @@ def spot_image(
         axis: unit vectors from the tip towards the wall, (n, 3).
         distance: d = |SO|, (n,), mm.
     """
-    first, second = _across(axis)
-    around = _COS * first[:, None] + _SIN * second[:, None]
-    apex = spot - (distance - eye.b)[:, None] * axis
-    ray = axis[:, None] + around / np.reshape(eye.k, (-1, 1, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        edge = apex[:, None] + _to_wall(eye, apex, ray)[..., None] * ray
-        height = edge[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
-        depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
-        per_px = np.reshape(eye.scale, (-1, 1)) * depth
-        contour = np.stack([edge[..., 0] / per_px, -edge[..., 1] / per_px], axis=-1)
+        _, contour = spot_edge(eye, spot=spot, axis=axis, distance=distance)
         even = _fitted(contour, np.ones(contour.shape[:2]))
         offset = contour - even.centre[:, None]
         # An ellipse's area swept from its centre grows evenly with its eccentric angle.
         step = np.roll(offset, -1, axis=1) - np.roll(offset, 1, axis=1)
         swept = np.abs(offset[..., 0] * step[..., 1] - offset[..., 1] * step[..., 0])
         return _fitted(contour, swept / swept.mean(axis=1, keepdims=True))
+
+
+def spot_edge(
+    eye: ConeView, *, spot: np.ndarray, axis: np.ndarray, distance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Edge of the spot on the wall, (n, points, 3) mm, and its image from the principal point, px.
+
+    Args: as for `spot_image`.
+    """
+    first, second = _across(axis)
+    around = _COS * first[:, None] + _SIN * second[:, None]
+    apex = spot - (distance - eye.b)[:, None] * axis
+    ray = axis[:, None] + around / np.reshape(eye.k, (-1, 1, 1))
+    edge = apex[:, None] + _to_wall(eye, apex, ray)[..., None] * ray
+    height = edge[..., 2] + np.reshape(eye.eye_radius, (-1, 1))
+    depth = 1.0 - np.reshape(eye.inverse_working_distance, (-1, 1)) * height
+    per_px = np.reshape(eye.scale, (-1, 1)) * depth
+    return edge, np.stack([edge[..., 0] / per_px, -edge[..., 1] / per_px], axis=-1)
 
 
 def distance_of(

@@ -98,7 +98,11 @@ def test_a_persons_scene_file_is_not_overruled_by_the_studys_defaults(tmp_path):
 @pytest.mark.parametrize(
     ("study", "changes", "words"),
     [
-        (eccentricity.eccentricity, ["phantom.kind=plane"], r"of 10 mm.*Set phantom\.kind=eyeball"),
+        (
+            eccentricity.eccentricity,
+            ["phantom.kind=plane"],
+            r"varies c in an eyeball.*Set phantom\.kind=eyeball",
+        ),
         (dynamic.dynamic, ["phantom.kind=plane"], r"Set phantom\.kind=eyeball"),
         (pose.pose, ["source.kind=lens"], r"Set source\.kind=cone"),
         (pose.pose, ["source.kind=cone", "phantom.kind=plane"], r"Set phantom\.kind=eyeball"),
