@@ -16,8 +16,10 @@ from eyespot import optics
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
 from eyespot.estimator import track_whole_source
 from eyespot.estimator.distance.withdrawal import withdrawal_of
+from eyespot.estimator.ghost import Ghost
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
+from eyespot.estimator.run.reader import SubpixelMode
 from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.microscope import MicroscopeFile
@@ -68,6 +70,7 @@ class RecordedTrial(NamedTuple):
         sha256: checksum of a stack's manifest, which contains those of all its files; otherwise of
             the files, or of frames in memory.
         records: of the usable spots, as they were measured.
+        ghost: of sharp spots, the strongest that was found.
     """
 
     name: str
@@ -81,6 +84,7 @@ class RecordedTrial(NamedTuple):
     fibre_radius_mm: float
     sha256: str
     records: Sequence[SpotRecord] = ()
+    ghost: Ghost | None = None
 
     @property
     def beam_slopes(self) -> Float[np.ndarray, "2 2"]:
@@ -121,11 +125,13 @@ def recorded_trial(
     kind = rig.wall.kind or ("eyeball" if view.plane_normal is None else "plane")
     x, y, z = view.plane_normal or (0.0, 0.0, 1.0)
     tilt = (x / z, y / z) if kind == "plane" else (0.0, 0.0)
-    records = recording.spots
+    records, ghost = recording.spots, None
     if records is None:
         reader = Options(mode="subpixel").reader(rig)
+        assert isinstance(reader, SubpixelMode)
         still = Recording(recording.source, rig=rig)  # spots do not depend on poses
         records = track_whole_source(still, reader, progress=lambda record: progress())
+        ghost = reader.ghosts.strongest
     times = np.array([record.time_s for record in records])
     robot = rig.robot
     if touch is not None:  # known from elsewhere, so the recording may begin anywhere
@@ -179,6 +185,7 @@ def recorded_trial(
         fibre_radius_mm=rim,
         sha256=_sha256(recording),
         records=[record for record, _, _ in usable],
+        ghost=ghost,
     )
 
 

@@ -10,9 +10,12 @@ add, at shifts all round.
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
+
+from eyespot.formats.spots import Spot
 
 _RADII_PX = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
 """Lengths of the shifts that are tried: half of the step to the next one is a fifth of it, and so
@@ -109,3 +112,127 @@ def strongest_ghost(
     sigma = np.sqrt(np.maximum(squares / freedom, 1.0) / np.maximum(information, 1e-300))
     best = int(np.argmax(share / sigma))
     return Ghost(float(share[best]), float(sigma[best]), shifts[best], added[best])
+
+
+_COUNT = 26
+_BESIDE_PX = 70.0  # of the lattice beside the largest spot: the longest shift, and a cell
+_KEPT = 4
+_GROWN, _MOVED = 0.04, 0.25
+"""Change of a spot's size, and of its place over its size, from which it lights its wall otherwise:
+a pixel and a half of an outline of 40 px."""
+_SHARP = 0.1
+"""Largest width of an edge over the semi-minor axis of a spot whose light is even within it. The
+light of others has a shape of its own, which only a model of the beam tells from a ghost."""
+_LEAST_COVERAGE = 0.85
+_SURE_SIGMAS, _LEAST_SHARE = 13.0, 0.03
+"""A ghost of a sharp spot is found where two sets of frames in succession have these, or one has
+twice as much. The light within a spot and beside it is only even to some percent: in rendered
+stacks without a ghost, sets had shares of up to 0.04 with 9 standard deviations, where the shaft is
+near a small spot. A share of 0.03 moves the edge by 0.02 px."""
+_EVEN = 0.01  # standard deviation of the logarithm of such light that nothing undercuts
+_FLOOR = 0.05
+"""Light that counts as ambient beside that outside of the spot, over that within: where it is dark,
+the logarithm of noise would outweigh everything."""
+_HIDDEN = 5.0  # standard deviations below the others: a tool, or its shadow
+
+
+class GhostWatch:
+    """Looks for ghosts of sharp spots in frames that follow each other, as a cone makes them."""
+
+    def __init__(self) -> None:
+        self._kept: list[tuple[np.ndarray, Spot]] = []
+        self.found: Ghost | None = None
+        self.strongest: Ghost | None = None
+        self._doubted = False  # whether the set of frames before showed one
+
+    def look(self, image: np.ndarray, spot: Spot) -> None:
+        """Take a frame, and note in `found` what ghost the last ones show, of all in `strongest`.
+
+        Args:
+            image: H x W, or H x W x 3.
+        """
+        hidden = spot.coverage < _LEAST_COVERAGE  # its tool or a shadow is beside it
+        if hidden or not spot.edge_width_px <= _SHARP * spot.semi_minor_px:
+            self._kept, self.found, self._doubted = [], None, False
+            return
+        if self._kept and _alike(self._kept[-1][1], spot):
+            return
+        grey = image if image.ndim == 2 else image[..., 1]
+        self._kept = [*self._kept, (grey.astype(np.float32), spot)][-_KEPT:]
+        if len(self._kept) < _FEWEST_FRAMES:
+            return
+        ghost = _beside_discs(self._kept) or _NONE
+        doubts = min(ghost.sigmas / _SURE_SIGMAS, ghost.share / _LEAST_SHARE)
+        sure = doubts > 2.0 or (doubts > 1.0 and self._doubted)
+        self._doubted = doubts > 1.0
+        self.found = ghost if sure else None
+        if sure and ghost.share > (self.strongest or _NONE).share:
+            self.strongest = ghost
+
+
+_NONE = Ghost(0.0, 1.0, (0.0, 0.0), np.zeros((0, 0)))
+
+
+def _alike(one: Spot, other: Spot) -> bool:
+    away = np.hypot(one.x_px - other.x_px, one.y_px - other.y_px) / one.semi_minor_px
+    grown = abs(np.log(one.semi_minor_px / other.semi_minor_px))
+    return bool(away < _MOVED and grown < _GROWN)
+
+
+def _beside_discs(frames: Sequence[tuple[np.ndarray, Spot]]) -> Ghost | None:
+    """The strongest ghost of even discs with the outlines of spots."""
+    spots = [spot for _, spot in frames]
+    reach = max(spot.semi_major_px for spot in spots) + _BESIDE_PX
+    side = int(np.ceil(2.0 * reach / _COUNT))
+    middle = np.mean([(spot.x_px, spot.y_px) for spot in spots], axis=0)
+    corner = np.round(middle - 0.5 * _COUNT * side)
+    along = (np.arange(_COUNT) + 0.5) * side - 0.5
+    x, y = np.meshgrid(corner[0] + along, corner[1] + along)
+    parts = [_disc(grey, spot, corner, side, x, y) for grey, spot in frames]
+    residual, weight, light, total, slopes = zip(*parts, strict=True)
+    return strongest_ghost(
+        np.stack(residual),
+        np.stack(weight),
+        np.stack(light),
+        np.stack(total),
+        slopes,
+        side_px=side,
+    )
+
+
+def _disc(
+    grey: np.ndarray, spot: Spot, corner: np.ndarray, side: int, x: np.ndarray, y: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Residual, weight, light, total light and slopes of a frame on the cells, see above."""
+    size = _COUNT * side
+    shift = np.array([[1.0, 0.0, -corner[0]], [0.0, 1.0, -corner[1]]])
+    cut = cv2.warpAffine(grey, shift, (size, size), borderValue=float("nan"))
+    seen = cut.reshape(_COUNT, side, _COUNT, side).mean(axis=(1, 3))
+    cosine, sine = np.cos(spot.angle_rad), np.sin(spot.angle_rad)
+    right, down = x - spot.x_px, y - spot.y_px
+    major = (right * cosine + down * sine) / spot.semi_major_px
+    minor = (down * cosine - right * sine) / spot.semi_minor_px
+    outwards = (np.hypot(major, minor) - 1.0) * spot.semi_minor_px
+    edge = 2.0 * spot.edge_width_px + 0.75 * side
+    within, beside = outwards < -edge, outwards > edge
+    usable = np.isfinite(seen) & (within | beside) & (seen < grey.max())
+    if not (usable & within).any() or not (usable & beside).any():
+        nothing = np.zeros(seen.size)
+        return nothing, nothing, np.zeros_like(seen), np.ones_like(seen), np.zeros((0, seen.size))
+    ambient = float(np.median(seen[usable & beside]))
+    peak = max(float(np.median(seen[usable & within])) - ambient, 1e-6)
+    light = peak * np.clip(0.5 - outwards / max(2.0 * spot.edge_width_px, side), 0.0, 1.0)
+    floor = _FLOOR * peak
+    total = light + floor
+    residual = np.log(np.maximum(seen - ambient + floor, 0.2 * floor) / total)
+    spread = 1.4826 * np.median(np.abs(residual - np.median(residual[usable]))[usable])
+    usable &= residual > np.median(residual[usable]) - _HIDDEN * max(spread, 2.0 * _EVEN)
+    slopes = [within, within * major, within * minor, within * major**2, within * major * minor]
+    slopes += [within * minor**2, beside, beside * major, beside * minor]
+    return (
+        np.where(usable, residual, 0.0).ravel(),
+        usable.ravel() / _EVEN**2,
+        light,
+        total,
+        np.stack([1.0 * slope.ravel() for slope in slopes]),
+    )

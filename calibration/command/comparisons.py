@@ -30,6 +30,15 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
     variance = slopes @ fit.covariance[np.ix_(at, at)] @ slopes if known else math.inf
     for number, one in enumerate(recordings):
         own = one.recording.rig.instrument
+        if one.ghost is not None:
+            right, down = one.ghost.shift_px
+            yield Compared(
+                "ghost",
+                one.ghost.sigmas,
+                f"{one.name}: the spot has a ghost, a second image some {right:+.0f} px to the "
+                f"right and {down:+.0f} px down of it, some {100 * one.ghost.share:.0f} % as "
+                "bright. Look for reflexes of a cover glass, a lens or the eye",
+            )
         if one.trial.touch == FREE_TOUCH:  # b then rests on the core
             continue
         yield contact(

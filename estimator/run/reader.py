@@ -7,7 +7,7 @@ Recordings (`offline`), the rig's node (`estimator.rig`) and the console give th
 import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
-from typing import TYPE_CHECKING, ClassVar, Generic, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from eyespot.estimator.detector.tracking import TrackState, measure, outlines_of
 from eyespot.estimator.distance.budget import AT_REST, Budget, Budgets, ToolMotion
 from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.ghost import GhostWatch
 from eyespot.estimator.run import exit_codes
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
@@ -267,9 +268,26 @@ class LiteralMode(_OutlineMode[LiteralSettings]):
 
 
 class SubpixelMode(_OutlineMode[SubpixelSettings]):
-    """The half-maximum contour."""
+    """The half-maximum contour; a sharp spot with a ghost has no distance."""
 
     mode = "subpixel"
+
+    def __init__(self, settings: SubpixelSettings, ranger: Ranger | None, **about: Any) -> None:
+        super().__init__(settings, ranger, **about)
+        self.ghosts = GhostWatch()
+
+    def forget(self) -> None:
+        """Measure the next frame by itself."""
+        super().forget()
+        self.ghosts = GhostWatch()
+
+    def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
+        if isinstance(result, Spot):
+            self.ghosts.look(frame.image, result)
+        found, budget = super()._distance(result, frame, poses)
+        if found is None or self.ghosts.found is None:
+            return found, budget
+        return Range(distance_mm=math.nan, sigma_mm=math.nan, missing=Reason.GHOST), None
 
 
 class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):

@@ -1,9 +1,15 @@
 """Ghosts of a bell of light that grows over a drawn wall, and walls that have none."""
 
+import cv2
 import numpy as np
+import pytest
 from scipy import ndimage
 
-from eyespot.estimator.ghost import GHOST_SIGMAS, strongest_ghost
+from eyespot.estimator import SubpixelSettings, TrackState, measure
+from eyespot.estimator.ghost import GHOST_SIGMAS, GhostWatch, strongest_ghost
+from eyespot.formats.spots import Spot
+from eyespot.scenes.drawn import SHAPE
+from tests.support.drawn.own_frames import camera_image, textured_wall
 
 CELLS, SIDE_PX = 26, 10
 NOISE = 0.004
@@ -65,3 +71,34 @@ def test_a_textured_wall_without_a_ghost_shows_none():
 
 def test_one_frame_says_nothing_of_ghosts():
     assert search(np.random.default_rng(3), share=0.5, shift=(30.0, 0.0), frames=1) is None
+
+
+def discs(rng, *, share, shift=(24.0, -18.0), frames=6):
+    """Frames of a disc that grows over a wall, with a ghost: a shifted, fainter copy of its light.
+
+    The copy is of the light without noise, and out of focus.
+    """
+    wall, state, images = textured_wall(rng), TrackState(), []
+    y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
+    for k in range(frames):
+        outwards = np.hypot(x - 320.3, y - 240.8) - 45.0 * 1.08**k
+        light = np.clip(0.5 - outwards / 3.0, 0.0, 1.0) * wall
+        move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+        ghost = cv2.warpAffine(cv2.GaussianBlur(light, (0, 0), 2.0), move, light.shape[::-1])
+        images.append(camera_image(rng, 20.0 * wall + 140.0 * (light + share * ghost)))
+    watch, settings = GhostWatch(), SubpixelSettings()
+    for image in images:
+        spot, state = measure(image, state, settings)
+        assert isinstance(spot, Spot)
+        watch.look(image, spot)
+    return watch
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_ghost_of_a_sharp_spot_is_found_and_an_even_wall_has_none(seed):
+    rng = np.random.default_rng(seed)
+    assert discs(rng, share=0.0).strongest is None
+    found = discs(rng, share=0.15).found
+    assert found is not None
+    # The grid's steps of 30 degrees and of a quarter to a third of the length.
+    assert np.hypot(*np.subtract(found.shift_px, (24.0, -18.0))) < 0.5 * 30.0
