@@ -26,8 +26,9 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
     angle, b = fit.values["half_angle"], fit.values["b"]
     at = [names.index(name) if name in names else -1 for name in ("half_angle", "b")]
     slopes = np.array([-b / math.cos(angle) ** 2, -math.tan(angle)])
-    known = min(at) >= 0
-    variance = slopes @ fit.covariance[np.ix_(at, at)] @ slopes if known else math.inf
+    known = fit.covariance[np.ix_(at, at)]
+    determined = min(at) >= 0 and np.isfinite(known).all()
+    at_tip = math.sqrt(slopes @ known @ slopes) if determined else math.inf
     for number, one in enumerate(recordings):
         own = one.recording.rig.instrument
         if one.ghost is not None:
@@ -43,7 +44,7 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
             continue
         yield contact(
             -b * math.tan(angle),
-            math.sqrt(variance),
+            at_tip,
             core_mm=own.core_radius_mm,
             core_sigma=own.core_radius_sigma,
             fibre_mm=one.fibre_radius_mm,
