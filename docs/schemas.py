@@ -318,6 +318,10 @@ def _budget() -> dict[str, Any]:
             "coverage_factor": {**number, "description": "Student's, of the 95 % interval."},
             "low_mm": {**number, "description": "Begin of the 95 % interval."},
             "high_mm": {**number, "description": "Its end."},
+            "surface_distance_mm": {
+                **_NUMBER,
+                "description": "The best estimate less a clear layer over the wall.",
+            },
             "largest_cause": {"enum": [None, *causes], "description": "What counts most."},
             "remedy": {**_or_null(_TEXT), "description": "What halves it."},
             "parts": {"type": "array", "items": part, "description": "By cause."},

@@ -165,9 +165,34 @@ class WallKeys(Strict):
         "any wall lies at -radius_mm.",
     )
     radius_sigma_mm: SigmaKey = Field(0.3, description="Standard uncertainty of the radius.")
+    tissue: Literal["phantom", "retina"] = Field(
+        "phantom", description="Of a retina, shape and clear layer are those of eyes."
+    )
+    shape: Annotated[float, Field(ge=0, le=100)] | None = Field(
+        None,
+        examples=["1.0"],
+        description="Uncertainty of the eyeball's shape, in units of what healthy eyes differ from "
+        "a sphere (default: 0 of a phantom, 1 of a retina).",
+    )
+    clear_layer_mm: SigmaKey | None = Field(
+        None,
+        examples=["0.25"],
+        description="Thickness of a clear layer of index 1.36 over the wall that sends the light "
+        "back. Distances reach through it (default: 0 of a phantom, 0.25 of a retina).",
+    )
+    clear_layer_sigma_mm: SigmaKey | None = Field(
+        None,
+        examples=["0.06"],
+        description="Standard uncertainty of it (default: 0 of a phantom, 0.06 of a retina).",
+    )
     medium: Medium | None = Field(
         None, examples=['"vitreous"'], description="Medium between the tip and the wall."
     )
+
+
+_RETINA = {"shape": 1.0, "clear_layer_mm": 0.25, "clear_layer_sigma_mm": 0.06}
+"""Of `wall.tissue` "retina": most light comes back from the pigment epithelium and what lies below
+it. The retina over it is 0.2 to 0.3 mm thick, thinner at the fovea's centre, thicker at its rim."""
 
 
 class InstrumentKeys(Strict):
@@ -388,12 +413,16 @@ class Rig(Strict):
     @property
     def stated(self) -> Stated:
         """The uncertainties that no measurement contains, as a budget takes them."""
-        robot, sigma = self.robot, 0.0
+        robot, wall, sigma = self.robot, self.wall, 0.0
+        eye = _RETINA if wall.tissue == "retina" else dict.fromkeys(_RETINA, 0.0)
+        known = {name: getattr(wall, name) for name in eye}
+        of_wall = {name: eye[name] if own is None else own for name, own in known.items()}
         if self.microscope.pinhole_height_sigma_mm and self.view is not None:
             sigma = self.microscope.pinhole_height_sigma_mm * self.view.inverse_working_distance**2
         return Stated(
+            **of_wall,
             scale_sigma=self.microscope.scale_sigma,
-            eye_radius_sigma_mm=self.wall.radius_sigma_mm,
+            eye_radius_sigma_mm=wall.radius_sigma_mm,
             inverse_working_distance_sigma=sigma,
             size_per_mm=self.viewing.size_per_mm,
             touch_sigma_mm=robot.touch_sigma_mm

@@ -194,7 +194,7 @@ HISTORY = {
     "pixels",
     3: "significance of a spot that is too_faint",
     4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
-    5: "measured_with, the versions of eyespot and OpenCV",
+    5: "measured_with, the versions of eyespot and OpenCV; surface_distance_mm",
 }
 
 _MOST_FRAMES = 2**31
@@ -213,7 +213,16 @@ _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
 _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=True))
 _POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
-_LATER = (*_INTERVAL, "largest_cause", *_POSES, "wall_memory", "significance", "measured_with")
+_SURFACE = "surface_distance_mm"
+_LATER = (
+    *_INTERVAL,
+    _SURFACE,
+    "largest_cause",
+    *_POSES,
+    "wall_memory",
+    "significance",
+    "measured_with",
+)
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
 _LIMITS = {
     **dict.fromkeys(("coverage", "inlier_fraction", "saturated"), (0.0, 1.0 + _ROUNDING)),
@@ -271,6 +280,8 @@ class SpotRecord:
         distance_low_mm: begin of the 95 % interval of the distance, which contains the model's
             correction, if there is one; NaN if unknown, as in files of version 1.
         distance_high_mm: its end.
+        surface_distance_mm: the distance less the clear layer over the reflecting wall, along the
+            beam: to what a tool would touch; NaN if unknown.
         largest_cause: what makes it wide: one of `Cause`; empty if unknown.
         pose: tip and axis of the mode pixels; None of the others.
         wall_memory: what the mode pixels knew of the wall: one of `WallMemory`; empty in the
@@ -291,6 +302,7 @@ class SpotRecord:
     pose_age_s: float = field(default=math.nan)
     distance_low_mm: float = field(default=math.nan)
     distance_high_mm: float = field(default=math.nan)
+    surface_distance_mm: float = field(default=math.nan)
     largest_cause: str = ""
     pose: RecordedPose | None = None
     wall_memory: str = ""
@@ -601,7 +613,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
         time_s=values["time_s"],
         mode=row["mode"],
         result=_result(row, values),
-        **{name: values[name] for name in (*_DISTANCES, *_INTERVAL)},
+        **{name: values[name] for name in (*_DISTANCES, *_INTERVAL, _SURFACE)},
         largest_cause=row.get("largest_cause", ""),
         pose=pose,
         wall_memory=row.get("wall_memory", ""),

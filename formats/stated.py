@@ -30,6 +30,15 @@ class Stated(Strict):
     eye_radius_sigma_mm: _Sigma = Field(
         0.0, description="Of the eye's radius; a calibration with a radius of its own has its own."
     )
+    shape: Annotated[float, Field(ge=0, le=100)] = Field(
+        0.0,
+        description="Of the wall's shape, in units of what eyes differ from the sphere on which "
+        "their spots are read; 0 for a phantom.",
+    )
+    clear_layer_mm: _Sigma = Field(
+        0.0, description="Thickness of a clear layer over the wall that sends the light back."
+    )
+    clear_layer_sigma_mm: _Sigma = Field(0.0, description="Of that thickness.")
     inverse_working_distance_sigma: _Sigma = Field(
         0.0,
         description="Of 1/(z_F + r), 1/mm: where the pinhole is; a calibration with one of its own "

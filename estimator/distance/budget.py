@@ -7,9 +7,9 @@ difference is the correction. Its derivatives say what the errors of each quanti
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -18,8 +18,11 @@ from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, slopes_of
 from eyespot.formats.calibration import BEAM, QUANTITIES
-from eyespot.formats.spots import Spot
+from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stated import Stated
+
+if TYPE_CHECKING:
+    from eyespot.estimator.pixels.tracker import PixelRanger
 
 
 class Cause(Enum):
@@ -31,6 +34,8 @@ class Cause(Enum):
     ROBOT = "robot"
     TILT = "tilt"
     EYE_RADIUS = "eye_radius"
+    SHAPE = "shape"
+    LAYER = "layer"
     VIEWING = "viewing"
     TOUCH = "touch"
     CLOCK = "clock"
@@ -57,6 +62,8 @@ _MEANINGS = {
     Cause.ROBOT: "robot's scale",
     Cause.TILT: "model at this tilt",
     Cause.EYE_RADIUS: "eye radius",
+    Cause.SHAPE: "eye's shape",
+    Cause.LAYER: "clear layer",
     Cause.VIEWING: "viewing path",
     Cause.TOUCH: "touch",
     Cause.CLOCK: "pose age and clock",
@@ -104,6 +111,8 @@ _REMEDIES = {
     Cause.TILT: "Know {source} to ± {half}, or take the model exact or area.",
     Cause.EYE_RADIUS: "Know the eye's radius to ± {half}, or calibrate in the eye (`eyespot fit "
     "--model eye`).",
+    Cause.SHAPE: "Calibrate in the eye (`eyespot fit --model eye`), or stay nearer to the axis.",
+    Cause.LAYER: "Know the layer's thickness to ± {half} (wall.clear_layer_sigma_mm).",
     Cause.VIEWING: "Know {source} to ± {half}, or calibrate farther out in the eye (`eyespot fit "
     "--model eye`).",
     Cause.TOUCH: "Know the tip's distance at contact to ± {half}.",
@@ -120,6 +129,7 @@ class Budget:
         correction_mm: to be added to it: minus the model's error at this c, d and tilt.
         parts: by cause; those that are known to be zero are left out.
         left_out: what is not assessed, in words.
+        layer_mm: length of the beam in a clear layer over the wall, and its standard uncertainty.
 
     Example:
         >>> touch, noise = Part(Cause.TOUCH, 0.02), Part(Cause.IMAGE, 0.002, freedom=187)
@@ -133,6 +143,7 @@ class Budget:
     correction_mm: float = 0.0
     parts: tuple[Part, ...]
     left_out: tuple[str, ...] = ()
+    layer_mm: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Leave out what is zero; NaN, an unknown part, stays."""
@@ -143,6 +154,14 @@ class Budget:
     def corrected_mm(self) -> float:
         """The best estimate of the distance."""
         return self.reading_mm + self.correction_mm
+
+    @property
+    def surface(self) -> "Budget":
+        """The budget of the distance to the clear layer's surface, which a tool would touch."""
+        thick, sigma = self.layer_mm
+        layer = Part(Cause.LAYER, sigma, source_sigma=sigma, unit="mm")
+        shorter = replace(self, reading_mm=self.reading_mm - thick, layer_mm=(0.0, 0.0))
+        return replace(shorter, parts=(*self.parts, layer))
 
     @property
     def sigma_mm(self) -> float:
@@ -228,6 +247,18 @@ class ToolMotion(NamedTuple):
 AT_REST = ToolMotion()
 
 
+SHAPE_ON_AXIS, SHAPE_PER_MM = 0.0055, 0.0024
+"""Part of a spot's size by which a healthy eye's retina differs from the sphere on which the spot
+is read: on the axis, and per mm of c; their squares add.
+
+Root mean square of 600 spots at each c from 0 to 5 mm: ellipsoids with the semi-axes' spread of
+`eye_population.toml` (Rozema et al. 2016), tilted by 8 degrees and shifted by 0.5 mm in any
+direction, incidence 0 to 30 degrees, d 0.5 to 5 mm, read by area on a sphere of 11.5 mm. They were
+0.54, 0.61, 0.70, 0.80, 1.01, 1.38 % of d - b with k = 20, b = -5.117 mm, which gave the numbers,
+and 0.57, 0.62, 0.72, 0.86, 1.07, 1.55 % with k = 7, b = -0.5 mm."""
+_ANY_SLOPE = 10.0  # 1/tan(half-angle), on which the relative size of a spot does not depend
+
+
 class Budgets:
     """Makes the budgets of the distances of one ranger, in two milliseconds each.
 
@@ -235,26 +266,38 @@ class Budgets:
         stated: uncertainties of what neither spot nor calibration contains.
     """
 
-    def __init__(self, ranger: Ranger, stated: Stated) -> None:
+    def __init__(self, ranger: "Ranger | PixelRanger", stated: Stated) -> None:
         values, view = ranger.calibration.values, ranger.microscope
-        self._ranger, self._stated = ranger, stated
-        self._by_area = ranger.model == "area"
-        if ranger.model != "lens":
+        self._stated = stated
+        self._calibration, self._view = ranger.calibration, view
+        self._model = ranger.model if isinstance(ranger, Ranger) else "pixels"
+        self._by_area = self._model in ("area", "pixels")
+        # What moves the wall in the image moves the spot of a lens as that of a cone from the tip.
+        k, b = _ANY_SLOPE, 0.0
+        if ranger.calibration.model != "lens":
             k = values["k"] if "k" in values else 1 / math.tan(values["half_angle"])
-            self._eye = ConeView(
-                k=np.array([k]),
-                b=np.array([values["b"]]),
-                scale=view.scale_mm_px,
-                eye_radius=view.eye_radius_mm,
-                inverse_working_distance=view.inverse_working_distance,
-                normal=view.plane_normal,
-            )
+            b = values["b"]
+        self._eye = ConeView(
+            k=np.array([k]),
+            b=np.array([b]),
+            scale=view.scale_mm_px,
+            eye_radius=view.eye_radius_mm,
+            inverse_working_distance=view.inverse_working_distance,
+            normal=view.plane_normal,
+        )
+
+    @property
+    def _is_inexact(self) -> bool:
+        """Whether microscope or wall are stated to a tolerance."""
+        own = self._stated
+        sizes = own.shape, own.size_per_mm, own.scale_sigma
+        return any((*sizes, own.eye_radius_sigma_mm, own.inverse_working_distance_sigma))
 
     # A line of sight or a generator that misses the wall gives NaN.
     @np.errstate(invalid="ignore", divide="ignore")
     def of(
         self,
-        spot: Spot,
+        spot: Spot | NoSpot,
         found: Range,
         *,
         axis: np.ndarray | None = None,
@@ -267,14 +310,9 @@ class Budgets:
         """
         if math.isnan(found.distance_mm):
             return None
-        if self._ranger.model == "lens":  # its curve contains the calibration's errors
-            speed = float(np.linalg.norm(motion.velocity_mm_s))
-            image = Part(Cause.IMAGE, found.sigma_mm, _freedom(spot))
-            return Budget(
-                reading_mm=found.distance_mm,
-                parts=(image, self._of_clock(motion, speed, 0.0)),
-                left_out=("the calibration's own part (it is in that of the image)", "the eye"),
-            )
+        if self._model in ("lens", "pixels"):
+            return self._of_light(spot, found, axis, motion)
+        assert isinstance(spot, Spot)  # which these models read
         told = axis is not None
         if found.poses:
             axis = found.poses[0].axis
@@ -310,19 +348,59 @@ class Budgets:
             speed = abs(float(normal @ velocity / (normal @ axes[middle])))
         known = axis is not None
         spread = 0.0 if known else math.sqrt(weights @ (distances - mean) ** 2)
-        exact = self._ranger.model in ("exact", "area")
-        unknown = self._ranger.microscope.viewing_path is not None and not exact
-        turned = slopes["tilt"] if known and self._ranger.model != "exact" else 0.0
+        exact = self._model in ("exact", "area")
+        unknown = self._view.viewing_path is not None and not exact
+        turned = slopes["tilt"] if known and self._model != "exact" else 0.0
         parts = self._parts(spot, found, slopes, spread, known=known)
         return Budget(
             reading_mm=found.distance_mm,
             correction_mm=0.0 if exact or unknown else mean - found.distance_mm,
             parts=_by_cause((*parts, self._of_clock(motion, speed, turned))),
             left_out=("the model's error through this viewing path",) if unknown else (),
+            layer_mm=self._layer(points, axes),
         )
 
+    def _of_light(
+        self, spot: Spot | NoSpot, found: Range, axis: np.ndarray | None, motion: ToolMotion
+    ) -> Budget:
+        """The budget of a distance by all pixels, or by the curve of a lens.
+
+        It contains the calibration's errors, and by the curve those of the scale.
+        """
+        speed = float(np.linalg.norm(motion.velocity_mm_s))
+        by_pixels = self._model == "pixels"
+        freedom = _freedom(spot) if isinstance(spot, Spot) and not by_pixels else math.inf
+        parts = [Part(Cause.IMAGE, found.sigma_mm, freedom)]
+        if not by_pixels:  # whose distance is that of the frame's own time
+            parts.append(self._of_clock(motion, speed, 0.0))
+        if found.poses:
+            best = found.poses[0]
+            axis, point = best.axis, best.tip_mm + best.distance_mm * best.axis
+        else:
+            point = self._eye.wall_point(self._at_px(spot))[0] if spot else np.full(3, np.nan)
+            axis = self._eye.outward(point[None])[0] if axis is None else axis
+        if self._is_inexact:
+            slopes = slopes_of(
+                self._eye, axis=axis, point=point, distance=found.distance_mm, by_area=True
+            )
+            parts += self._of_view(found, slopes, point, scale=by_pixels)
+        return Budget(
+            reading_mm=found.distance_mm,
+            parts=_by_cause(parts),
+            left_out=("the calibration's own part (it is in that of the image)",),
+            layer_mm=self._layer(point[None], axis[None]),
+        )
+
+    def _layer(self, points: np.ndarray, axes: np.ndarray) -> tuple[float, float]:
+        """Length of the beam in the clear layer, mean over its axes, and its uncertainty, mm."""
+        thick, sigma = self._stated.clear_layer_mm, self._stated.clear_layer_sigma_mm
+        if not (thick or sigma):
+            return 0.0, 0.0
+        length = float(np.mean(1 / np.einsum("nk,nk->n", self._eye.outward(points), axes)))
+        return thick * length, sigma * length
+
     def _at_px(self, spot: Spot) -> np.ndarray:
-        return np.array([[spot.x_px, spot.y_px]]) - self._ranger.microscope.principal_point_px
+        return np.array([[spot.x_px, spot.y_px]]) - self._view.principal_point_px
 
     def _directions(
         self, spot: Spot, axis: np.ndarray | None
@@ -345,12 +423,8 @@ class Budgets:
     def _parts(
         self, spot: Spot, found: Range, slopes: dict[str, float], spread: float, *, known: bool
     ) -> list[Part]:
-        stated, model = self._stated, self._ranger.model
+        stated, model = self._stated, self._model
         parts = [self._of_image(spot, found, slopes), *self._of_calibration(slopes)]
-        values = self._ranger.calibration.values
-        if "scale" not in values:
-            moved = abs(slopes["scale"]) * self._eye.scale * stated.scale_sigma
-            parts.append(Part(Cause.SCALE, moved, math.inf, "the scale", stated.scale_sigma))
         # The model exact weighs the axis against the ellipse: it is in the image's part.
         if model != "exact" and known:
             sigma = stated.axis_sigma_deg
@@ -360,17 +434,14 @@ class Budgets:
             low, high = stated.incidence_deg
             source = "the beam's axis by the robot's poses, or its incidence"
             parts.append(Part(Cause.TILT, spread, math.inf, source, (high - low) / 2, "deg"))
-        if "eye_radius" not in values and self._eye.normal is None:
-            sigma = stated.eye_radius_sigma_mm
-            moved = abs(slopes["eye_radius"]) * sigma
-            parts.append(Part(Cause.EYE_RADIUS, moved, source_sigma=sigma, unit="mm"))
-        parts.append(self._of_viewing(found, slopes, spot))
+        point = self._eye.wall_point(self._at_px(spot))[0]
+        parts += self._of_view(found, slopes, point, scale=True)
         moved = abs(slopes["b"]) * stated.touch_sigma_mm
         parts.append(Part(Cause.TOUCH, moved, source_sigma=stated.touch_sigma_mm, unit="mm"))
         return parts
 
     def _of_image(self, spot: Spot, found: Range, slopes: dict[str, float]) -> Part:
-        if self._ranger.model == "exact":
+        if self._model == "exact":
             sigma = found.sigma_image_mm
         else:
             by_axes = np.array([0.0, slopes["size"]])
@@ -383,11 +454,11 @@ class Budgets:
 
     def _of_calibration(self, slopes: dict[str, float]) -> list[Part]:
         """The part of the fit's data, and one for all that it follows of what its rig stated."""
-        calibration = self._ranger.calibration
+        calibration = self._calibration
         k = float(self._eye.k[0])
         # dk/d(half_angle) = -1/sin^2; a boresight's error turns the axis, one way or the other.
         of = slopes | {"half_angle": -(1 + k * k) * slopes["k"]}
-        boresight = 0.0 if self._ranger.model == "exact" else slopes["tilt"] / math.sqrt(2)
+        boresight = 0.0 if self._model == "exact" else slopes["tilt"] / math.sqrt(2)
         of |= dict.fromkeys(BEAM, boresight)
         gradient = np.array([of.get(name, 0.0) for name in calibration.values])
         variance = float(gradient @ calibration.covariance @ gradient)
@@ -410,19 +481,37 @@ class Budgets:
         )
         return [of_data, *stated]
 
-    def _of_viewing(self, found: Range, slopes: dict[str, float], spot: Spot) -> Part:
-        stated = self._stated
+    def _of_view(
+        self, found: Range, slopes: dict[str, float], point: np.ndarray, *, scale: bool
+    ) -> list[Part]:
+        """The parts of what the microscope and the wall are not as stated.
+
+        Args:
+            point: where the beam meets the wall, mm.
+            scale: whether that of the scale is not in another part.
+        """
+        stated, values, parts = self._stated, self._calibration.values, []
+        c, apart = float(np.hypot(*point[:2])), found.distance_mm - float(self._eye.b[0])
+        if scale and "scale" not in values:
+            moved = abs(slopes["scale"]) * self._eye.scale * stated.scale_sigma
+            parts.append(Part(Cause.SCALE, moved, math.inf, "the scale", stated.scale_sigma))
+        if self._eye.normal is None:
+            sigma = stated.eye_radius_sigma_mm
+            if "eye_radius" not in values:
+                moved = abs(slopes["eye_radius"]) * sigma
+                parts.append(Part(Cause.EYE_RADIUS, moved, source_sigma=sigma, unit="mm"))
+            shape = stated.shape * math.hypot(SHAPE_ON_AXIS, SHAPE_PER_MM * c)
+            parts.append(Part(Cause.SHAPE, apart * shape))
         sigma = stated.inverse_working_distance_sigma
-        if "inverse_working_distance" in self._ranger.calibration.values:
+        if "inverse_working_distance" in values:
             sigma = 0.0
         of_pinhole = slopes["inverse_working_distance"] * sigma
-        c = float(np.hypot(*self._eye.wall_point(self._at_px(spot))[0, :2]))
-        apart = found.distance_mm - float(self._eye.b[0])
         of_size = stated.size_per_mm * c * apart
         source = "1/(z_F + r)", sigma, "1/mm"
         if abs(of_pinhole) < of_size:
             source = "the size of spots per mm of c", stated.size_per_mm, ""
-        return Part(Cause.VIEWING, math.hypot(of_pinhole, of_size), math.inf, *source)
+        parts.append(Part(Cause.VIEWING, math.hypot(of_pinhole, of_size), math.inf, *source))
+        return parts
 
     def _of_clock(self, motion: ToolMotion, speed: float, tilt: float) -> Part:
         late = self._stated.clock_sigma_s

@@ -53,6 +53,7 @@ class Ranger:
         *,
         model: str | None = None,
         eccentricity_mm: float | None = None,
+        scale_sigma: float = 0.0,
     ) -> None:
         """Check that calibration, microscope and model fit each other, and prepare the model.
 
@@ -77,6 +78,7 @@ class Ranger:
         self._path: Any = (view.ideal_microscope(), view.wall()) if through_path else None
         self.model = calibration.model if model is None else model
         self.eccentricity_mm = eccentricity_mm
+        self._scale_sigma = 0.0 if "scale" in own else scale_sigma
         self._check()
         if self.model == "exact":
             self._poses = ConePoses(
@@ -281,7 +283,9 @@ class Ranger:
         found = distance_from_lens(
             self._curve,
             radius_mm=minor,
-            relative_sigma=(sigma if known else UNKNOWN_SIGMA_PX) / spot.semi_minor_px,
+            relative_sigma=math.hypot(
+                (sigma if known else UNKNOWN_SIGMA_PX) / spot.semi_minor_px, self._scale_sigma
+            ),
             # As of a cone: within 2.5 degrees at 30, which the radius hardly feels.
             incidence=math.acos(minor / major),
             shape=shape,

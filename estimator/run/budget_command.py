@@ -128,6 +128,13 @@ def _sentences(budget: Budget) -> list[str]:
     lines.append(
         f"95 % interval: {low:.3f} to {high:.3f} mm (coverage factor {budget.coverage_factor:.2f})."
     )
+    if any(budget.layer_mm):
+        surface = budget.surface
+        near, far = surface.interval_mm
+        lines.append(
+            f"To the surface that a tool touches, over {budget.layer_mm[0]:.3f} mm of clear layer: "
+            f"{surface.corrected_mm:.3f} mm, 95 % interval {near:.3f} to {far:.3f} mm."
+        )
     if budget.largest is not None:
         lines.append(f"Largest cause: {budget.largest.cause.meaning}. {budget.largest.remedy}")
     return [*lines, *(f"Not assessed: {what}." for what in budget.left_out)]
@@ -158,6 +165,7 @@ def _content(budget: Budget) -> Any:
         "coverage_factor": budget.coverage_factor,
         "low_mm": low,
         "high_mm": high,
+        "surface_distance_mm": budget.surface.corrected_mm,
         "largest_cause": largest.cause.value if largest else None,
         "remedy": largest.remedy if largest else None,
         "parts": parts,

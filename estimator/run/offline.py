@@ -274,6 +274,7 @@ def record_of(frame: Frame, reading: Reading) -> SpotRecord:
         pose_age_s=reading.pose_age_s,
         distance_low_mm=low,
         distance_high_mm=high,
+        surface_distance_mm=budget.surface.reading_mm if budget else math.nan,
         largest_cause=budget.largest.cause.value if budget and budget.largest else "",
         pose=pose,
         wall_memory=found.wall.value if found else "",

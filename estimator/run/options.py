@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from eyespot.formats.microscope import MicroscopeFile
     from eyespot.formats.rig import Rig
 
-_OF_OUTLINES = ("eye_radius_sigma_mm", "inverse_working_distance_sigma", "size_per_mm")
-"""Stated uncertainties that only distances of outlines contain."""
 DistanceModel = Literal[
     "planar", "small_plane", "corrected", "stereographic", "exact", "area", "lens"
 ]
@@ -242,16 +240,17 @@ class Options(Given):
                     f"{asked} has no effect in the mode pixels, whose geometry is exact. Leave it "
                     "out, or take the sub-pixel mode."
                 )
-            unused = [name for name in _OF_OUTLINES if getattr(stated, name)]
-            if unused:
-                say(f"The mode pixels does not use {', '.join(unused)}; the sub-pixel mode does.")
             known_wall = self._reference_image(microscope)
             pixels = PixelRanger(beam, microscope, known_wall, shake_px=rig.unrest.shake_px)
             return PixelsMode(settings, pixels, **more)
         ranger = None
         if beam is not None and microscope is not None:
             ranger = Ranger(
-                beam, microscope, model=self.model, eccentricity_mm=self.eccentricity_mm
+                beam,
+                microscope,
+                model=self.model,
+                eccentricity_mm=self.eccentricity_mm,
+                scale_sigma=stated.scale_sigma,
             )
         if ranger is not None and ranger.model == "area" and turn is None:
             raise InputError(

@@ -332,7 +332,9 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
             robot=robot,
         )
         # Bright things that are no spots have no distance, and no doubt about one.
-        return (found if result or found.poses else None), None
+        if not (result or found.poses):
+            return None, None
+        return found, Budgets(self._ranger, self._stated).of(result, found, axis=axis)
 
 
 _FASTEST_HZ = 12.0  # pixels takes 72 ms a frame on two cores

@@ -2,9 +2,12 @@
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from uncertainties import correlated_values, ufloat, umath
@@ -234,6 +237,7 @@ MOVING = ToolMotion(velocity_mm_s=(0.0, 0.0, 3.0))
 @pytest.mark.parametrize(
     ("cause", "key", "value"),
     [
+        (Cause.SCALE, "scale_sigma", 0.01),
         (Cause.EYE_RADIUS, "eye_radius_sigma_mm", 0.2),
         (Cause.VIEWING, "inverse_working_distance_sigma", 1e-3),
         (Cause.VIEWING, "size_per_mm", 1e-3),
@@ -249,6 +253,87 @@ def test_the_remedy_names_what_halves_the_part(cause, key, value):
     )
     assert after.sigma_mm == pytest.approx(before.sigma_mm / 2, rel=1e-9)
     assert f"{value / 2:.3g}" in before.remedy
+
+
+def test_a_scale_moves_the_distance_from_the_apex_by_its_own_share():
+    budget = budget_of(stated=Stated(axis_sigma_deg=0.0, scale_sigma=0.01), axis=tilted_axis())
+    # At the axis d - b is the size in mm times k; at c = 2.7 mm the scale moves the spot, too.
+    moved = 0.01 * (budget.corrected_mm - B)
+    assert part(budget, Cause.SCALE).sigma_mm == pytest.approx(moved, rel=0.06)
+
+
+def test_what_a_calibration_follows_is_a_part_of_its_own():
+    covariance = np.array([[5e-2, -1e-3], [-1e-3, 5e-4]])
+    rows = {"robot_scale": [[-0.2, 0.0]], "touch": [[0.0, 0.02]]}
+    own = replace(calibration(covariance=covariance), stated=rows)
+    ranger, seen = Ranger(own, microscope()), spot(720.0, 240.0, 66.0, 60.0)
+    found, axis = ranger.distance(seen), tilted_axis()
+    budget = Budgets(ranger, Stated(axis_sigma_deg=0)).of(seen, found, axis=axis)
+    whole = budget_of(covariance=covariance, axis=axis)
+    assert budget is not None
+    three = Cause.CALIBRATION, Cause.ROBOT, Cause.TOUCH
+    parts = [part(budget, cause).sigma_mm for cause in three]
+    assert math.hypot(*parts) == pytest.approx(part(whole, Cause.CALIBRATION).sigma_mm, rel=1e-9)
+    assert parts[2] == pytest.approx(0.02, rel=1e-6)  # b is added to the distance
+    assert "robot.scale_sigma" in part(budget, Cause.ROBOT).remedy
+
+
+def test_a_tool_touches_the_clear_layer_before_the_wall():
+    stated = Stated(axis_sigma_deg=0.0, clear_layer_mm=0.25, clear_layer_sigma_mm=0.06)
+    budget = budget_of(stated=stated, axis=tilted_axis(incidence=0.4))
+    # Along the beam the layer is longer; its refraction is neglected, 3 um at 30 degrees.
+    along = 0.25 / math.cos(0.4)
+    assert budget.corrected_mm - budget.surface.corrected_mm == pytest.approx(along, rel=1e-3)
+    assert part(budget.surface, Cause.LAYER).sigma_mm == pytest.approx(0.24 * along, rel=1e-3)
+
+
+@pytest.mark.slow  # compiles the contour on an ellipsoid
+def test_spots_of_healthy_eyes_lie_within_what_the_shape_states():
+    """Other eyes than those that gave the numbers: another seed, and a cone of k = 12."""
+    count, noise = 200, np.random.default_rng(11)
+    turns = noise.uniform(0, 2 * np.pi, (4, count))
+    c, d = noise.uniform(0, 4, count), noise.uniform(0.5, 5, count)
+    axes = np.array([11.886, 11.655, 10.547]) + noise.standard_normal((count, 3)) * [
+        0.55,
+        0.45,
+        0.6,
+    ]
+
+    def seen_at(semi_axes, c, d, incidence, azimuth, towards, leans, aside):
+        wall = optics.Ellipsoid(
+            semi_axes,
+            shift=(0.5 * jnp.cos(aside), 0.5 * jnp.sin(aside)),
+            tilt=math.radians(8.0),
+            tilt_azimuth=leans,
+        )
+        camera = optics.microscope(scale=SCALE, pinhole_height=200.0, eye_radius=semi_axes[2])
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=c,
+            azimuth=azimuth,
+            incidence=incidence,
+            incidence_azimuth=towards,
+            distance=d,
+            half_angle=math.atan(1 / 12.0),
+            apex_offset=-2.0,
+        )
+        return optics.spot_ellipse(beam, wall, camera), beam.axis
+
+    incidence = noise.uniform(0, 0.5, count)
+    ellipses, beams = jax.jit(jax.vmap(seen_at))(axes, c, d, incidence, *turns)
+    ranger = Ranger(calibration(k=12.0, b=-2.0), microscope(), model="area")
+    budgets = Budgets(ranger, Stated(axis_sigma_deg=0.0, shape=1.0))
+    inside = []
+    for number in range(count):
+        u, v = np.asarray(ellipses.centre[number]) + np.array([320.0, 240.0])
+        seen = spot(u, v, ellipses.semi_major[number], ellipses.semi_minor[number])
+        axis = np.asarray(beams[number])
+        budget = budgets.of(seen, ranger.distance(seen, axis=axis), axis=axis)
+        assert budget is not None
+        low, high = budget.interval_mm
+        inside.append(low <= d[number] <= high)
+    # Of 95 % in 200, three standard errors below; a population of mixed sizes has longer tails.
+    assert np.mean(inside) > 0.95 - 3 * math.sqrt(0.05 * 0.95 / count) - 0.02
 
 
 def test_an_unknown_axis_widens_the_interval_and_says_so():
