@@ -5,6 +5,8 @@ import math
 from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
+from types import SimpleNamespace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +18,7 @@ from eyespot import optics
 from eyespot.benchmarks.exact_spots import estimates, semi_minor
 from eyespot.benchmarks.model_error import Geometry
 from eyespot.estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
-from eyespot.estimator.distance.range import Range
+from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, spot_image
 from eyespot.estimator.run.reader import Reading
@@ -285,6 +287,21 @@ def test_a_tool_touches_the_clear_layer_before_the_wall():
     along = 0.25 / math.cos(0.4)
     assert budget.corrected_mm - budget.surface.corrected_mm == pytest.approx(along, rel=1e-3)
     assert part(budget.surface, Cause.LAYER).sigma_mm == pytest.approx(0.24 * along, rel=1e-3)
+
+
+def test_all_pixels_have_the_interval_of_their_sigma_and_of_what_is_stated():
+    axis = np.array([0.0, 0.0, -1.0])
+    pose = TipPose(tip_mm=(R_EYE - 2.0) * axis, axis=axis, distance_mm=2.0)
+    found = Range(distance_mm=2.0, sigma_mm=0.004, poses=(pose,))
+    ranger: Any = SimpleNamespace(calibration=calibration(), microscope=microscope())
+    exact, tolerant = (
+        Budgets(ranger, Stated(scale_sigma=sigma)).of(NoSpot(Reason.NONE_FOUND), found)
+        for sigma in (0.0, 0.01)
+    )
+    assert exact is not None and tolerant is not None
+    assert exact.interval_mm == pytest.approx((2.0 - 1.96 * 0.004, 2.0 + 1.96 * 0.004), abs=1e-6)
+    # The wall curves away from the spot by R^2/2r, 1 % of d - b.
+    assert part(tolerant, Cause.SCALE).sigma_mm == pytest.approx(0.01 * (2.0 - B), rel=0.02)
 
 
 @pytest.mark.slow  # compiles the contour on an ellipsoid
