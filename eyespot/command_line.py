@@ -61,6 +61,7 @@ COMMANDS = {
     },
     "study": {
         "benchmarks.studies.static:static": "The paper's Tables I and II, many times.",
+        "benchmarks.studies.map:map": "Where in my workspace which model can be trusted.",
         "benchmarks.studies.table_one:table_one": "The lenses that give Table I.",
         "benchmarks.studies.medium:medium": "Calibrate in air, measure in vitreous.",
         "benchmarks.studies.pose:pose": "The tool's tip and axis from spots.",

@@ -19,6 +19,7 @@ from eyespot.benchmarks.studies.dynamic import dynamic as _dynamic
 from eyespot.benchmarks.studies.eccentricity import eccentricity as _eccentricity
 from eyespot.benchmarks.studies.eye import eye as _eye
 from eyespot.benchmarks.studies.loop import loop as _loop
+from eyespot.benchmarks.studies.map import map as _map
 from eyespot.benchmarks.studies.medium import medium as _medium
 from eyespot.benchmarks.studies.pose import pose as _pose
 from eyespot.benchmarks.studies.sensors import sensors as _sensors
@@ -81,6 +82,7 @@ dynamic = _study(_dynamic)
 eccentricity = _study(_eccentricity)
 eye = _study(_eye)
 loop = _study(_loop)
+map = _study(_map)
 medium = _study(_medium)
 pose = _study(_pose)
 sensors = _study(_sensors)
