@@ -5,6 +5,7 @@ Spots come from the estimator, readings and axis from the robot, everything else
 
 import hashlib
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,6 +91,20 @@ class RecordedTrial(NamedTuple):
     def beam_slopes(self) -> Float[np.ndarray, "2 2"]:
         """Derivatives of (beam_x, beam_y) of a calibration with respect to the boresight."""
         return self.across @ np.stack(optics.perpendicular_frame(self.trial.axis)).T
+
+    def only(self, spots: "np.ndarray") -> "RecordedTrial":
+        """The recording with some of its usable spots, by their numbers."""
+        own = self.trial
+        trial = replace(
+            own,
+            ellipses=optics.Ellipse(*(leaf[spots] for leaf in own.ellipses)),
+            covariances=own.covariances[spots],
+            coverage=own.coverage[spots],
+            readings=own.readings[spots],
+            rates=None if own.rates is None else own.rates[spots],
+        )
+        records = [self.records[k] for k in spots] if self.records else ()
+        return self._replace(trial=trial, records=records)
 
 
 FREE_TOUCH = Prior(3.0, 10.0)

@@ -37,7 +37,7 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
                 "ghost",
                 one.ghost.sigmas,
                 f"{one.name}: the spot has a ghost, a second image some {right:+.0f} px to the "
-                f"right and {down:+.0f} px down of it, some {100 * one.ghost.share:.0f} % as "
+                f"right and {down:+.0f} px down of it, at least {100 * one.ghost.share:.0f} % as "
                 "bright. Look for reflexes of a cover glass, a lens or the eye",
             )
         if one.trial.touch == FREE_TOUCH:  # b then rests on the core

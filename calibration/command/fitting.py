@@ -32,7 +32,15 @@ from eyespot.calibration.command.models import (
     fit_sphere,
 )
 from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
-from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, doubts, refusal, verdict
+from eyespot.calibration.command.verdict import (
+    MOST_CHI_SQUARED,
+    Doubt,
+    Fault,
+    Fitted,
+    doubts,
+    refusal,
+    verdict,
+)
 from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS
@@ -339,6 +347,9 @@ def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
                 "phantom; `track` then looks through what the microscope file describes."
             )
     fitted = MODELS[model].fit(recordings, choices)
+    if model == "cone":
+        fitted = without_foreign(fitted, lambda some: MODELS[model].fit(some, choices))
+        recordings = list(fitted.recordings)
     if choices.known and model != "eye":
         for name, value, sigma, unit in fitted.rows:
             # The beam's angles from the tool are new after each mounting, so they are no prior.
@@ -357,6 +368,53 @@ def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
         if others is not None and not others.agree:
             found.insert(0, Doubt(Fault.DISAGREEMENT, others.verdict))
     return Fit(model=model, fitted=fitted, recordings=recordings, doubts=found, crossed=others)
+
+
+_MOST_FOREIGN, _FOREIGN = 3, 10.0
+"""Spots that may be left out, and how far the size of each must be from a parabola through those of
+the others, in their root mean square deviations."""
+_FEWEST_ALIKE = 6
+
+
+def without_foreign(fitted: Fitted, fit: Callable[[Sequence[RecordedTrial]], Fitted]) -> Fitted:
+    """The fit without single spots that do not belong to the others, which its notes name.
+
+    Such as a frame of another recording. Only where the fit is bad with them and good without.
+    """
+    found, named = fitted, []
+    while not _explained(found) and len(named) < _MOST_FOREIGN:
+        some = [*found.recordings]
+        far, spot, number = max((*_farthest(one), number) for number, one in enumerate(some))
+        if far < _FOREIGN:
+            return fitted
+        one = some[number]
+        named.append(f"frame {one.records[spot].frame} of {one.name}")
+        some[number] = one.only(np.delete(np.arange(one.trial.readings.size), spot))
+        found = fit(some)
+    if not named or not _explained(found):
+        return fitted
+    said = f"Left out, because they do not belong to the other spots: {', '.join(named)}."
+    found.notes.append(said)
+    say(said)
+    return found
+
+
+def _explained(fitted: Fitted) -> bool:
+    return fitted.converged and (fitted.chi_squared_per_degree or 0.0) <= MOST_CHI_SQUARED
+
+
+def _farthest(one: RecordedTrial) -> tuple[float, int]:
+    """How far the spot is whose size deviates most from those of the others, and its number."""
+    readings, sizes = one.trial.readings, np.asarray(one.trial.ellipses.semi_minor)
+    if sizes.size <= _FEWEST_ALIKE:
+        return 0.0, 0
+    far = []
+    for spot in range(sizes.size):
+        x, y = np.delete(readings, spot), np.delete(sizes, spot)
+        curve = np.polynomial.Polynomial.fit(x, y, 2)
+        spread = math.sqrt(np.mean((y - curve(x)) ** 2))
+        far.append(abs(sizes[spot] - curve(readings[spot])) / max(spread, 1e-9))
+    return float(max(far)), int(np.argmax(far))
 
 
 def _check(model: str, choices: Choices, *, sources: int, without_images: int) -> None:

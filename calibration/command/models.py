@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -164,13 +163,8 @@ def _pooled_planes(
         )
         notes += _outlier_note(recording, fit.outliers)
         inliers = np.setdiff1d(np.arange(recording.trial.readings.size), fit.outliers)
-        trial = replace(
-            recording.trial,
-            ellipses=optics.Ellipse(*(leaf[inliers] for leaf in recording.trial.ellipses)),
-            covariances=recording.trial.covariances[inliers],
-            readings=recording.trial.readings[inliers],
-        )
-        kept.append(recording._replace(trial=trial))
+        kept.append(recording.only(inliers))
+        trial = kept[-1].trial
         centre = np.asarray(trial.ellipses.centre).mean(axis=0)
         ray = recording.microscope.ideal_microscope().ray(centre)
         angle = np.asarray(trial.ellipses.angle)

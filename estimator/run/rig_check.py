@@ -13,7 +13,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.estimator.distance.withdrawal import withdrawal_of
+from eyespot.estimator.ghost import GhostWatch
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.source import Frame
@@ -23,7 +25,6 @@ from eyespot.formats.spots import Spot
 
 _MOST_FRAMES = 100
 _FEWEST_SPOTS = 5
-_SURE = 3.0  # standard deviations of a contradiction
 _STEADY = 0.2
 """Relative change of the robot's speed below which a clock's offset looks like another contact."""
 _WIDE_CORE = 1.15
@@ -187,6 +188,16 @@ def _of_images(
     enough = len(spots) >= min(_FEWEST_SPOTS, len(frames))
     remedy = "" if enough else "`eyespot track RECORDING --overlay DIR` draws what it sees."
     yield "spots", "", found, "right" if enough else "wrong", remedy
+    watch = GhostWatch()
+    for frame, spot in spots:
+        watch.look(frame.image, spot)
+    if (ghost := watch.strongest) is not None:
+        right_px, down_px = ghost.shift_px
+        found = (
+            f"at least {ghost.share:.0%} of the spot at {right_px:+.0f}, {down_px:+.0f} px from it"
+        )
+        remedy = "Look for reflexes of a cover glass, a lens or the eye."
+        yield "ghost", "none", found, "wrong", remedy
 
 
 def _of_noise(recording: Recording) -> tuple[list[Line], np.ndarray, np.ndarray]:
@@ -241,7 +252,7 @@ def _of_robot(
     lines.append(("robot.tool_axis", robot.tool_axis, f"{askew:.1f}° from the way", "right", ""))
     radius = np.array([spot.semi_minor_px for _, spot in spots])
     (slope, start), covariance = np.polyfit(travel, radius, 1, cov=True)
-    if slope < -_SURE * math.sqrt(covariance[0, 0]):
+    if slope < -CONTRADICTION_SIGMAS * math.sqrt(covariance[0, 0]):
         remedy = "The spot shrinks while the robot withdraws: the travel counts the other way."
         lines.append(("robot", "away from the wall", "towards it", "wrong", remedy))
     lines += _of_contact(recording, float(start), float(slope))
@@ -323,7 +334,7 @@ def _of_clock(
         basis = np.stack([np.ones_like(moved), moved], axis=1)
         misfits.append(float(np.linalg.lstsq(basis, radius, rcond=None)[1].sum()))
     best, sigma = _minimum(offsets, np.array(misfits), times.size)
-    wrong = abs(best) > _SURE * math.hypot(sigma, robot.clock_sigma_s)
+    wrong = abs(best) > CONTRADICTION_SIGMAS * math.hypot(sigma, robot.clock_sigma_s)
     remedy = f"Set it to {robot.clock_offset_s + best:.3f}." if wrong else ""
     found = f"{best:+.3f} ± {sigma:.3f} s more"
     yield "robot.clock_offset_s", stated, found, "wrong" if wrong else "right", remedy

@@ -1,6 +1,7 @@
 """Recordings of one beam agree within their errors; of two beams they do not."""
 
 import math
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -11,12 +12,15 @@ from scipy import stats
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.crossed import crossed
+from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
 from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.estimator.recording import Recording
 from eyespot.formats.rig import Rig
+from eyespot.formats.spots import SpotRecord
+from tests.support.drawn.made_up import a_spot
 
 SCALE, RADIUS = 0.0067, 11.5
 ANGLE, B = math.atan(1 / 20), -5.0
@@ -118,6 +122,44 @@ def test_the_one_recording_of_another_beam_is_named():
     assert not found.agree
     assert found.foreign == "B"
     assert "Without B the others agree" in found.verdict
+
+
+def line_fit(recordings):
+    """A line through the sizes of one recording's spots, known to 0.02 px."""
+    (one,) = recordings
+    sizes = np.asarray(one.trial.ellipses.semi_minor)
+    line = np.polynomial.Polynomial.fit(one.trial.readings, sizes, 2)
+    left = (sizes - line(one.trial.readings)) / 0.02
+    return Fitted(
+        calibration_model="exact",
+        values={},
+        covariance=np.zeros((0, 0)),
+        converged=True,
+        residuals={"size": left},
+        chi_squared=float(left @ left),
+        degrees_of_freedom=len(left) - 3,
+        recordings=recordings,
+        used=len(left),
+    )
+
+
+def test_one_foreign_frame_is_named_and_left_out():
+    one = square("A")
+    about = {"file_name": "", "time_s": 0.0, "mode": "subpixel", "distance_mm": math.nan}
+    about |= {"result": a_spot(0, 0, 30, 30, 0), "sigma_distance_mm": math.nan}
+    records = [SpotRecord(frame=k, **about) for k in range(8)]
+    # Of another time: 5 px more than its place in the withdrawal, 250 standard deviations.
+    sizes = np.asarray(one.trial.ellipses.semi_minor) + 5.0 * (np.arange(8) == 3)
+    ellipses = one.trial.ellipses._replace(semi_minor=jnp.asarray(sizes))
+    one = one._replace(records=records, trial=replace(one.trial, ellipses=ellipses))
+    found = without_foreign(line_fit([one]), line_fit)
+    assert found.used == 7
+    assert "frame 3 of A" in found.notes[0]
+    # A wrong model is no foreign frame: all spots deviate, and none is left out.
+    bent = 40.0 + 2.0 * np.sin(9.0 * one.trial.readings)
+    ellipses = one.trial.ellipses._replace(semi_minor=jnp.asarray(bent))
+    one = one._replace(trial=replace(one.trial, ellipses=ellipses))
+    assert without_foreign(line_fit([one]), line_fit).used == 8
 
 
 @jax.jit
