@@ -13,7 +13,7 @@ from eyespot.scenes.description import scene_file
 from eyespot.scenes.description.settings import SceneTable
 
 IDLE = (
-    *("seed", "schema", "second_tool.*", "viewing.*", "unrest.*", "clocks.*", "motion.*"),
+    *("phantom.reflectance", "seed", "schema", "second_tool.*", "viewing.*", "unrest.*", "clocks.*", "motion.*"),
     *("phantom.wall_image*", "phantom.spread_mm", "phantom.shift_mm", "phantom.tilt*"),
     *("source.lens", "source.cone_*", "source.photons_per_pixel"),
     *("exposures.paper_*", "exposures.bound", "microscope.focus_mm", "camera.jpeg_quality"),
@@ -81,10 +81,11 @@ VARIED = {"eccentricity": VARIED_BY_ECCENTRICITY}
 
 @pytest.mark.slow  # a quick run each
 @pytest.mark.parametrize("name", VARIED)
-def test_a_study_reads_the_keys_that_it_does_not_vary(name, tmp_path, monkeypatch):
+def test_a_study_reads_every_key_that_it_does_not_vary(name, tmp_path, monkeypatch):
     recorded = Recorded(monkeypatch)
     getattr(studies, name)(out=tmp_path / "out", quick=True)
     every = keys_of(Scene())
     varied = {key for key in every if of_studies.among(key, VARIED[name])}
     may_be_idle = {key for key in every if any(fnmatch(key, idle) for idle in IDLE)}
-    assert every - recorded.read - may_be_idle == varied - may_be_idle
+    # The other direction does not hold: the cone is taken from a world that also looks at its spot.
+    assert every - recorded.read - may_be_idle <= varied
