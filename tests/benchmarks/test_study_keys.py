@@ -13,7 +13,8 @@ from eyespot.scenes.description import scene_file
 from eyespot.scenes.description.settings import SceneTable
 
 IDLE = (
-    *("phantom.reflectance", "seed", "schema", "second_tool.*", "viewing.*", "unrest.*", "clocks.*", "motion.*"),
+    *("phantom.reflectance", "seed", "schema", "second_tool.*", "viewing.*", "unrest.*"),
+    *("clocks.*", "motion.*"),
     *("phantom.wall_image*", "phantom.spread_mm", "phantom.shift_mm", "phantom.tilt*"),
     *("source.lens", "source.cone_*", "source.photons_per_pixel"),
     *("exposures.paper_*", "exposures.bound", "microscope.focus_mm", "camera.jpeg_quality"),
