@@ -88,5 +88,5 @@ def test_a_study_reads_every_key_that_it_does_not_vary(name, tmp_path, monkeypat
     every = keys_of(Scene())
     varied = {key for key in every if of_studies.among(key, VARIED[name])}
     may_be_idle = {key for key in every if any(fnmatch(key, idle) for idle in IDLE)}
-    # The other direction does not hold: the cone is taken from a world that also looks at its spot.
+    # Not so the other way: spot.eccentricity_mm is read, although every trial sets it.
     assert every - recorded.read - may_be_idle <= varied
