@@ -381,7 +381,8 @@ def without_foreign(fitted: Fitted, fit: Callable[[Sequence[RecordedTrial]], Fit
 
     Such as a frame of another recording. Only where the fit is bad with them and good without.
     """
-    found, named = fitted, []
+    found = fitted
+    named: list[str] = []
     while not _explained(found) and len(named) < _MOST_FOREIGN:
         some = [*found.recordings]
         far, spot, number = max((*_farthest(one), number) for number, one in enumerate(some))

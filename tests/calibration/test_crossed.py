@@ -145,9 +145,11 @@ def line_fit(recordings):
 
 def test_one_foreign_frame_is_named_and_left_out():
     one = square("A")
-    about = {"file_name": "", "time_s": 0.0, "mode": "subpixel", "distance_mm": math.nan}
-    about |= {"result": a_spot(0, 0, 30, 30, 0), "sigma_distance_mm": math.nan}
-    records = [SpotRecord(frame=k, **about) for k in range(8)]
+    spot = a_spot(0, 0, 30, 30, 0)
+    records = [
+        SpotRecord(frame=k, file_name="", time_s=0.0, mode="subpixel", result=spot)
+        for k in range(8)
+    ]
     # Of another time: 5 px more than its place in the withdrawal, 250 standard deviations.
     sizes = np.asarray(one.trial.ellipses.semi_minor) + 5.0 * (np.arange(8) == 3)
     ellipses = one.trial.ellipses._replace(semi_minor=jnp.asarray(sizes))

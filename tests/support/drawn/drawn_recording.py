@@ -71,7 +71,7 @@ def write_stack(
 
 
 def new_reader(**options: object) -> Reader:
-    return SubpixelMode(SubpixelSettings(), None, **options)  # type: ignore[arg-type]
+    return SubpixelMode(SubpixelSettings(), None, **options)
 
 
 def tracked(source: Source) -> Tracking:
