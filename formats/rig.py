@@ -608,6 +608,8 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -
 def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
     """The content of the rig file of a rendered scene, which knows everything exactly.
 
+    A lens of somebody's own is as little known as a drop on a rig: its rim may be above the core.
+
     Args:
         scene: the scene's tables, as stack.toml has them; those of eyespot 0.1 may lack keys.
     """
@@ -618,11 +620,12 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
 
     motion = scene.get("motion", {})
     at_contact = (motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact")
+    own_lens = f"{scene.get('source', {}).get('lens', '')}".endswith(".toml")
     return {
         "schema": SCHEMA,
         "microscope": EXACT["microscope"] | {"calibration": "microscope.json"},
         "wall": EXACT["wall"] | some("phantom", kind="kind") | some("source", medium="medium"),
-        "instrument": EXACT["instrument"]
+        "instrument": ({} if own_lens else EXACT["instrument"])
         | some(
             "instrument",
             fibre_diameter_mm="fibre_diameter_mm",

@@ -230,5 +230,8 @@ def test_the_template_of_a_rendered_scene_has_its_numbers():
     rig = rig_in(rig_of_scene(scene), where="a scene")
     assert (rig.wall.kind, rig.robot.touch) == ("plane", "free")
     assert json.loads(json.dumps(rig_of_scene({})))["robot"]["touch"] == "free"
+    for lens, rim_sigma_mm in [("dome", 0.0), ("my/drop.toml", 0.05)]:
+        rig = rig_in(rig_of_scene({"source": {"lens": lens}}), where="a scene")
+        assert rig.instrument.rim_height_sigma_mm == rim_sigma_mm
     assert math.isclose(rig.robot.touch_sigma_mm, 0.02)
     assert "touch_sigma_mm = 0.02" in rig_template()
