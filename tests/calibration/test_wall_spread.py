@@ -62,6 +62,7 @@ def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) ->
     values = dict.fromkeys(POSE, 0.0) | {"half_angle": HALF_ANGLE, "b": B, "spread": length}
     values |= {"touch": 3.0, "u": 47.5, "v": 47.5, "scale": 0.015, "eye_radius": 11.5}
     values |= {"sensitivity": 1.0, "power": 1.0, "reflectance": 0.5, "illumination": 0.0}
+    values["inverse_working_distance"] = microscope.inverse_working_distance
     light = Light(footage, cells, (), lens)
     found = light.frames(values, np.zeros((1, 7)), [0], slopes=False)
     assert found is not None
