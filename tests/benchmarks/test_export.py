@@ -250,7 +250,7 @@ def lengths(tmp_path_factory):
 def test_memory_does_not_grow_with_the_number_of_frames(lengths, tmp_path, to):
     short, long = lengths
     peaks: list[int] = []
-    for stack in (short, short, long):  # the first run loads what the format needs
+    for stack in (short, short, long, long):  # the first run loads what the format needs
         tracemalloc.start()
         export(stack, to=to, out=tmp_path / f"out-{len(peaks)}")
         peaks.append(tracemalloc.get_traced_memory()[1])
@@ -258,7 +258,8 @@ def test_memory_does_not_grow_with_the_number_of_frames(lengths, tmp_path, to):
     frame = SHAPE[0] * SHAPE[1] * 3
     # 36 frames more: their labels take a twentieth of a frame each, and bags are written in pieces
     # of 1 MiB, 18 frames, which the shorter stack fills too.
-    assert peaks[2] - peaks[1] < 8 * frame
+    # Threads that tests before this one have left may allocate during one of the runs.
+    assert min(peaks[2:]) - peaks[1] < 8 * frame
 
 
 @pytest.mark.parametrize("to", ["hdf5", "coco"])
