@@ -52,8 +52,8 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
         )
         yield from _of_touch(one, fit.touch[number], fit.touch_error[number])
         sigmas = np.sqrt(np.diag(fit.boresight_covariance[number]))
-        for angle, sigma in zip(fit.boresight[number], sigmas, strict=True):
-            yield from _of_beam(one, angle, sigma)
+        for aside, sigma in zip(fit.boresight[number], sigmas, strict=True):
+            yield from _of_beam(one, aside, sigma)
 
 
 def pixels_against_rig(

@@ -2,6 +2,8 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +13,7 @@ from scipy import stats
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.comparisons import cone_against_rig
 from eyespot.calibration.command.crossed import crossed
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
@@ -238,3 +241,22 @@ def test_pairs_of_withdrawals_agree_and_of_two_beams_2_percent_apart_do_not():
     # One of 1,000 right programs fails.
     assert stats.chisquare(counts).pvalue > 1e-3
     assert told >= 45
+
+
+def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
+    rig = RIG.changed({"instrument.core_radius_mm": -B * math.tan(ANGLE)})
+    trial = SimpleNamespace(touch=Prior(0.0, 0.02))
+    one = SimpleNamespace(
+        name="A", trial=trial, fibre_radius_mm=0.25, ghost=None, recording=SimpleNamespace(rig=rig)
+    )
+    fit = SimpleNamespace(
+        free=("half_angle", "b"),
+        values={"half_angle": ANGLE, "b": B},
+        covariance=np.diag(SIGMAS**2),
+        touch=np.zeros(2),
+        touch_error=np.full(2, 0.01),
+        boresight=np.full((2, 2), 0.03),
+        boresight_covariance=np.tile(1e-8 * np.eye(2), (2, 1, 1)),
+    )
+    found: Any = cone_against_rig(cast(Any, fit), cast(Any, [one, one]))
+    assert [c.sigmas for c in found if c.key == "contact"] == pytest.approx([0.0, 0.0], abs=1e-9)
