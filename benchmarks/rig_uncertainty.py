@@ -49,16 +49,11 @@ def uncertainties(
         core = rig.instrument.core_radius_sigma
         found.append(("cone", {"apex_offset": core * abs(geometry.apex_offset)}))
         return found
-    names = [name for name in calibration.values if name in ("k", "half_angle", "b")]
-    rows = [[*calibration.values].index(name) for name in names]
-    values, vectors = np.linalg.eigh(calibration.covariance[np.ix_(rows, rows)])
+    _, _, covariance = calibration.cone
+    values, vectors = np.linalg.eigh(covariance)
     for value, vector in zip(values, vectors.T, strict=True):
-        beam = dict(zip(names, math.sqrt(max(value, 0.0)) * vector, strict=True))
-        moved = {"apex_offset": float(beam["b"])}
-        # d(half-angle)/dk = -sin^2.
-        slope = 1.0 if "half_angle" in beam else -(math.sin(geometry.half_angle) ** 2)
-        moved["half_angle"] = slope * float(beam.get("half_angle", beam.get("k", 0.0)))
-        found.append(("cone", moved))
+        half_angle, b = (math.sqrt(max(value, 0.0)) * vector).tolist()
+        found.append(("cone", {"half_angle": half_angle, "apex_offset": b}))
     return found
 
 

@@ -117,9 +117,8 @@ def calibrated_cone(file: Path, calibration: Calibration) -> tuple[float, float]
             f"{file} is of a {calibration.model}; a model's error is that of a cone. State "
             "beam.half_angle_deg and instrument.core_radius_mm in its place."
         )
-    values = calibration.values
-    half_angle = values["half_angle"] if "half_angle" in values else math.atan(1 / values["k"])
-    return half_angle, values["b"]
+    half_angle, b, _ = calibration.cone
+    return half_angle, b
 
 
 def workspace_of(rig: Rig, geometry: Geometry) -> WorkspaceKeys:

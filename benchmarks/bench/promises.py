@@ -22,9 +22,10 @@ from scipy.spatial.transform import Rotation
 
 import eyespot
 from eyespot import optics
-from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, phantom_wall
+from eyespot.calibration.spots.cone_trials import LEAN_SIGMA, phantom_wall
 from eyespot.estimator.distance.budget import Budgets
 from eyespot.estimator.distance.ranger import Ranger
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError

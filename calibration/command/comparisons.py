@@ -7,8 +7,8 @@ import numpy as np
 
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import ConeFit
-from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA
 from eyespot.estimator.distance.consistency import Compared, against_prior, contact
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 
 _OF_TOUCH = (
     "The recording does not begin where the rig file says (robot.touch), or the tool's axis or the "

@@ -18,6 +18,7 @@ from eyespot.calibration.command.models import cone_start, known_cone
 from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
+from eyespot.calibration.pixels.light import VIEW
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.solvers import propagated
 from eyespot.calibration.spots.cone_trials import (
@@ -41,7 +42,6 @@ from eyespot.optics.wall_light.lens import lens_parameters
 _APERTURE = 0.05  # numerical: start value
 _BLUR_PX = 1.0  # start value: a camera in focus
 _SPREAD_MM = 0.03  # start value: about that of paper
-_EITHER_IN_FILE = ("scale", "eye_radius", "inverse_working_distance")
 _BEAM = ("boresight", "boresight_sideways")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
 """Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
@@ -60,7 +60,7 @@ three are free where neither the lens nor the free parameters are chosen."""
 _HOLLOW_MM = 1e-4
 """Depth of a hollow end that counts as flat: a fifth of a wavelength, which no light shows."""
 _STATED_APART = (
-    *("touch", "robot_scale", "clock_offset", "scale", "eye_radius", "inverse_working_distance"),
+    *("touch", "robot_scale", "clock_offset", *VIEW),
     *("core_radius", "glue_index", "rim_height"),
 )
 """What a rig states and budgets show, by the names of parameters."""
@@ -129,7 +129,7 @@ def _known_lens(
         )
     shape = {name: values[name] for name in LENS_PARAMETERS if name in values}
     start = lens_parameters(optics.glue_lens(**shape))
-    start |= {name: values[name] for name in _EITHER_IN_FILE if name in values}
+    start |= {name: values[name] for name in VIEW if name in values}
     of_file = [n for n in start if n in values and calibration.sigma(n) > 0]
     known = [name for name in of_file if not names or name in names]
     if not known and not names:
@@ -223,7 +223,7 @@ def _fitted(
     def of_file(fitted: Mapping[str, ArrayLike]) -> dict[str, Array]:
         """The calibration's parameters; with the beam's direction, if it is determined."""
         every = {**fit.values, **fitted}
-        names = [name for name in _EITHER_IN_FILE if name in fitted and name in in_file]
+        names = [name for name in VIEW if name in fitted and name in in_file]
         if source == "cone":
             found = {name: every[name] for name in (*CONE, *names)}
         else:

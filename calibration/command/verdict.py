@@ -1,9 +1,9 @@
 """What a fit found, whether it is good, and what remedies a bad one.
 
 Judged by convergence, bounds, chi squared, the structure of residuals, and by what the rig file and
-the images state of the same thing. A fit has one of four
-verdicts. It is good; or good with too wide standard errors; or good with a stated misfit, whose
-effect its standard errors contain; or not good. Only the last writes no calibration.
+the images state of the same thing. A fit has one of four verdicts. It is good; or good with too
+wide standard errors; or good with a stated misfit, whose effect its standard errors contain; or not
+good. Only the last writes no calibration.
 """
 
 import math

@@ -16,7 +16,8 @@ from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
 from eyespot.calibration.recorded_trial import touch_of
 from eyespot.calibration.solvers import covariance_and_lost, propagated
-from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA, LEAN_SIGMA, JointPrior, Prior
+from eyespot.calibration.spots.cone_trials import LEAN_SIGMA, JointPrior, Prior
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.formats.inputs import InputError
 
 Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]

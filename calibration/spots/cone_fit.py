@@ -19,7 +19,6 @@ from eyespot.calibration.solvers import (
     slow_waves,
 )
 from eyespot.calibration.spots.cone_trials import (
-    BORESIGHT_SIGMA,
     HELD,
     LEAN_SIGMA,
     NUISANCES,
@@ -32,6 +31,7 @@ from eyespot.calibration.spots.cone_trials import (
     prior_terms,
     spots,
 )
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.formats.inputs import InputError
 
 PARAMETERS = (

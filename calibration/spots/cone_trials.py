@@ -22,6 +22,7 @@ from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from eyespot import optics
 from eyespot.calibration.solvers import padded
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.formats.inputs import InputError
 
 NUISANCES = (
@@ -39,9 +40,6 @@ HELD = 6
 """Number of nuisances that have a prior; the position has none."""
 LEAN_SIGMA = math.radians(1.0)
 """Standard deviation of the robot's directions, rad."""
-BORESIGHT_SIGMA = math.radians(3.0)
-"""Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
-that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
 _POINTS = 32
 _LEAST_PRIOR = 1e-6
 """Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""

@@ -15,8 +15,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from eyespot.estimator.distance.withdrawal import MOST_ASIDE_MM
-from eyespot.formats.calibration import Calibration
+from eyespot.estimator.distance.withdrawal import (
+    BORESIGHT_SIGMA,
+    MOST_ASIDE_MM,
+    MOST_ASKEW_DEG,
+    straight_line,
+)
+from eyespot.formats.calibration import CONE_MODELS, Calibration
 from eyespot.formats.poses import RobotKeys, Vector, turned
 from eyespot.formats.spots import Spot
 
@@ -136,9 +141,6 @@ pulse move a retina by some tenths of a millimetre."""
 _COMMON_TO_BOTH = frozenset({"image", "calibration", "touch", "clock"})
 """Causes of a budget that do not change the slope of distances against travel, or are counted by
 themselves."""
-_BORESIGHT = math.radians(3.0)
-"""Standard deviation of a beam's direction against its tool that was not calibrated, see
-`calibration.spots.cone_trials.BORESIGHT_SIGMA`."""
 _ROW = 10
 
 
@@ -198,13 +200,11 @@ class TipWay:
         aside = np.linalg.norm(gone - np.outer(along, towards), axis=1)
         length = float(np.linalg.norm(gone, axis=1).max())
         if np.ptp(along) < _LEAST_TRAVEL_MM or aside.max() > max(
-            MOST_ASIDE_MM, math.sin(_MOST_ASKEW) * length
+            MOST_ASIDE_MM, math.sin(math.radians(MOST_ASKEW_DEG)) * length
         ):
             return []
-        _, _, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
-        motion = lines[0] * np.copysign(1.0, lines[0] @ towards)
-        travel = gone @ motion
-        if np.linalg.norm(gone - np.outer(travel, motion), axis=1).max() > MOST_ASIDE_MM:
+        motion, travel, beside = straight_line(place, towards)
+        if beside > MOST_ASIDE_MM:
             return []
         seen, askew = _tip_by_spots(distance, at_px, motion, towards, robot, view)
         slope, scatter, freedom = slope_of(travel, seen, sigma)
@@ -235,19 +235,12 @@ class TipWay:
             (far.get(cause, 0.0) - near.get(cause, 0.0)) / span
             for cause in {*near, *far} - _COMMON_TO_BOTH
         ]
-        values = calibration.values
-        if "k" in values:
-            slopes.append(calibration.sigma("k") / values["k"])
-        elif "half_angle" in values:
-            angle = values["half_angle"]
-            slopes.append(2.0 * calibration.sigma("half_angle") / math.sin(2.0 * angle))
+        if calibration.model in CONE_MODELS:  # distances grow with k = 1/tan(half_angle)
+            angle, _, covariance = calibration.cone
+            slopes.append(2.0 * math.sqrt(covariance[0, 0]) / math.sin(2.0 * angle))
         else:  # a lens's errors count in each distance, and may change sign on the way
             slopes += [far.get("image", 0.0) / span, near.get("image", 0.0) / span]
         return math.hypot(*(slope for slope in slopes if math.isfinite(slope)))
-
-
-_MOST_ASKEW = math.radians(10.0)
-"""As of a withdrawal that is fitted."""
 
 
 def slope_of(
@@ -266,8 +259,8 @@ def slope_of(
     known = np.isfinite(sigma).all() and (sigma > 0).all()
     weight = 1.0 / sigma if known else np.ones_like(distance)
     basis = weight[:, None] * np.stack([travel - travel.mean(), np.ones_like(travel)], axis=1)
-    (slope, _), *_ = np.linalg.lstsq(basis, weight * distance, rcond=None)
-    left = weight * distance - basis @ np.linalg.lstsq(basis, weight * distance, rcond=None)[0]
+    line = np.linalg.lstsq(basis, weight * distance, rcond=None)[0]
+    left = weight * distance - basis @ line
     freedom = max(travel.size - 2.0, 1.0)
     variance = float(left @ left) / freedom
     alike = float(left[1:] @ left[:-1] / max(left @ left, 1e-300))
@@ -275,7 +268,7 @@ def slope_of(
     fewer = (1.0 + alike) / (1.0 - alike)
     growth = max(variance, 1.0) if known else variance
     error = math.sqrt(growth * fewer * np.linalg.inv(basis.T @ basis)[0, 0])
-    return float(slope), error, max(freedom / fewer, 1.0)
+    return float(line[0]), error, max(freedom / fewer, 1.0)
 
 
 _MOST_ALIKE = 0.9
@@ -297,7 +290,7 @@ def _tip_by_spots(
     """
     turn = robot.eye_from_robot
     if view is None or turn is None or view.viewing_path is not None or np.isnan(at_px).any():
-        return distance, _BORESIGHT * math.tan(math.radians(robot.incidence_deg[1]))
+        return distance, BORESIGHT_SIGMA * math.tan(math.radians(robot.incidence_deg[1]))
     in_eye = [np.array(turned((v[0], v[1], v[2]), turn)) for v in (motion, axis)]
     wall, pinhole = view.wall(), view.ideal_microscope()
     points = np.asarray(wall.intersect(*pinhole.ray(at_px)).point)

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 MOST_ASIDE_MM = 0.05
 """Largest distance of a withdrawal from its line. The spot then moves by as much, about 7 px."""
-_MOST_ASKEW_DEG = 10.0
+BORESIGHT_SIGMA = math.radians(3.0)
+"""Standard deviation of the beam's angle from the tool's axis, rad. A fibre of 0.5 mm in a tube
+that is 0.1 mm wider and holds it over 2 mm can lie 3° askew."""
+MOST_ASKEW_DEG = 10.0
 """Largest angle between the tip's motion and the tool's axis: three standard deviations of
 `BORESIGHT_SIGMA`. A larger angle is another motion, or the axis is given in another frame."""
 _LEAST_TRAVEL_MM = 0.1
@@ -98,18 +101,14 @@ def withdrawal_of(
     places = places_at(moments)
     axis = poses.axes[first : last + 1].mean(axis=0)
     axis /= np.linalg.norm(axis)
-    gone = places[0] - places
-    _, _, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
-    motion = np.asarray(lines[0] * np.copysign(1.0, lines[0] @ axis))
-    readings = gone @ motion
+    motion, readings, aside = straight_line(places, axis)
     _check_travel(float(np.ptp(readings)), where)
-    aside = np.linalg.norm(gone - readings[:, None] * motion, axis=1).max()
     askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
-    if aside > MOST_ASIDE_MM or askew > _MOST_ASKEW_DEG:
+    if aside > MOST_ASIDE_MM or askew > MOST_ASKEW_DEG:
         raise InputError(
             f"{where} is no withdrawal: the tip leaves a straight line by {aside:.2f} mm, and the "
             f"line is {askew:.1f}° from the tool's axis; {MOST_ASIDE_MM} mm and "
-            f"{_MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial; "
+            f"{MOST_ASKEW_DEG:g}° are allowed. Withdraw the tip along its axis, one spot a trial; "
             "if it was, correct robot.tool_axis or robot.columns."
         )
     _check_sense(readings, axis, robot, where)
@@ -120,6 +119,22 @@ def withdrawal_of(
     rates = np.stack([(late - early) / (2 * _RATE_S), -(late + early) / (2 * _RATE_S**2)], axis=1)
     rates -= rates[0]
     return ReportedWithdrawal(readings, motion, axis, across, rates)
+
+
+def straight_line(
+    places_mm: "Float[np.ndarray, 'n 3']", axis: "Float[np.ndarray, '3']"
+) -> "tuple[Float[np.ndarray, '3'], Float[np.ndarray, 'n'], float]":
+    """The line through a tip's places: the way back along it, towards the wall as the axis is.
+
+    Returns:
+        The line's unit vector; each place's distance from the first one against it, mm; and the
+        largest distance from the line through the first place, mm.
+    """
+    gone = places_mm[0] - places_mm
+    _, _, lines = np.linalg.svd(gone - gone.mean(axis=0), full_matrices=False)
+    motion = np.asarray(lines[0] * np.copysign(1.0, lines[0] @ axis))
+    along = gone @ motion
+    return motion, along, float(np.linalg.norm(gone - along[:, None] * motion, axis=1).max())
 
 
 def _check_times(poses: PoseTrack, first: int, last: int, where: str) -> None:

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 import eyespot
 from eyespot import optics
-from eyespot.calibration.spots.cone_trials import BORESIGHT_SIGMA
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from tests.support.files.fit_files import collected, summary
 
 LEAN, TOUCH_MM = math.radians(1.0), 0.02
