@@ -185,7 +185,6 @@ def test_what_is_missing_is_named():
 
 def test_the_command_writes_a_figure_and_prints_the_limits(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("COLUMNS", "120")
     text = (
         "[microscope]\npinhole_height_mm = 175.0\n[wall]\nradius_mm = 11.5\nmedium = 'air'\n"
         "[instrument]\ncore_radius_mm = 0.1\n[beam]\nnumerical_aperture = 0.12\n"

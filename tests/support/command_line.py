@@ -65,6 +65,8 @@ class Called(NamedTuple):
 
 def _called(command: Callable[[], object]) -> Called:
     with (
+        # A command keeps its console, as wide as it was when it was first used.
+        mock.patch.dict(os.environ, COLUMNS="400"),
         contextlib.redirect_stdout(io.StringIO()) as out,
         contextlib.redirect_stderr(io.StringIO()) as err,
     ):
@@ -93,10 +95,7 @@ def call(words: Sequence[str]) -> Called:
 
 def run(*words: object) -> Called:
     """Run a command as a person does: an expected error is a message, a bug is raised."""
-    with (
-        mock.patch.object(sys, "argv", ["eyespot", *map(str, words)]),
-        mock.patch.dict(os.environ, COLUMNS="400"),
-    ):
+    with mock.patch.object(sys, "argv", ["eyespot", *map(str, words)]):
         return _called(eyespot.main)
 
 
