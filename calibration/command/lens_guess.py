@@ -1,7 +1,7 @@
 """Lenses from which a fit to pixels starts: those whose spots look like the recorded ones."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from operator import itemgetter
 from typing import Any
 
@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from eyespot import optics
 from eyespot.calibration.pixels.data import Footage
-from eyespot.calibration.recorded_trial import RecordedTrial
+from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.lens import lens_of
@@ -21,9 +21,12 @@ _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
 _APERTURES = (0.05, 0.08, 0.12, 0.18, 0.27, 0.4)
 """Numerical apertures. Neighbours differ by half, so one is within 23 % of any other."""
+_TOUCHES = (0.1, 0.4, 1.0, 2.0, 4.0)
+"""Distances in the first frame, mm, where none is stated."""
 _REFINEMENTS = 6  # steps of a guess
 _STARTS = 3  # lenses to start from
 _SPOTS = 6  # that are compared
+_NEAREST_MM = 0.05  # distance of a spot that is compared
 _RINGS = np.linspace(0.05, 2.0, 32)
 """Radii of the rings over the spot's own, whole batches of quadrature. Behind a high drop the light
 falls from the middle on and has no edge, so all of it is compared."""
@@ -45,7 +48,8 @@ def guessed_lenses(
     """Lenses whose spots resemble the recorded ones: the best of a coarse grid, by least squares.
 
     Compares the light of rings around some spots with that on perpendicular planes, at the
-    distances given by the readings and the touch. Each spot's brightness and background are free.
+    distances given by the readings and the touch. Each spot's brightness and background are free,
+    and the touch where nobody states it.
 
     Args:
         recording: the measured spots.
@@ -54,19 +58,21 @@ def guessed_lenses(
         priors: of the drop, where it is not known.
 
     Yields:
-        The parameters of one lens after the other; those that resemble the spots come first.
+        The parameters of one lens after the other, and the touch, mm; those that resemble the spots
+        come first.
 
     Raises:
         InputError: no lens resembles the spots, although nothing is known of it.
     """
     trial = recording.trial
-    distances = np.maximum(trial.readings + trial.touch.mean, 0.05)
+    distances = np.maximum(trial.readings + trial.touch.mean, _NEAREST_MM)
     evenly = np.geomspace(distances.min(), distances.max(), _SPOTS)
     spots = np.unique(np.abs(distances - evenly[:, None]).argmin(axis=1))
     seen = np.array([_rings(recording, footage, spot) for spot in spots])
     known = np.isfinite(seen)
     radius = _RINGS * _radii_on_wall(recording)[spots, None]
-    distance = np.broadcast_to(distances[spots, None], radius.shape)
+    free = trial.touch == FREE_TOUCH
+    touches = _TOUCHES if free else (trial.touch.mean,)
     size = np.nanmax(seen, axis=1) - np.nanmin(seen, axis=1)
 
     def without_mean(light: Float[np.ndarray, "s r"]) -> Float[np.ndarray, "s r"]:
@@ -74,6 +80,8 @@ def guessed_lenses(
 
     def mismatch(lens: Mapping[str, float]) -> Float[np.ndarray, "s r"]:
         field = optics.LensField(lens_of(lens), optics.MEDIA[recording.medium])
+        distance = np.maximum(trial.readings[spots, None] + lens["touch"], _NEAREST_MM)
+        distance = np.broadcast_to(distance, radius.shape)
         light = field(radius=jnp.asarray(radius), distance=jnp.asarray(distance))[1]
         alone, own = without_mean(np.asarray(light)), without_mean(seen)
         square = np.maximum(np.sum(alone**2, axis=1), np.finfo(float).tiny)
@@ -84,7 +92,7 @@ def guessed_lenses(
         # The median tolerates outliers; no spot agrees exactly with a coarse grid.
         return float(np.median(np.square(mismatch(lens)).mean(axis=1)))
 
-    names = dict.fromkeys(("sag", "numerical_aperture", *priors))
+    names = dict.fromkeys(("sag", "numerical_aperture", *priors, *(["touch"] if free else ())))
 
     def refined(lens: dict[str, float]) -> dict[str, float]:
         """Least squares from a lens of the grid; its steps are ratios, since all are positive."""
@@ -106,11 +114,14 @@ def guessed_lenses(
         steps: Any = {"loss": "soft_l1", "diff_step": 0.02, "max_nfev": _REFINEMENTS}
         return changed(least_squares(residuals, start, bounds=within, x_scale=0.1, **steps).x)
 
-    ranked = [(misfit(kind), dict(kind))]
+    def best(lenses: Iterable[dict[str, float]]) -> tuple[float, dict[str, float]]:
+        every = ({**lens, "touch": touch} for lens in lenses for touch in touches)
+        return min(((misfit(lens), lens) for lens in every), key=itemgetter(0))
+
+    ranked = [best([dict(kind)])]
     for share in _SAGS:
         cap = {**kind, "sag": share * kind["core_radius"]}
-        lenses = [{**cap, "numerical_aperture": aperture} for aperture in _APERTURES]
-        ranked.append(min(((misfit(lens), lens) for lens in lenses), key=itemgetter(0)))
+        ranked.append(best({**cap, "numerical_aperture": aperture} for aperture in _APERTURES))
     others = []
     for _, lens in sorted(ranked, key=itemgetter(0))[:_STARTS]:
         drop = refined(lens)

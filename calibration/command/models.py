@@ -215,10 +215,10 @@ def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     priors = {k: v for k, v in tolerances(recordings).items() if k not in shared}
     free = tuple(dict.fromkeys((*(choices.names or CONE), *shared, *priors)))
     priors |= _without_touch(choices)
-    core = None if own else _free_core(recordings)
+    core = None if own else free_core(recordings)
     start = dict(own.mean) if own else cone_start(recordings)
     for _ in range(_CORE_ROUNDS if core else 1):
-        joint = own if core is None else _cone_from(core, start["half_angle"])
+        joint = own if core is None else cone_from(core, start["half_angle"])
         fit = fit_cone(
             [recording.trial for recording in recordings],
             recordings[0].microscope.pinhole(),
@@ -241,7 +241,7 @@ _ANY_ANGLE = 0.5
 """Standard deviation, rad, of a half-angle of which nothing is known."""
 
 
-def _free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
+def free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
     """Radius of the core on which the distances rest where no first distance is known.
 
     Raises:
@@ -259,7 +259,7 @@ def _free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
     return Prior(own.core_radius_mm, own.core_radius_mm * own.core_radius_sigma)
 
 
-def _cone_from(core: Prior, half_angle: float) -> JointPrior:
+def cone_from(core: Prior, half_angle: float) -> JointPrior:
     """A cone of any half-angle that leaves a core of this radius: b = -radius / tan(half_angle).
 
     Linear about a half-angle, rad.

@@ -14,7 +14,7 @@ from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import pixels_against_rig
 from eyespot.calibration.command.lens_guess import guessed_lenses
-from eyespot.calibration.command.models import cone_start, known_cone
+from eyespot.calibration.command.models import cone_from, cone_start, free_core, known_cone
 from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
@@ -74,6 +74,11 @@ def fit_image_of_cone(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     footage = _footage(recording, choices)
     own = known_cone(choices.known, recordings) if choices.known else None
     start = dict(own.mean) if own else cone_start(recordings)
+    if recording.trial.touch == FREE_TOUCH:
+        line, core = cone_start(recordings), free_core(recordings)
+        own = own or cone_from(core, start["half_angle"])
+        start |= own.mean
+        start["touch"] = start["b"] - line["b"]
     if "blur" in choices.names:
         start["blur"] = _BLUR_PX
     return _fitted(recording, footage, choices, "cone", [start], joint_prior=own)
@@ -90,17 +95,27 @@ def fit_image_of_lens(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     (recording,) = recordings
     footage = _footage(recording, choices)
     if choices.known:
+        if recording.trial.touch == FREE_TOUCH:
+            raise InputError(
+                f"{recording.name}: robot.touch is free; a lens that is known is fitted from a "
+                "first distance that is known, too. Give --prior touch=MEAN,SIGMA, in mm."
+            )
         start, joint = _known_lens(choices.known, choices.names)
         choices = choices.model_copy(update={"free": ",".join(choices.names or joint.mean)})
         return _fitted(recording, footage, choices, "lens", [start], joint_prior=joint)
     radius, drop, glue = recording.fibre_radius_mm, {}, {}
+    tip = recording.recording.rig.instrument
     if choices.lens:
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
         drop = {name: Prior(*(radius * x for x in prior)) for name, prior in DROP.items()}
+        if tip.core_radius_mm is not None:
+            core = Prior(tip.core_radius_mm, tip.core_radius_mm * tip.core_radius_sigma)
+            drop["core_radius"] = core
         drop |= {name: prior for name, prior in choices.priors.items() if name in drop}
         kind = {name: prior.mean for name, prior in drop.items()}
-        tip = recording.recording.rig.instrument
+        # What is known exactly is not free.
+        drop = {name: prior for name, prior in drop.items() if prior.sigma > 0}
         kind |= {"rim_height": 0.0, "glue_index": tip.glue_index}
         of_glue = {
             "rim_height": Prior(0.0, tip.rim_height_sigma_mm),
@@ -190,15 +205,10 @@ def _fitted(
     The likeliest of the `starts` comes first. Parameters with a prior in `more` are free beside
     those free by default. A calibration gives the beam's `joint_prior`.
     """
-    if recording.trial.touch == FREE_TOUCH:
-        raise InputError(
-            f"{recording.name}: robot.touch is free, and pixels do not say how far the tip was in "
-            "the first frame before the beam is known. Give --prior touch=MEAN,SIGMA, in mm."
-        )
     known = _pose_start(recording)
     shared = joint_prior.mean if joint_prior else ()
     tolerated = {k: v for k, v in tolerances([recording]).items() if k not in shared}
-    more = {**(more or {}), **tolerated}
+    more = {"touch": recording.trial.touch, **(more or {}), **tolerated}
     microscope = microscope_of([recording])
     in_file = {*choices.names, *shared, *(OF_MICROSCOPE if microscope else ())}
     if "spread" in choices.names:

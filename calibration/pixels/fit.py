@@ -11,7 +11,14 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
-from eyespot.calibration.pixels.light import ENCLOSED, NEAREST_MM, STATES, Cells, LinearLensLight
+from eyespot.calibration.pixels.light import (
+    ENCLOSED,
+    NEAREST_MM,
+    STATES,
+    VIEW,
+    Cells,
+    LinearLensLight,
+)
 from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
 from eyespot.calibration.recorded_trial import touch_of
@@ -243,7 +250,7 @@ class _FitRun(NamedTuple):
         side = int(np.clip(round(share * self.radius_px), 1, _WIDEST_PX[first]))
         # A table is not valid near the tip, and a beam whose tip is behind the wall lights nothing.
         nearest = 0.5 * NEAREST_MM if self.lens else 0.0
-        usable = np.flatnonzero(self.footage.readings + self.priors["touch"].mean > nearest)
+        usable = np.flatnonzero(self.footage.readings + point.values["touch"] > nearest)
         count = len(usable) if every else min(len(usable), _SOME[first])
         return BeamSolver(
             self.footage,
@@ -331,19 +338,23 @@ class _FitRun(NamedTuple):
         if self.lens is not None:
             self.lens.tabulate(solver.point.values, coarse=coarse)
 
-    def _settled(self, solver: BeamSolver) -> tuple[Failure | None, np.ndarray | None]:
-        """Iterate until a lens's table is exact at the minimum; say why if it never is.
+    def _linearise(self, solver: BeamSolver) -> None:
+        self._tabulate(solver, coarse=False)
+        solver.look()
 
-        Within a minimisation the table is linear in the lens's parameters. Each new table corrects
-        the terms of second order, and brings new errors of its quadrature, which finds or misses
-        arcs. A step to a table with a larger cost went too far, and is halved. If that ends where
+    def _settled(self, solver: BeamSolver) -> tuple[Failure | None, np.ndarray | None]:
+        """Iterate until a lens's table and the view are exact at the minimum; say why if never.
+
+        Within a minimisation the light is linear in the parameters of lens and view. Each new table
+        corrects the terms of second order, and brings new errors of its quadrature, which finds or
+        misses arcs. A step to a table with a larger cost went too far, and is halved. If that ends where
         the step began, or steps do not become short, the last whole step shows these errors' effect
         on the parameters, which becomes part of the covariance.
         """
         best, least, asked = solver.point, math.inf, np.zeros(len(self.names))
         left = whole = 0.0
         for _ in range(_MOST_TABLES):
-            self._tabulate(solver, coarse=False)
+            self._linearise(solver)
             point = solver.point
             found = solver.minimise(_TOLERANCE[False], follow=False)
             if not found.converged:
@@ -361,14 +372,14 @@ class _FitRun(NamedTuple):
                 # In standard errors. By the information, a step along a valley of equal light that
                 # is long and bent would count as a hundred of them.
                 left = whole = math.sqrt(max(found.first - found.at.cost, 0.0))
-            if self.lens is None or left < _NEAR:
+            if not solver.is_linear or left < _NEAR:
                 break
         if too_far:
             solver.point = best
-            self._tabulate(solver, coarse=False)
+            self._linearise(solver)
             solver.evaluate()
             left = whole
-        elif self.lens is None or left < _NEAR:
+        elif not solver.is_linear or left < _NEAR:
             return None, None
         if left > _MOST_OF_TABLE:
             why = (
@@ -389,7 +400,10 @@ class _FitRun(NamedTuple):
         """
         values, at = solver.point.values, self.names.index("core_radius")
         core = values["core_radius"]
-        sigma = math.sqrt(np.linalg.pinv(solver.effective()[0])[at, at]) * solver.sizes[at]
+        # As the images tell it: with the scale of robot or microscope it is all lengths that err.
+        own = [k for k, name in enumerate(self.names) if name not in (*VIEW, "robot_scale")]
+        covariance = np.linalg.pinv(solver.effective()[0][np.ix_(own, own)])
+        sigma = math.sqrt(covariance[own.index(at), own.index(at)]) * solver.sizes[at]
         if sigma < _KNOWN_CORE * core:
             return of_table
         wider = core + 2.0 * sigma
@@ -423,7 +437,7 @@ class _FitRun(NamedTuple):
         if failed is None and solver.equations.cost < cost - gain:
             return of_last
         solver.point = here
-        self._tabulate(solver, coarse=False)
+        self._linearise(solver)
         solver.evaluate()
         return of_table
 

@@ -303,6 +303,9 @@ class FrameLight(NamedTuple):
 class Light:
     """The light of all frames of a withdrawal on one lattice of cells.
 
+    Where parameters of the view (`VIEW`) are free, the light is linear in them around those of the
+    last `look`: their derivatives take as long as three more models.
+
     Args:
         names: names of the free parameters.
         lens: the light of a fit's lens; None for a cone.
@@ -316,13 +319,34 @@ class Light:
         self.own = tuple(name for name in names if name in (CONE if lens is None else LENS))
         of_cone = np.array([[name == free for free in self.own] for name in CONE], float)
         self._of_cone = of_cone.reshape(len(CONE), len(self.own))
-        self.differences = [name for name in VIEW if name in names]
-        self._view = functools.lru_cache(maxsize=8)(functools.partial(_WallView, footage, cells))
+        self.of_view = tuple(name for name in VIEW if name in names)
+        self._view = functools.lru_cache(maxsize=4)(functools.partial(_WallView, footage, cells))
+        self._looked: dict[str, float] = {}
+        self._by_view: dict[int, np.ndarray] = {}  # by number of frame, of all cells
         self._last: tuple[Any, list[FrameLight]] = None, []
 
     def view(self, values: Mapping[str, float]) -> "_WallView":
         """The wall as the microscope sees it."""
         return self._view(*(values[name] for name in VIEW))
+
+    def look(
+        self,
+        values: Mapping[str, float],
+        states: Float[np.ndarray, "frames 7"],
+        numbers: Sequence[int],
+    ) -> None:
+        """Make the light of some frames linear in the view around that of these parameters."""
+        self._looked = {name: values[name] for name in self.of_view}
+        self._by_view = {k: np.zeros((len(self.of_view), self.cells.along**2)) for k in numbers}
+        self._last = None, []
+        here = self._frames(values, states, numbers, False) if self.of_view else None
+        for row, name in enumerate(self.of_view):
+            step = _STEP * max(abs(values[name]), _LEAST_SIZE)
+            moved = self._frames({**values, name: values[name] + step}, states, numbers, False)
+            if here is None or moved is None:  # a beam that meets no wall
+                continue
+            for number, own, other in zip(numbers, here, moved, strict=True):
+                self._by_view[number][row, own.cells] = (other.light - own.light) / step
 
     def frames(
         self,
@@ -344,18 +368,18 @@ class Light:
         place = tuple(values.items()), states[list(numbers)].tobytes(), tuple(numbers), tables
         if place == self._last[0]:
             return self._last[1]
-        found = self._frames(values, states, numbers, slopes)
-        if found is None or not slopes:
-            return found
-        for name in self.differences:
-            step = _STEP * max(abs(values[name]), _LEAST_SIZE)
-            moved = self._frames({**values, name: values[name] + step}, states, numbers, False)
-            if moved is None:
-                return None
-            at = self.names.index(name)
-            for own, other in zip(found, moved, strict=True):
-                own.slopes[at] = (other.light - own.light) / step
-        self._last = place, found
+        found = self._frames({**values, **self._looked}, states, numbers, slopes)
+        if found is None:
+            return None
+        rows = [self.names.index(name) for name in self._looked]
+        moved = np.array([values[name] - at for name, at in self._looked.items()])
+        for k, own in enumerate(found if rows else ()):
+            by_view = self._by_view[numbers[k]][:, own.cells]
+            found[k] = own._replace(light=own.light + moved @ by_view)
+            if slopes:
+                own.slopes[rows] = by_view
+        if slopes:
+            self._last = place, found
         return found
 
     def _frames(

@@ -63,6 +63,7 @@ _OF_TABLE = 0.25 * TABLE_ERROR
 """Error of a lens's light in a cell, relative to the frame's brightest. A mean errs less than a
 sample of the table."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
+_TOUCH_MM = 0.1  # size of steps of the first distance where nobody states it
 _FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
 _LEARNINGS = 30  # of the variances, with the model as it is
 _SURE = 5.0  # standard deviations of chi squared beyond which a wall is not even
@@ -155,6 +156,15 @@ class BeamSolver:
         """Number of cells that are used, over all frames."""
         return int(np.count_nonzero(self.weight))
 
+    @property
+    def is_linear(self) -> bool:
+        """Whether the model is linear in parameters around those of a table or of a view."""
+        return self.lens is not None or bool(self.light.of_view)
+
+    def look(self) -> None:
+        """Make the light linear in the view around that of the point."""
+        self.light.look(self.point.values, self.point.states, self.numbers)
+
     def choose(self, *, guess: bool) -> None:
         """Choose the cells and their weights by the model.
 
@@ -165,6 +175,7 @@ class BeamSolver:
             InputError: hardly any cell is usable.
         """
         footage, side = self.footage, self.cells.side
+        self.look()
         view = self.light.view(self.point.values)
         margin = (_MARGIN_PX[guess] + 0.5**0.5 * (side - 1)) * footage.microscope.scale_mm_px
         nearest = _NEAREST_CONE_MM if self.lens is None else NEAREST_MM
@@ -565,4 +576,6 @@ def _size(name: str, values: Mapping[str, float], priors: Mapping[str, Prior]) -
     value = values[name]
     own = {"u": 1.0, "v": 1.0, "sag": max(value, 0.01)}
     own["illumination"] = max(value, 0.01)
+    if name == "touch":
+        return min(priors[name].sigma, _TOUCH_MM)
     return priors[name].sigma if name in priors else own.get(name) or abs(value) or 1.0

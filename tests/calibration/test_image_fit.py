@@ -263,9 +263,12 @@ SEEN |= {"sensitivity": 200.0, "illumination": 0.05, "touch": 0.15, "u": 64.0, "
 
 def changed_light(light: Light, *ends: tuple[dict[str, float], np.ndarray]) -> np.ndarray:
     """What the one frame's light gains between two ends, each of values and states."""
-    low, high = (light.frames(values, states, [0], slopes=False) for values, states in ends)
-    assert low is not None and high is not None
-    return np.asarray(high[0].light - low[0].light)
+    found = []
+    for values, states in ends:
+        light.look(values, states, [0])
+        found += light.frames(values, states, [0], slopes=False) or ()
+    low, high = found
+    return np.asarray(high.light - low.light)
 
 
 def test_slopes_are_those_of_central_differences():
@@ -274,6 +277,7 @@ def test_slopes_are_those_of_central_differences():
     values |= SEEN | pose
     light = Light(one_frame(), Cells.over((128, 128), 4), tuple(values), None)
     states = 0.1 * np.eye(1, len(STATES))
+    light.look(values, states, [0])
     found = light.frames(values, states, [0])
     assert found is not None
     differences = {}
