@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docs.messages import cell, errors_page, reasons_page
+from docs.messages import cell, failures_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
 from eyespot.scenes import Scene
@@ -57,8 +57,7 @@ def write_pages(folder: Path) -> None:
         "commands.md": [_commands()],
         "scene_keys.md": _scene_keys(),
         "files.md": _files(),
-        "messages.md": reasons_page(),
-        "errors.md": errors_page(),
+        "messages.md": failures_page(),
     }
     for name, lines in pages.items():
         _write(folder / name, "\n".join(lines) + "\n")

@@ -1,6 +1,5 @@
 """The reference that docs/generated.py writes leaves nothing out, and its schemas are true."""
 
-import ast
 import json
 import pkgutil
 import re
@@ -13,7 +12,6 @@ import pandas as pd
 import pytest
 
 from docs.generated import write_pages
-from docs.messages import _ERRORS, PACKAGES
 from docs.schemas import KINDS, rows_of, schema_of
 from eyespot.calibration.command.verdict import Fault
 from eyespot.estimator.distance.budget import Cause
@@ -22,6 +20,7 @@ from eyespot.scenes import Scene
 from tests.support.command_line import WORDS, options_of, printed
 
 HOME = Path(__file__).resolve().parents[2]
+PACKAGES = ("formats", "optics", "scenes", "estimator", "calibration", "benchmarks")
 SAMPLE = HOME / "benchmarks" / "sets" / "score" / "sample-v2"
 
 
@@ -57,32 +56,6 @@ def test_every_reason_is_there_with_what_to_do(pages):
             assert f"| `{one.value}` | {one.meaning}" in text
     for fault in Fault:
         assert f"| {fault.name.lower().replace('_', ' ')} |" in text
-
-
-@pytest.fixture(scope="module")
-def nodes():
-    paths = [path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))]
-    trees = ((str(path), ast.parse(path.read_text(encoding="utf-8"))) for path in paths)
-    return [(file, node) for file, tree in trees for node in ast.walk(tree)]
-
-
-def test_every_message_of_wrong_input_is_there(pages, nodes):
-    text = pages["errors.md"]
-    for file, node in nodes:
-        if isinstance(node, ast.Raise) and isinstance(node.exc, ast.Call) and node.exc.args:
-            if ast.unparse(node.exc.func) in _ERRORS:
-                message = node.exc.args[0]
-                parts = message.values if isinstance(message, ast.JoinedStr) else [message]
-                texts = [part.value for part in parts if isinstance(part, ast.Constant)]
-                # The longest fixed text; without a text of its own it is another error's.
-                fixed = max(map(str, texts), key=len, default="")
-                assert " ".join(fixed.split()) in text, f"{file}:{node.lineno}"
-
-
-def test_every_error_that_a_user_can_correct_is_known(nodes):
-    for file, node in nodes:
-        if isinstance(node, ast.ClassDef) and {*map(ast.unparse, node.bases)} & {*_ERRORS}:
-            assert node.name in _ERRORS, f"{file}:{node.lineno}"
 
 
 PAGES = {
