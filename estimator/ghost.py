@@ -49,6 +49,21 @@ class Ghost(NamedTuple):
         """The share over its standard deviation."""
         return self.share / self.sigma
 
+    @property
+    def doubt(self) -> float:
+        """1 where one set of frames makes it likely; 2 where it is sure without others."""
+        return min(self.sigmas / _SURE_SIGMAS, self.share / _LEAST_SHARE)
+
+    @property
+    def said(self) -> str:
+        """Where it is, in words."""
+        right, down = self.shift_px
+        return (
+            f"the spot has a ghost, a second image some {right:+.0f} px to the right and "
+            f"{down:+.0f} px down of it, at least {100 * self.share:.0f} % as bright. Look for "
+            "reflexes of a cover glass, a lens or the eye"
+        )
+
 
 def strongest_ghost(
     residual: Float[np.ndarray, "f n"],
@@ -162,9 +177,8 @@ class GhostWatch:
         if len(self._kept) < _FEWEST_FRAMES:
             return
         ghost = _beside_discs(self._kept) or _NONE
-        doubts = min(ghost.sigmas / _SURE_SIGMAS, ghost.share / _LEAST_SHARE)
-        sure = doubts > 2.0 or (doubts > 1.0 and self._doubted)
-        self._doubted = doubts > 1.0
+        sure = ghost.doubt > 2.0 or (ghost.doubt > 1.0 and self._doubted)
+        self._doubted = ghost.doubt > 1.0
         self.found = ghost if sure else None
         if sure and ghost.share > (self.strongest or _NONE).share:
             self.strongest = ghost

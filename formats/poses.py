@@ -191,8 +191,7 @@ class RobotKeys(Strict):
     touch: Literal["contact", "free"] | PairKey = Field(
         "contact",
         description="Distance of the tip in the first frame: 'contact' (its rim touches the wall), "
-        "'free' (unknown; a cone's b then rests on instrument.core_radius_mm), or [MEAN, SIGMA], "
-        "mm.",
+        "'free' (unknown; distances then rest on instrument.core_radius_mm), or [MEAN, SIGMA], mm.",
     )
     touch_sigma_mm: SigmaKey = Field(
         _TOUCH_SIGMA_MM, description="Standard uncertainty of the contact."

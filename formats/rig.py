@@ -205,8 +205,8 @@ class InstrumentKeys(Strict):
     core_radius_mm: _Length | None = Field(
         None,
         examples=["0.25"],
-        description="Radius of the core that the light fills. With robot.touch = 'free' the "
-        "distances rest on it.",
+        description="Radius of the core that the light fills; a lens's fit begins with it. With "
+        "robot.touch = 'free' the distances rest on it.",
     )
     core_radius_sigma: ShareKey = Field(0.01, description="Relative uncertainty of core_radius_mm.")
     glue_index: Annotated[float, Field(ge=1, le=4)] = Field(

@@ -1,10 +1,11 @@
 """What a fit found, against what the rig file states of it."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from eyespot.calibration.pixels.fit import ImageFit
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import ConeFit
 from eyespot.estimator.distance.consistency import Compared, against_prior, contact
@@ -32,14 +33,7 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
     for number, one in enumerate(recordings):
         own = one.recording.rig.instrument
         if one.ghost is not None:
-            right, down = one.ghost.shift_px
-            yield Compared(
-                "ghost",
-                one.ghost.sigmas,
-                f"{one.name}: the spot has a ghost, a second image some {right:+.0f} px to the "
-                f"right and {down:+.0f} px down of it, at least {100 * one.ghost.share:.0f} % as "
-                "bright. Look for reflexes of a cover glass, a lens or the eye",
-            )
+            yield Compared("ghost", one.ghost.sigmas, f"{one.name}: {one.ghost.said}")
         if one.trial.touch == FREE_TOUCH:  # b then rests on the core
             continue
         yield contact(
@@ -56,15 +50,11 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
             yield from _of_beam(one, aside, sigma)
 
 
-def pixels_against_rig(
-    parameters: Mapping[str, tuple[float, float]], one: RecordedTrial
-) -> Iterator[Compared]:
-    """First distance and direction of a beam that was fitted to pixels, against the rig.
-
-    Args:
-        parameters: value and standard deviation of what was fitted.
-    """
-    for name, (value, sigma) in parameters.items():
+def pixels_against_rig(fit: ImageFit, one: RecordedTrial) -> Iterator[Compared]:
+    """First distance and direction of a beam that was fitted to pixels, against the rig; ghosts."""
+    if fit.ghost is not None and fit.ghost.doubt > 1.0:
+        yield Compared("ghost", fit.ghost.sigmas, f"{one.name}: {fit.ghost.said}")
+    for name, (value, sigma) in fit.parameters.items():
         if name == "touch":
             yield from _of_touch(one, value, sigma)
         elif name in ("boresight", "boresight_sideways"):

@@ -74,8 +74,8 @@ def fit_image_of_cone(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     footage = _footage(recording, choices)
     own = known_cone(choices.known, recordings) if choices.known else None
     start = dict(own.mean) if own else cone_start(recordings)
-    if recording.trial.touch == FREE_TOUCH:
-        line, core = cone_start(recordings), free_core(recordings)
+    if core := free_core(recordings):
+        line = cone_start(recordings)
         own = own or cone_from(core, start["half_angle"])
         start |= own.mean
         start["touch"] = start["b"] - line["b"]
@@ -281,7 +281,7 @@ def _fitted(
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals={},
-        disagreements=disagreements(pixels_against_rig(fit.parameters, recording)),
+        disagreements=disagreements(pixels_against_rig(fit, recording)),
         recordings=[recording],
         used=len(pixels.frames),
         others=[

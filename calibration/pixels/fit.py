@@ -25,6 +25,7 @@ from eyespot.calibration.recorded_trial import touch_of
 from eyespot.calibration.solvers import covariance_and_lost, propagated
 from eyespot.calibration.spots.cone_trials import LEAN_SIGMA, JointPrior, Prior
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
+from eyespot.estimator.ghost import Ghost, strongest_ghost
 from eyespot.formats.inputs import InputError
 
 Failure = tuple[Literal["STEPS", "FIRST_ROUND", "TABLES"], str]
@@ -59,6 +60,7 @@ class ImageFit:
         residuals: light minus model over sigma, frames x h x w; NaN for pixels not fitted. The
             pixels of a cell all have the residual of its mean.
         side: of the cells, px.
+        ghost: a second image of the spot, the one that explains best what is left of the light.
     """
 
     parameters: dict[str, tuple[float, float]]
@@ -78,6 +80,7 @@ class ImageFit:
     states: dict[str, float]
     residuals: Float[np.ndarray, "frames h w"]
     side: int
+    ghost: Ghost | None = None
 
     @property
     def converged(self) -> bool:
@@ -128,6 +131,8 @@ _KNOWN_CORE = 0.005
 """Relative standard error of a core up to which one fit is enough."""
 _SAME_COST = 4.0
 """Difference of two fits' chi squared that says nothing: two standard errors of one parameter."""
+_GHOST_FRAMES = 6  # evenly over the withdrawal, in which a ghost is looked for
+_DARK = 1e-6  # of a frame's peak, where there may be no light at all
 _NAMED = 10  # frames that an error message names
 
 
@@ -347,9 +352,9 @@ class _FitRun(NamedTuple):
 
         Within a minimisation the light is linear in the parameters of lens and view. Each new table
         corrects the terms of second order, and brings new errors of its quadrature, which finds or
-        misses arcs. A step to a table with a larger cost went too far, and is halved. If that ends where
-        the step began, or steps do not become short, the last whole step shows these errors' effect
-        on the parameters, which becomes part of the covariance.
+        misses arcs. A step to a table with a larger cost went too far, and is halved. If that ends
+        where the step began, or steps do not become short, the last whole step shows these errors'
+        effect on the parameters, which becomes part of the covariance.
         """
         best, least, asked = solver.point, math.inf, np.zeros(len(self.names))
         left = whole = 0.0
@@ -493,6 +498,7 @@ def _result(
             slice(-cells.left, width - cells.left),
         )
         residuals[solver.numbers[k]] = whole[rows, columns]
+    ghost = _ghost_of(solver)
     solver.weigh_by_noise()
     least, _ = covariance_and_lost(solver.effective()[0], names)
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
@@ -516,4 +522,28 @@ def _result(
         numerical_inflation=inflation,
         over_bound=float(np.max(over, initial=0.0, where=np.isfinite(over))),
         side=side,
+        ghost=ghost,
+    )
+
+
+def _ghost_of(solver: BeamSolver) -> Ghost | None:
+    """The ghost that explains best what some frames leave of the light."""
+    cells = solver.cells
+    some = np.unique(np.linspace(0, len(solver.numbers) - 1, _GHOST_FRAMES).round().astype(int))
+    shape = len(some), cells.along**2
+    residual, weight, light = (np.zeros(shape) for _ in range(3))
+    total, slopes = np.ones(shape), []
+    for row, k in enumerate(some):
+        own = solver.now.frames[k]
+        at, modelled = own.cells, solver.map[own.cells] * own.light
+        modelled = np.maximum(modelled, _DARK * modelled.max())
+        residual[row, at] = solver.now.rest[k] / modelled
+        weight[row, at] = solver.weight[k, at] * modelled**2
+        light[row, at], total[row, at] = np.maximum(own.direct, 0.0), own.light
+        by = np.zeros((len(solver.names) + len(STATES), cells.along**2))
+        by[:, at] = solver.slopes(k) / modelled
+        slopes.append(by)
+    square = len(some), cells.along, cells.along
+    return strongest_ghost(
+        residual, weight, light.reshape(square), total.reshape(square), slopes, side_px=cells.side
     )

@@ -136,6 +136,8 @@ class LinearLensLight:
             self.tabulate(values, coarse=self._coarse)
 
     def _is_beyond(self, change: float, values: Mapping[str, float]) -> bool:
+        # A rim below the core's face is that of the noise: no table has one.
+        values = {**values, "rim_height": max(values["rim_height"], 0.0)}
         sizes = {name: abs(self._at[name]) for name in self._by}
         if "rim_height" in sizes:  # which may be 0
             sizes["rim_height"] = max(sizes["rim_height"], self._at["aperture_radius"])

@@ -422,6 +422,11 @@ class BeamSolver:
         step = self.difference(other, self.point)
         return math.sqrt(max(float(step @ self.effective()[0] @ step), 0.0))
 
+    def slopes(self, k: int) -> Float[np.ndarray, "p+7 n"]:
+        """Derivatives of a frame's light by the parameters' coordinates, and by its states."""
+        by = self.by_coordinates(self.point.values)
+        return self._slopes(k, self.now.frames[k], self.map, by)
+
     def _slopes(
         self, k: int, own: FrameLight, texture: np.ndarray, by: Float[np.ndarray, "p p"]
     ) -> Float[np.ndarray, "p+7 n"]:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tomli_w
 
+import eyespot
 from eyespot import optics, scenes
 from eyespot.calibration.command.pixel_models import pixel_residuals
 from eyespot.calibration.pixels.data import footage_of
@@ -114,6 +115,27 @@ def test_the_cone_is_found_in_pixels(cone, tmp_path):
     page = out.with_suffix(".html").read_text()
     assert "<b>A good fit.</b>" in page
     assert "Maps of residuals for groups of frames" in page
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", ["distance", "core"])
+def test_the_cone_is_found_in_pixels_of_a_recording_that_begins_far_from_contact(cone, known):
+    whole = Recording.open(cone)
+    frames = [*whole.source][3:]
+    keys: dict[str, Any] = {"robot.touch": [cone.labels[3].d_mm, 0.02]}
+    if known == "core":
+        keys = {"robot.touch": "free", "instrument.core_radius_mm": -B * math.tan(HALF_ANGLE)}
+    recording = Recording(
+        np.array([frame.image for frame in frames]),
+        times=[frame.time_s for frame in frames],
+        exposure_s=[frame.exposure_s for frame in frames],
+        poses=whole.robot(),
+        rig=whole.rig.changed(keys),
+    )
+    found = eyespot.fit(recording, model="image").calibration
+    assert_within(found, {"half_angle": HALF_ANGLE, "b": B}, 3)
+    # b is known as well as the distance, 0.02 mm, or as the core, 1 %.
+    assert found.sigma("b") == pytest.approx({"distance": 0.02, "core": 0.0512}[known], rel=0.3)
 
 
 @pytest.mark.slow  # the lens's light takes a minute to compute

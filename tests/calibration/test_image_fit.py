@@ -17,7 +17,7 @@ from scipy import integrate, ndimage, stats
 from eyespot import calibration, optics
 from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, footage_of
 from eyespot.calibration.pixels.fit import fit_image
-from eyespot.calibration.pixels.light import STATES, Cells, Light, LinearLensLight
+from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light, LinearLensLight
 from eyespot.calibration.spots.cone_trials import JointPrior
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response
@@ -263,7 +263,7 @@ SEEN |= {"sensitivity": 200.0, "illumination": 0.05, "touch": 0.15, "u": 64.0, "
 
 def changed_light(light: Light, *ends: tuple[dict[str, float], np.ndarray]) -> np.ndarray:
     """What the one frame's light gains between two ends, each of values and states."""
-    found = []
+    found: list[FrameLight] = []
     for values, states in ends:
         light.look(values, states, [0])
         found += light.frames(values, states, [0], slopes=False) or ()
