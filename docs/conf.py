@@ -65,7 +65,7 @@ copybutton_prompt_is_regexp = True
 sphinx_gallery_conf = {
     "examples_dirs": ["gallery"],
     "gallery_dirs": ["auto_gallery"],
-    "filename_pattern": r"/\w+\.py$",
+    "filename_pattern": r"/plot_\w+\.py$",  # others are shown, and not run
     "ignore_pattern": r"__init__\.py",
     "download_all_examples": False,
     "show_memory": False,

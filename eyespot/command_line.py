@@ -55,9 +55,6 @@ COMMANDS = {
     "rivals": {
         "benchmarks.rivals.running:run": "Measure the images of a set with all entries.",
         "benchmarks.rivals.running:tune": "Choose the free constants of the entries.",
-        "benchmarks.rivals.learned.training:train": (
-            "Train the learned estimator, and calibrate it."
-        ),
     },
     "study": {
         "benchmarks.studies.static:static": "The paper's Tables I and II, many times.",
@@ -139,7 +136,7 @@ groups = {"": app} | {
         ("scene", "Write and check scene files."),
         ("rig", "Write a rig file, and check it with a recording."),
         ("dataset", "Labelled sets: make, verify, push. `dataset SPEC` is `dataset make SPEC`."),
-        ("rivals", "Compare with other software and a learned estimator; tune and train them."),
+        ("rivals", "Compare with other software, and choose its constants."),
         ("study", "Run a study; each writes a report, CSV files and figures."),
     )
 }

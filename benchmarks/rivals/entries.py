@@ -1,10 +1,9 @@
-"""All entries by name, each with what it is and how it is made; eyespot's own and the network."""
+"""All entries by name, each with what it is and how it is made."""
 
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import cv2
@@ -13,7 +12,6 @@ from skimage.color import rgb2gray
 from skimage.filters import gaussian
 from skimage.measure import EllipseModel, find_contours, ransac
 
-from eyespot.benchmarks.rivals.learned.network import LearnedEstimator, PixelSquare, blob_in
 from eyespot.benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from eyespot.benchmarks.sets.read import Mode, own_reader, plain_spot
 from eyespot.estimator import Frame, Range
@@ -102,6 +100,31 @@ class OpenCV(Entry):
         return plain_spot(x, y, *axes, math.radians(degrees)), None
 
 
+_BLOB_CELL_PX, _BLOB_BLUR_CELLS = 8, 1.5
+_LEAST_CONTRAST_DN = 2.0  # of a blob over the frame's median
+_SQUARE_RADII = 1.9  # half a square's side: the spot's surroundings are inside
+_LEAST_HALF_PX = 24
+
+
+def square_around_blob(image: np.ndarray) -> tuple[int, int, int] | None:
+    """Left and upper edge and side (px) of a square around the brightest blurred blob, if any."""
+    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+    height, width = (max(side // _BLOB_CELL_PX, 1) for side in grey.shape)
+    coarse = cv2.resize(grey.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    coarse = cv2.GaussianBlur(coarse, (0, 0), _BLOB_BLUR_CELLS)
+    dark, bright = float(np.median(coarse)), float(coarse.max())
+    if bright - dark < _LEAST_CONTRAST_DN:
+        return None
+    above = (coarse > (dark + bright) / 2).astype(np.uint8)
+    _, labels, stats, centres = cv2.connectedComponentsWithStats(above)
+    label = labels[np.unravel_index(np.argmax(coarse), coarse.shape)]
+    cell = np.array([grey.shape[1] / width, grey.shape[0] / height])
+    radius = math.sqrt(stats[label, cv2.CC_STAT_AREA] * cell.prod() / math.pi)
+    half = max(_SQUARE_RADII * radius, _LEAST_HALF_PX)
+    left, top = np.rint((centres[label] + 0.5) * cell - half).astype(int).tolist()
+    return left, top, round(2 * half)
+
+
 # scikit-image's `EllipseModel` with RANSAC on edges.
 
 _SAMPLE = 6  # points of a trial; five determine an ellipse, one more steadies it
@@ -139,10 +162,10 @@ class Ransac(Entry):
 
     def read(self, frame: Frame) -> Answer:
         """The ellipse of the edges around the brightest blob."""
-        blob = blob_in(frame.image)
-        if blob is None:
+        square = square_around_blob(frame.image)
+        if square is None:
             return NO_SPOT
-        left, top, side = PixelSquare.around(blob)
+        left, top, side = square
         left, top, right, bottom = max(left, 0), max(top, 0), left + side, top + side
         smooth = gaussian(rgb2gray(frame.image[top:bottom, left:right]), self.edge_px)
         border = np.concatenate([smooth[0], smooth[-1], smooth[:, 0], smooth[:, -1]])
@@ -225,72 +248,35 @@ class EyespotMode(Entry):
         return reading.result, reading.range
 
 
-class LearnedEntry(Entry):
-    """The network, frame by frame; the distance is its own if `direct`, else by its ellipse."""
-
-    def __init__(self, weights: Path, *, direct: bool) -> None:
-        self.own_distance = direct
-        self._estimator = LearnedEstimator.load(weights)
-
-    def begin(
-        self, microscope: MicroscopeFile, beam: Calibration, click: tuple[float, float]
-    ) -> None:
-        """Note the microscope."""
-        self._microscope = microscope
-
-    def read(self, frame: Frame) -> Answer:
-        """Measure a frame."""
-        said = self._estimator.measure(frame.image, self._microscope)
-        if said is None:
-            return NO_SPOT
-        x, y, first, second, angle = said.ellipse.tolist()
-        spot = plain_spot(x, y, first, second, angle, said.covariance)
-        if not self.own_distance:
-            return spot, None
-        return spot, Range(distance_mm=said.distance_mm, sigma_mm=said.sigma_distance_mm)
-
-
 class Kind(NamedTuple):
-    """A kind of entry, made from its constants and the network's weights."""
+    """A kind of entry, made from its constants."""
 
     about: str  # for entry.json and the documentation
-    make: Callable[[Mapping[str, Any], Path], Entry]
+    make: Callable[[Mapping[str, Any]], Entry]
     packages: tuple[str, ...]  # distributions whose versions matter
     grid: Mapping[str, tuple[Any, ...]] = {}  # values of free constants to try, the start first
 
 
-_LEARNED = ("equinox", "jax", "opencv-python-headless")
-
 KINDS: dict[str, Kind] = {
     "subpixel": Kind(
         "eyespot's sub-pixel mode: the half-maximum contour",
-        lambda constants, _: EyespotMode("subpixel", constants),
+        lambda constants: EyespotMode("subpixel", constants),
         ("eyespot",),
     ),
     "literal": Kind(
         "eyespot's literal mode: the paper's Algorithms 1 and 2, started by a click",
-        lambda constants, _: EyespotMode("literal", constants),
+        lambda constants: EyespotMode("literal", constants),
         ("eyespot",),
         {"threshold": (60, 30, 40, 50, 80, 100, 140, 200)},
     ),
     "pixels": Kind(
         "eyespot's mode pixels: ellipse of the sub-pixel mode, distance by all pixels",
-        lambda constants, _: EyespotMode("pixels", constants),
+        lambda constants: EyespotMode("pixels", constants),
         ("eyespot",),
-    ),
-    "learned": Kind(
-        "network from crop to ellipse; distance from the ellipse by the true beam",
-        lambda _, weights: LearnedEntry(weights, direct=False),
-        _LEARNED,
-    ),
-    "learned-direct": Kind(
-        "the same network; distance straight from the crop and its place",
-        lambda _, weights: LearnedEntry(weights, direct=True),
-        _LEARNED,
     ),
     "opencv-relative": Kind(
         "OpenCV: threshold between median and maximum, largest contour, ellipse fit",
-        lambda constants, _: OpenCV(**constants),
+        lambda constants: OpenCV(**constants),
         ("opencv-python-headless",),
         {
             "level": (0.5, 0.3, 0.35, 0.4, 0.45, 0.55, 0.6),
@@ -299,7 +285,7 @@ KINDS: dict[str, Kind] = {
     ),
     "skimage-ransac": Kind(
         "scikit-image: edges around the brightest blob, EllipseModel with RANSAC",
-        lambda constants, _: Ransac(**constants),
+        lambda constants: Ransac(**constants),
         ("scikit-image",),
         {
             "level": (0.5, 0.4, 0.45, 0.55),
@@ -310,7 +296,7 @@ KINDS: dict[str, Kind] = {
     ),
     "pupil-detectors": Kind(
         "the 2D detector of pupil-detectors on the frame's negative",
-        lambda constants, _: Pupil(**constants),
+        lambda constants: Pupil(**constants),
         (),
         {
             "smaller": (3, 1, 2, 4),

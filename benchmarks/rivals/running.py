@@ -24,7 +24,6 @@ from distributed import Client
 
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
 from eyespot.benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
-from eyespot.benchmarks.rivals.learned.network import WEIGHTS
 from eyespot.benchmarks.rivals.pupil import PACKAGE
 from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
 from eyespot.benchmarks.sets.workers import cores, local_workers
@@ -63,10 +62,9 @@ def run(
     names: Names = (),
     splits: Annotated[tuple[str, ...], Parameter("--split", show_default=False)] = (),
     constants: Path | None = None,
-    weights: Path | None = None,
     workers: PositiveInt | None = None,
 ) -> None:
-    """Measure the images of a set with all entries: other software, a network, our modes.
+    """Measure the images of a set with all entries: other software, and our modes.
 
     `eyespot score SET --entries OUT` then ranks them.
 
@@ -75,7 +73,6 @@ def run(
         out: Folder of the entries; it is new.
         splits: Split to measure; may be repeated (default: all splits).
         constants: File of `rivals tune` (default: eyespot's own).
-        weights: File of `rivals train` (default: eyespot's own).
         workers: Worker processes on this machine (default: one per core).
     """
     entries = chosen(names)
@@ -98,7 +95,7 @@ def run(
         whole.mkdir()
         require_space(out, _LEAST_BYTES)
         seconds: dict[str, list[float]] = {name: [] for name in able}
-        tasks = [(stack, able, known, weights or WEIGHTS) for stack in stacks]
+        tasks = [(stack, able, known) for stack in stacks]
         for stack, future in zip(stacks, client.map(_answers, tasks, pure=False), strict=True):
             several = len(exposures_of(stack.open())) > 1
             for name, exposure, records, times in future.result():
@@ -154,20 +151,20 @@ def measure_stack(
 
 
 _made: dict[str, tuple[dict[str, Any], Entry]] = {}
-"""The entries of a worker with their constants: the network and the detector start slowly."""
+"""The entries of a worker with their constants: the detector starts slowly."""
 
 
-def _entry(name: str, constants: dict[str, Any], weights: Path = Path()) -> Entry:
+def _entry(name: str, constants: dict[str, Any]) -> Entry:
     if name not in _made or _made[name][0] != constants:
         if name in _made:
             _made[name][1].close()
-        _made[name] = constants, KINDS[name].make(constants, weights)
+        _made[name] = constants, KINDS[name].make(constants)
     return _made[name][1]
 
 
-def _answers(task: tuple[SetStack, list[str], "Constants", Path]) -> list[Answers]:
-    stack, names, known, weights = task
-    made = {name: _entry(name, known.get(name, {}), weights) for name in names}
+def _answers(task: tuple[SetStack, list[str], "Constants"]) -> list[Answers]:
+    stack, names, known = task
+    made = {name: _entry(name, known.get(name, {})) for name in names}
     return [answer for name in names for answer in measure_stack(stack, name, made[name])]
 
 

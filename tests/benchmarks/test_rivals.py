@@ -2,18 +2,21 @@
 
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from eyespot.benchmarks.rivals import running
 from eyespot.benchmarks.rivals.entries import KINDS, Entry
-from eyespot.benchmarks.rivals.learned.network import WEIGHTS
 from eyespot.benchmarks.rivals.pupil import why_unavailable
 from eyespot.benchmarks.rivals.running import read_constants, run, tune
 from eyespot.benchmarks.sets.read import plain_spot, stacks_of
@@ -43,7 +46,7 @@ def worker_here(monkeypatch):
 
 def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None = None) -> Any:
     known = read_constants().get(name, {}) if constants is None else constants
-    entry: Entry = KINDS[name].make(known, WEIGHTS)
+    entry: Entry = KINDS[name].make(known)
     beam = true_calibration(Scene.model_validate({"schema": 1, "source": {"kind": "cone"}}))
     entry.begin(read_microscope(WRITTEN / "microscope.json"), beam, (TRUTH.x, TRUTH.y))
     result, _ = entry.read(Frame(index=0, time_s=0.0, image=image))
@@ -82,13 +85,12 @@ def test_pupil_detectors_finds_the_ellipse_that_was_drawn():
     assert abs(spot.semi_minor_px - TRUTH.semi_minor) < 4
 
 
-@pytest.mark.parametrize("name", ["subpixel", "learned"])
-def test_an_entry_that_can_refuse_does_where_there_is_no_spot(name):
+def test_an_entry_that_can_refuse_does_where_there_is_no_spot():
     truth = replace(TRUTH, semi_major=60.0, semi_minor=60.0)
     for seed in range(10):
         rng = np.random.default_rng(seed)
         empty = frame_of(Drawing(truth=truth, amplitude=0.0), rng)
-        assert isinstance(measured(name, empty), NoSpot)
+        assert isinstance(measured("subpixel", empty), NoSpot)
 
 
 def test_a_plain_spot_has_its_longer_axis_first_whichever_is_given_first():
@@ -120,6 +122,25 @@ def test_what_the_entries_write_is_what_a_score_reads(drawn, tmp_path):
         about = json.loads((out / name / "entry.json").read_text())
         assert about["name"] == name
         assert about["ms_per_frame"] > 0
+
+
+@pytest.mark.slow  # 30 s of training
+def test_the_example_of_a_learned_estimator_learns_the_spots_that_it_is_shown(tmp_path):
+    home = Path(__file__).parents[2]
+    example = home / "docs/gallery/reading/learned_estimator.py"
+    shown = home / "benchmarks/sets/score/sample-v2/test"
+    (tmp_path / "train").symlink_to(shown)
+    words = [tmp_path, "train", tmp_path / "network", "100"]
+    # As a script; eyespot switches JAX to double precision, also for programs that it starts.
+    single = os.environ | {"JAX_ENABLE_X64": "0"}
+    subprocess.run([sys.executable, example, *words], check=True, env=single)
+    found = pd.read_csv(tmp_path / "network" / "spots.csv")
+    labels = pd.read_json(shown / "metadata.jsonl", lines=True)
+    labels = labels.set_index("train/" + labels.file_name).loc[found.file_name]
+    assert len(found) == np.sum(labels.visible_fraction >= 0.5)
+    truth = labels.half_max_semi_minor_px
+    # Who says their mean is off by their standard deviation.
+    assert np.std(found.semi_minor_px.to_numpy() - truth) < 0.6 * np.std(truth)
 
 
 def test_a_file_that_is_no_table_of_constants_is_named(drawn, tmp_path):
