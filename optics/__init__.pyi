@@ -7,6 +7,7 @@ from .beam import tip_radius as tip_radius
 from .camera import Camera as Camera
 from .camera import Microscope as Microscope
 from .camera import microscope as microscope
+from .camera import nearest_point as nearest_point
 from .contour import cone_contour as cone_contour
 from .contour import ellipse_mismatch as ellipse_mismatch
 from .contour import mismatch_covariance as mismatch_covariance

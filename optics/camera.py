@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from eyespot.formats.inputs import InputError
-from eyespot.optics.surface import components
+from eyespot.optics.surface import components, dot
 
 _UNDISTORT_STEPS = 12
 
@@ -222,3 +222,22 @@ def _undistort(
 
     # Unrolled, the loop would take a second to compile wherever it is used.
     return jax.lax.fori_loop(0, _UNDISTORT_STEPS, step, offset)
+
+
+def nearest_point(
+    first: tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]],
+    second: tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]],
+) -> Float[Array, "*batch 3"]:
+    """The point halfway between two lines where they are nearest, mm: triangulation of a pair.
+
+    Args:
+        first: a point (mm) and a direction of any length, as those of `Camera.ray`.
+        second: another line.
+    """
+    (p, u), (q, v) = first, second
+    u, v = (w / jnp.linalg.norm(w, axis=-1, keepdims=True) for w in (u, v))
+    across, cosine = q - p, dot(u, v)
+    on_u, on_v = dot(across, u), dot(across, v)
+    along_u = (on_u - cosine * on_v) / (1.0 - cosine**2)
+    along_v = (cosine * on_u - on_v) / (1.0 - cosine**2)
+    return (p + along_u[..., None] * u + q + along_v[..., None] * v) / 2.0
