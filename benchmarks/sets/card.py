@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.sets import croissant
 from eyespot.benchmarks.sets.asked import asked_and_drawn
 from eyespot.benchmarks.sets.read import LabelledSet, Row, rows
 from eyespot.formats.whole_files import write_text, written_whole
@@ -141,7 +140,7 @@ _LICENCES = {
 
 
 def write_card(labelled: LabelledSet) -> None:
-    """Write README.md with its figures, LICENSE, spec.toml, croissant.json and the label tables."""
+    """Write README.md with its figures, LICENSE, spec.toml and the label tables."""
     images = list(rows(labelled))
     every = [(row.planned.split, row.line()) for row in images]
     columns = dict.fromkeys(name for _, line in every for name in line)
@@ -154,7 +153,6 @@ def write_card(labelled: LabelledSet) -> None:
         text = "".join(json.dumps(line) + "\n" for line in lines)
         write_text(labelled.folder / split / "metadata.jsonl", text, replace=True)
     texts = {
-        croissant.FILE: croissant.croissant(labelled, tables),
         "LICENSE": _LICENCES.get(labelled.licence, f"{labelled.licence}\n"),
         "spec.toml": tomli_w.dumps(labelled.description["spec"]),
     }
