@@ -155,6 +155,11 @@ class TipWay:
     near: tuple[float, Mapping[str, float]] = (math.inf, {})
     far: tuple[float, Mapping[str, float]] = (-math.inf, {})
 
+    @property
+    def frames(self) -> int:
+        """Number of frames that were taken."""
+        return len(self.rows) // _ROW
+
     def add(
         self,
         *,

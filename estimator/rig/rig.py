@@ -10,8 +10,10 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
+from eyespot.estimator.distance.consistency import TipWay, disagreements
 from eyespot.estimator.distance.range import TipPose, WallMemory
 from eyespot.estimator.run import exit_codes
+from eyespot.estimator.run.offline import go_on
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import Reading
 from eyespot.estimator.sources.ros import IMAGE_TOPIC, frame_of_message
@@ -21,6 +23,10 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, RobotKeys, pose_of_message
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
+WAY_FRAMES = 300
+"""Images with a distance after which the robot's travel is compared with the distances, and counts
+anew: half a minute at 10 Hz, in which a slow withdrawal of 0.1 mm/s is three times as long as one
+must be that shows something."""
 POSES_KEPT = 400  # two seconds at the robot's 200 Hz; images reach the node sooner
 
 
@@ -92,7 +98,8 @@ class RigOutput(NamedTuple):
         axes: semi-major and semi-minor axis, px, and the former's angle, rad; NaN without a spot.
         distance_m: from the tip to the wall along the beam; NaN where there is none.
         sigma_m: standard deviation of the distance; NaN where there is none.
-        doubt: see `Reading.doubt`; of an image that cannot be measured the reason.
+        doubt: see `Reading.doubt`; of an image that cannot be measured the reason; or what the
+            robot's last travel and the distances say that cannot both be.
         level: of `DiagnosticStatus`; an error if the image could not be measured, or met a bug.
         beam: tip and axis with their covariance; None but in the mode pixels.
         details: the rest, named and written as in the spots file, and the number of images that
@@ -128,6 +135,8 @@ class ImageReader:
         self._reader.prepare()
         self._show = show
         self.poses = RecentPoses(rig.robot)
+        self._robot, self._view = rig.robot, rig.view
+        self._way, self._disagreement = TipWay(), ""
         self._number: int | None = None  # the publisher's, of the last image
         self._measured = 0
         self._skipped = 0
@@ -148,7 +157,9 @@ class ImageReader:
         try:
             image, full_scale = frame_of_message(message)
             frame = Frame(index=number, time_s=time_s, image=image, full_scale=full_scale)
-            reading = self._reader.read(frame, poses=self.poses.track(), name=name)
+            poses = self.poses.track()
+            reading = self._reader.read(frame, poses=poses, name=name)
+            self._compare(reading, poses.interpolated(time_s))
             if self._show is not None:
                 self._show(frame, reading)
         except InputError as error:
@@ -156,7 +167,16 @@ class ImageReader:
         except Exception as error:
             exit_codes.note(error, name)
         counts = {"images": str(self._measured), "skipped_images": str(self._skipped)}
-        return _output(reading, fault, counts)
+        return _output(reading, fault, counts, self._disagreement)
+
+    def _compare(self, reading: Reading, pose: Pose | None) -> None:
+        """Note what the robot's travel and the distances of the last images say of each other."""
+        if self._reader.calibration is None:
+            return
+        go_on(self._way, self._reader, reading, pose)
+        if self._way.frames >= WAY_FRAMES:
+            found = self._way.compared(self._robot, self._view, self._reader.calibration)
+            self._way, self._disagreement = TipWay(), "; ".join(disagreements(found))
 
 
 @contextmanager
@@ -175,7 +195,7 @@ def opened_rig(parameters: Parameters) -> Iterator[ImageReader]:
         yield ImageReader(parameters, recording.add_reading)
 
 
-def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:
+def _output(reading: Reading, fault: str, counts: dict[str, str], disagreement: str) -> RigOutput:
     spot, distance = reading.result, reading.range
     centre, axes = (math.nan, math.nan, 0.0), (math.nan, math.nan, math.nan)
     details = {"pose_age_s": reading.pose_age_s}
@@ -193,7 +213,7 @@ def _output(reading: Reading, fault: str, counts: dict[str, str]) -> RigOutput:
     if distance is not None and distance.wall is not WallMemory.NONE:
         said["wall_memory"] = distance.wall.value
     best = distance.poses[0] if distance and distance.poses else None
-    doubt = fault or reading.doubt
+    doubt = fault or reading.doubt or disagreement
     failed = fault or spot == NoSpot(Reason.INTERNAL_ERROR)
     return RigOutput(
         centre=centre,

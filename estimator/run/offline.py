@@ -151,7 +151,7 @@ def track_source(
             if before is not None and np.array_equal(before, frame.image):
                 tracking.repeats += 1
             elif poses is not None:
-                _go_on(tracking.way, reader, reading, poses.interpolated(frame.time_s))
+                go_on(tracking.way, reader, reading, poses.interpolated(frame.time_s))
             before = None if source.unrelated else frame.image
             progress(record)
     except KeyboardInterrupt:
@@ -173,7 +173,7 @@ def track_source(
     return tracking
 
 
-def _go_on(way: TipWay, reader: Reader, reading: Reading, pose: Pose | None) -> None:
+def go_on(way: TipWay, reader: Reader, reading: Reading, pose: Pose | None) -> None:
     """Take a frame into the tip's way, if it has a distance without a doubt, and a pose."""
     if pose is None or not reading.distance_mm > 0 or reading.doubt:
         return

@@ -31,7 +31,7 @@ from eyespot.estimator import LiteralSettings
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.rig import node as rig_node
 from eyespot.estimator.rig.messages import Silence
-from eyespot.estimator.rig.rig import ImageReader, Parameters
+from eyespot.estimator.rig.rig import WAY_FRAMES, ImageReader, Parameters
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
@@ -56,9 +56,9 @@ def grey_message(image: np.ndarray) -> Any:
     return image_message(ROS1, image, "mono8", time_s=1.0)
 
 
-def pose_message(qw: float = 1.0) -> Any:
+def pose_message(qw: float = 1.0, z_mm: float = 0.0) -> Any:
     """A `geometry_msgs/Transform`."""
-    place = message(ROS1, "geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=0.0)
+    place = message(ROS1, "geometry_msgs/msg/Vector3", x=0.0, y=0.0, z=z_mm)
     turn = message(ROS1, "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=qw)
     return message(ROS1, "geometry_msgs/msg/Transform", translation=place, rotation=turn)
 
@@ -122,6 +122,18 @@ def test_the_pose_of_an_image_is_the_last_of_its_run_that_came_before(received_s
         rig.poses.take(pose_message(), moment_s)
     details = rig.output(grey_message(disc(150, 110, 40)), image_s, 0).details
     assert float(details["pose_age_s"]) == pytest.approx(age_s, abs=1e-9, nan_ok=True)
+
+
+@pytest.mark.parametrize("robot_scale", [1.0, 1.3])
+def test_a_robot_whose_travel_is_not_that_of_the_distances_is_said(tmp_path, robot_scale):
+    parameters = Parameters(rig=microscope_in(tmp_path), calibration=calibrated(tmp_path, "planar"))
+    rig = ImageReader(parameters)
+    for number, radius_px in enumerate(np.linspace(22.0, 45.0, WAY_FRAMES + 30)):
+        withdrawn_mm = 0.0134 * 20 * (radius_px - 22.0)
+        rig.poses.take(pose_message(z_mm=-robot_scale * withdrawn_mm), float(number))
+        last = rig.output(grey_message(disc(159.5, 119.5, radius_px)), float(number), number)
+    assert ("The tip withdrew by" in last.doubt) == (robot_scale != 1.0)
+    assert last.level == ("OK" if robot_scale == 1.0 else "WARN")
 
 
 def test_a_topic_of_compressed_images_is_looked_for_as_such():
