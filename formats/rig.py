@@ -581,16 +581,11 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -
     if (folder / RIG).is_file():
         return read_rig(folder / RIG)
     scene, where = description.get("scene", {}), f"{folder / 'stack.toml'}"
-    content = rig_of_scene(scene)
+    try:
+        content = rig_of_scene(scene)
+    except (AttributeError, ArithmeticError, KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{where}: [scene] is damaged. Render the stack again.") from error
     content["wall"] = {"medium": medium} | content["wall"]
-    cone, instrument = description.get("cone", {}), content["instrument"]
-    if cone and scene.get("source", {}).get("kind") == "cone" and "fibre_diameter_mm" in instrument:
-        # In scenes of format 1 a cone could be wider than its fibre, and touched with its own rim.
-        try:
-            rim = abs(cone["apex_offset"]) * math.tan(cone["half_angle"])
-            instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
-        except (KeyError, TypeError, ValueError) as error:
-            raise InputError(f"{where}: [cone] is damaged. Render the stack again.") from error
     if not (folder / "microscope.json").is_file():
         del content["microscope"]
     rig = rig_in(content, where=where, folder=folder)
@@ -620,18 +615,22 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
 
     motion = scene.get("motion", {})
     at_contact = (motion.get("kind"), motion.get("start_mm")) == ("withdrawal", "contact")
-    own_lens = f"{scene.get('source', {}).get('lens', '')}".endswith(".toml")
+    source, instrument = scene.get("source", {}), dict(scene.get("instrument", {}))
+    own_lens = f"{source.get('lens', '')}".endswith(".toml")
+    if source.get("kind") == "cone" and scene.get("schema", 1) == 1 and "cone_k" in source:
+        # In scenes of format 1 a cone could be wider than its fibre, and touched with its own rim.
+        rim = -source["cone_apex_offset_mm"] / source["cone_k"]
+        instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
     return {
         "schema": SCHEMA,
         "microscope": EXACT["microscope"] | {"calibration": "microscope.json"},
         "wall": EXACT["wall"] | some("phantom", kind="kind") | some("source", medium="medium"),
         "instrument": ({} if own_lens else EXACT["instrument"])
-        | some(
-            "instrument",
-            fibre_diameter_mm="fibre_diameter_mm",
-            fibre_length_mm="fibre_length_mm",
-            visible="visible",
-        ),
+        | {
+            name: instrument[name]
+            for name in ("fibre_diameter_mm", "fibre_length_mm", "visible")
+            if name in instrument
+        },
         "robot": EXACT["robot"]
         | {
             "eye_from_robot": [0.0, 0.0, 0.0, 1.0],

@@ -233,5 +233,10 @@ def test_the_template_of_a_rendered_scene_has_its_numbers():
     for lens, rim_sigma_mm in [("dome", 0.0), ("my/drop.toml", 0.05)]:
         rig = rig_in(rig_of_scene({"source": {"lens": lens}}), where="a scene")
         assert rig.instrument.rim_height_sigma_mm == rim_sigma_mm
+    cone = {"kind": "cone", "cone_k": 11.6, "cone_apex_offset_mm": -5.117}
+    for schema, rim_mm in [(1, 5.117 / 11.6), (2, 0.25)]:  # which rim touches, see the renderer's
+        wide = {"schema": schema, "source": cone, "instrument": {"fibre_diameter_mm": 0.5}}
+        rig = rig_in(rig_of_scene(wide), where="a scene")
+        assert math.isclose(rig.instrument.fibre_diameter_mm, 2 * rim_mm)
     assert math.isclose(rig.robot.touch_sigma_mm, 0.02)
     assert "touch_sigma_mm = 0.02" in rig_template()
