@@ -13,17 +13,15 @@ _PHONE = "an image as phones write it. Convert it to PNG (heif-convert, avifdec,
 _KINDS = {
     **dict.fromkeys((".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2"), _RAW),
     **dict.fromkeys((".heic", ".heif", ".avif"), _PHONE),
-    ".dcm": 'a DICOM file. Write its frames as an array: python -c "import numpy, pydicom; '
-    "numpy.save('frames.npy', pydicom.dcmread('FILE').pixel_array)\"",
     ".fits": 'a FITS file. Write its frames as an array: python -c "import numpy; from '
     "astropy.io import fits; numpy.save('frames.npy', fits.getdata('FILE'))\"",
     ".mat": 'a MATLAB file. Write its frames as an array: python -c "import numpy, scipy.io; '
     "numpy.save('frames.npy', scipy.io.loadmat('FILE')['NAME'])\"",
     ".czi": "a microscope's own file. Convert it to OME-TIFF (Bio-Formats, bfconvert)",
 }
-_KINDS |= {".fit": _KINDS[".fits"], ".dicom": _KINDS[".dcm"]}
+_KINDS |= {".fit": _KINDS[".fits"]}
 _KINDS |= dict.fromkeys((".nd2", ".lif", ".vsi"), _KINDS[".czi"])
-_BEGINNINGS = {b"DICM": (128, ".dcm"), b"SIMPLE  =": (0, ".fits"), b"ftypheic": (4, ".heic")}
+_BEGINNINGS = {b"SIMPLE  =": (0, ".fits"), b"ftypheic": (4, ".heic")}
 """Marks of files without a telling name, and where they stand."""
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from eyespot.estimator.sources.arrays import ARRAYS, open_array
+from eyespot.estimator.sources.dicom import is_dicom, open_dicom
 from eyespot.estimator.sources.files import (
     IMAGES,
     TIFF,
@@ -40,8 +41,8 @@ def open_source(
 
     Args:
         source: a stack folder, a folder of images (in natural order of their names), an image, a
-            multi-page TIFF, a video, a ROS 1 or ROS 2 bag, the number of a camera, or genicam:
-            and the number or name of a GenICam camera.
+            multi-page TIFF, a DICOM file, an array, a video, a ROS 1 or ROS 2 bag, the number of a
+            camera, or genicam: and the number or name of a GenICam camera.
         exposure: of a stack that has several; by default "metered", whose peaks are never
             saturated.
         image_topic: of a bag, see `open_bag`.
@@ -76,6 +77,8 @@ def open_source(
         )
     elif told := what_it_is(path):
         raise InputError(f"{path} is {told}.")
+    elif is_dicom(path):
+        opened = open_dicom(path)
     elif path.suffix.lower() in ARRAYS:
         opened = open_array(path)
     elif path.suffix.lower() in TIFF:

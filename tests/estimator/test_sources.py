@@ -34,6 +34,7 @@ from tests.support.drawn.drawn_recording import (
     write_stack,
     write_video,
 )
+from tests.support.files.dicom import write_dicom
 
 Results = list[Spot | NoSpot]
 
@@ -68,6 +69,8 @@ LOSSLESS: dict[str, Callable[[Path, list[np.ndarray]], Path]] = {
     "tiff.tif": write_tiff,
     "ffv1.avi": write_video,
     "ffv1.mkv": write_video,
+    "film.dcm": write_dicom,
+    "no suffix": write_dicom,
 }
 
 
@@ -275,10 +278,28 @@ def test_a_video_that_was_cut_without_encoding_it_again_is_whole(tmp_path):
     np.testing.assert_allclose(levels, 100 + 20 * np.arange(7), atol=6)
 
 
+def test_a_dicom_file_states_times_and_bits_and_may_be_inverted(tmp_path):
+    ramps = [np.arange(12, dtype=np.uint16).reshape(3, 4) * 300 + n for n in range(3)]
+    source = open_source(write_dicom(tmp_path / "grey.dcm", ramps, "MONOCHROME2"))
+    inverted = write_dicom(
+        tmp_path / "inverted.dcm", [4095 - ramp for ramp in ramps], "MONOCHROME1"
+    )
+    assert source.rate_hz == pytest.approx(25)
+    for index, (frame, other) in enumerate(zip(source, open_source(inverted), strict=True)):
+        assert (frame.file_name, frame.full_scale) == (f"grey.dcm#{index}", 4095)
+        assert frame.time_s == pytest.approx(0.04 * index)
+        np.testing.assert_array_equal(frame.image, ramps[index])
+        np.testing.assert_array_equal(other.image, ramps[index])
+    whole = inverted.read_bytes()
+    inverted.write_bytes(whole[:-30])
+    with pytest.raises(InputError, match=r"inverted\.dcm, frame .* Record, copy or convert"):
+        list(open_source(inverted))
+
+
 def test_files_that_people_bring_are_named_with_what_to_do(tmp_path):
     contents = {
-        "eye.dcm": (b"\0" * 128 + b"DICM", "a DICOM file. .*numpy.save"),
-        "eye": (b"\0" * 128 + b"DICM", "a DICOM file"),
+        "eye.dcm": (b"\0" * 128 + b"DICM", "eye.dcm has no images"),
+        "eye": (b"\0" * 128 + b"DICM", "eye has no images"),
         "sky.fits": (b"SIMPLE  =                    T", "a FITS file"),
         "photo.nef": (b"MM\0*", "a camera's raw file.*Convert it to TIFF"),
         "photo.heic": (b"\0\0\0\x18ftypheic", "as phones write it. Convert it to PNG"),
