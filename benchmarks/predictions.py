@@ -126,6 +126,17 @@ def read_plan(path: Path) -> Plan:
                 f"a plan needs frames, and a table in `moved` for each uncertain key; got {frames} "
                 f"and {len(plan.moved)} for {len(plan.uncertain)}. {remedy}"
             )
+        rules = {
+            "times_s must increase": np.all(np.diff(plan.times_s) > 0),
+            "noise must not be negative": not np.any(plan.array("noise") < 0),
+            "low must not exceed high": not np.any(plan.array("low") > plan.array("high")),
+        }
+        for rule, holds in rules.items():
+            if not holds:
+                raise InputError(f"{rule}. {remedy}")
+        microscope_in(plan.microscope)
+        if plan.calibration is not None:
+            calibration_in(plan.calibration)
     return plan
 
 

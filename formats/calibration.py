@@ -63,8 +63,8 @@ QUANTITIES = {
     "k": Quantity("1", 0, _LARGE),
     "half_angle": Quantity("rad", 0, math.pi / 2),
     "b": Quantity("mm", -_LARGE, _LARGE),
-    "scale": Quantity("mm/px", 0, _LARGE),
-    "eye_radius": Quantity("mm", 0, _LARGE),
+    "scale": Quantity("mm/px", 0, 100),
+    "eye_radius": Quantity("mm", 0, 1000),
     "inverse_working_distance": Quantity("1/mm", -_LARGE, _LARGE),
     "eccentricity": Quantity("mm", 0, _LARGE, low_included=True),
     "beam_x": Quantity("rad", -_MOST_ASKEW_RAD, _MOST_ASKEW_RAD),
@@ -130,6 +130,42 @@ def check_parameters(model: str, values: Mapping[str, float]) -> None:
                 f"parameters.{name} must lie in {'[' if low_included else '('}{low:.6g}, "
                 f"{high:.6g}) {unit}; got {value}. Fit again, or restore the value."
             )
+
+
+_NO_LARGER = (
+    ("core_radius", "aperture_radius"),
+    ("sag", "aperture_radius"),
+    ("sag", "glue_length"),
+    ("numerical_aperture", "glue_index"),
+)
+"""Parameters of a lens of which the first is at most the second."""
+_WIDEST_BEAM_MM = 25.0  # radius at the tip; no beam is as wide as an eye
+_INDICES = {"air": (1.0, 1.001), "water": (1.32, 1.35), "vitreous": (1.33, 1.35)}
+
+
+def _check_together(calibration: "Calibration") -> None:
+    """Refuse values of a file that are possible each by itself, but not together."""
+    values = calibration.values
+    for small, large in _NO_LARGER:
+        if small in values and values[small] > values[large] * (1 + _SAME):
+            raise InputError(
+                f"parameters.{small} must be at most parameters.{large}; got {values[small]:g} and "
+                f"{values[large]:g}. Fit again, or restore the value."
+            )
+    if "b" in values:
+        half_angle, b, _ = calibration.cone
+        if (radius := abs(b) * math.tan(half_angle)) > _WIDEST_BEAM_MM:
+            raise InputError(
+                f"parameters.b must leave a beam of at most {_WIDEST_BEAM_MM:g} mm radius at the "
+                f"tip; got {b:g} mm, and with the cone's angle {radius:.3g} mm. Fit again, or "
+                "restore the value."
+            )
+    low, high = _INDICES.get(calibration.medium, (1.0, 2.0))
+    if not low <= calibration.medium_index <= high:
+        raise InputError(
+            f"medium.index of {calibration.medium} must lie from {low:g} to {high:g}; got "
+            f"{calibration.medium_index:g}. Restore the value, or name another medium."
+        )
 
 
 def quantity(name: str) -> Quantity:
@@ -390,6 +426,7 @@ def calibration_in(content: dict[str, Any]) -> Calibration:
         microscope=file.microscope,
         stated={name: _rectangular(name, moved) for name, moved in file.stated.items()},
     )
+    _check_together(calibration)
     for name, entry in file.parameters.items():
         expected = calibration.sigma(name)
         if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):

@@ -582,20 +582,19 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -
         return read_rig(folder / RIG)
     scene, where = description.get("scene", {}), f"{folder / 'stack.toml'}"
     try:
-        content = rig_of_scene(scene)
+        content, camera = rig_of_scene(scene), scene.get("camera", {})
+        content["wall"] = {"medium": medium} | content["wall"]
+        # The microscope.json of eyespot 0.1 has no camera.
+        sheet = {name: camera[name] for name in CameraSheet.model_fields if name in camera}
+        sheet |= {"bayer": camera.get("bayer", "none") != "none"}
+        sheet |= {"jpeg": camera.get("jpeg_quality", 0) > 0}
     except (AttributeError, ArithmeticError, KeyError, TypeError, ValueError) as error:
         raise InputError(f"{where}: [scene] is damaged. Render the stack again.") from error
-    content["wall"] = {"medium": medium} | content["wall"]
     if not (folder / "microscope.json").is_file():
         del content["microscope"]
     rig = rig_in(content, where=where, folder=folder)
-    camera = scene.get("camera", {})
     if "full_well_e" not in camera or rig.view is None or rig.view.noise is not None:
         return rig
-    # The microscope.json of eyespot 0.1 has no camera.
-    sheet = {name: camera[name] for name in CameraSheet.model_fields if name in camera}
-    sheet |= {"bayer": camera.get("bayer", "none") != "none"}
-    sheet |= {"jpeg": camera.get("jpeg_quality", 0) > 0}
     with in_file(where):
         return rig.with_noise(validated(CameraSheet, sheet, remedy="Render the stack again."))
 

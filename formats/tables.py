@@ -85,12 +85,18 @@ def lines_of(path: Path) -> Place:
         with path.open(newline="", encoding="utf-8-sig") as file:
             rows = csv.reader(file, delimiter=_separator(path))
             filled = (cells for cells in rows if cells)
-            header = next(filled)
-            cells = next(itertools.islice(filled, row, None))
+            try:
+                header = next(filled)
+                cells = next(itertools.islice(filled, row, None))
+            except csv.Error:  # a cell of more than 128 kB
+                return f"{path}"
             short = "" if len(cells) >= len(header) else f": {len(header)} cells expected"
             return f"{path}, line {rows.line_num}{short}"
 
     return place
+
+
+_LARGEST = 1e300  # a larger one is infinite in other units
 
 
 def numbers(column: "pd.Series[Any]", place: Place) -> "Float[np.ndarray, 'n']":
@@ -102,7 +108,7 @@ def numbers(column: "pd.Series[Any]", place: Place) -> "Float[np.ndarray, 'n']":
     import pandas as pd
 
     values = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=float)
-    for row in np.flatnonzero(~np.isfinite(values))[:1]:
+    for row in np.flatnonzero(~(np.abs(values) < _LARGEST))[:1]:
         cell = shortened(column.iloc[row])
         raise InputError(f"{place(row)}: {column.name} must be a finite number; got {cell}.")
     return values

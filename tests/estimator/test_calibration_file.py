@@ -105,6 +105,11 @@ def put(*keys, value):
         (put("parameters", "q", value={"value": 1, "unit": "1", "sigma": 0}), "q is unknown"),
         (put("parameters", "k", "unit", value="mm"), r"k must be in '1'; got unit 'mm'\. Convert"),
         (put("parameters", "k", "value", value=-20.0), r"k must lie in \(0, 1e\+06\) 1; got -20"),
+        (
+            put("parameters", "b", "value", value=-5117.0),
+            "at most 25 mm radius at the tip; got -5117",
+        ),
+        (put("medium", "index", value=1.6), r"medium\.index of .* must lie from"),
         (put("parameters", "k", "value", value="20"), r"k\.value must be a finite number"),
         (put("parameters", "b", "sigma", value=-0.07), r"b\.sigma must be at least 0; got -0\.07"),
         (put("parameters", "b", "sigma", value=0.01), "sigma of b is 0.01, but the covariance"),

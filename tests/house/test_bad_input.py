@@ -1,5 +1,6 @@
 """Bad input: whatever a file or a value holds, the answer is one short message and exit code 2."""
 
+import json
 import os
 import resource
 import shutil
@@ -15,6 +16,7 @@ import pytest
 import tomli_w
 
 from eyespot.benchmarks import study
+from eyespot.benchmarks.predictions import QUANTITIES, read_plan
 from eyespot.benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.calibration.command.choices import Choices
@@ -24,13 +26,18 @@ from eyespot.estimator.run.exit_codes import message_of
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.ros import write_bag
-from eyespot.formats.calibration import read_calibration
-from eyespot.formats.microscope import read_microscope
+from eyespot.formats.calibration import (
+    LENS_PARAMETERS,
+    calibration_in,
+    read_calibration,
+    write_calibration,
+)
+from eyespot.formats.microscope import microscope_in, read_microscope
 from eyespot.formats.poses import Pose, read_poses
-from eyespot.formats.rig import Rig
+from eyespot.formats.rig import Rig, read_rig
 from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
-from eyespot.optics import load_lens
+from eyespot.optics import glue_lens, load_lens
 from eyespot.optics.viewing import eye
 from eyespot.optics.viewing.eye import load_eye
 from eyespot.scenes.description.scene_file import load_scene, scene_toml
@@ -39,8 +46,9 @@ from eyespot.scenes.world.motion import frame_count, kinematics
 from eyespot.scenes.world.world import World
 from tests.support.command_line import run_process
 from tests.support.drawn.drawn_recording import write_video
-from tests.support.drawn.made_up import DOME, an_opencv_file
-from tests.support.files.bad_input import OLD, odd, spoilt
+from tests.support.drawn.made_up import CONE, DOME, a_calibration, an_opencv_file
+from tests.support.files.bad_input import OLD, odd, signed, spoilt
+from tests.support.files.dicom import write_dicom
 from tests.support.files.possible import impossible
 
 STACK = "small-v1/train/0000"
@@ -60,6 +68,8 @@ def folder(tmp_path_factory):
     np.savez(folder / "frames.npz", frames=frames)
     with h5py.File(folder / "frames.h5", "w") as file:
         file["frames"] = frames
+    write_dicom(folder / "film.dcm", [*frames])
+    write_rig_files(folder)
     (folder / "lens.toml").write_text(tomli_w.dumps({"schema": 1, "lens": DOME}))
     claim_run(folder)
     for suffix in ("yml", "xml", "json"):
@@ -84,6 +94,76 @@ def folder(tmp_path_factory):
     return folder
 
 
+RIG = """\
+schema = 1
+[microscope]
+id = "A, zoom 1.6"
+width_px = 640
+height_px = 480
+scale_mm_px = 0.0067
+principal_point_px = [330.5, 224.2]
+pinhole_height_mm = 200.0
+[camera]
+bit_depth = 10
+black_level_dn = 4.0
+response = 2.2
+noise = { full_well_e = 10000.0, read_noise_e = 5.0 }
+[wall]
+kind = "eyeball"
+radius_mm = 11.5
+tissue = "retina"
+shape = 1.0
+clear_layer_mm = 0.25
+medium = "vitreous"
+[instrument]
+fibre_diameter_mm = 0.5
+core_radius_mm = 0.1
+[beam]
+numerical_aperture = 0.12
+[robot]
+unit = "m"
+columns = { time_s = "stamp", x = "px", y = "py", z = "pz" }
+eye_from_robot = [0.0, 0.0, 0.0, 1.0]
+tip_mm = [0.0, 0.0, 12.0]
+touch = [0.2, 0.02]
+incidence_deg = [10.0, 30.0]
+[workspace]
+eccentricity_mm = [0.0, 5.0]
+distance_mm = [0.5, 6.0]
+tilt_deg = [0.0, 20.0]
+"""
+
+
+def write_rig_files(folder):
+    """A rig, a calibration of the newest format, and a plan of two frames."""
+    (folder / "rig.toml").write_text(RIG)
+    values = {**CONE, "scale": 0.0067, "inverse_working_distance": 0.0047}
+    newest = a_calibration(
+        values,
+        covariance=np.diag([0.01, 4e-4, 1e-10, 1e-10]),
+        microscope="A, zoom 1.6",
+        stated={"robot_scale": [[-0.2, 0.05, 0.0, 0.0]], "touch": [[0.0, 0.02, 0.0, 0.0]]},
+    )
+    write_calibration(folder / "calibration-3.json", newest)
+    table = [[320.0, 240.0, 60.0, 50.0, 3.0, 2.0]] * 2
+    plan = {
+        "schema": 1,
+        "software": "eyespot 0.2.0",
+        "scene": (folder / "scene.toml").read_text(),
+        "exposure": "metered",
+        "calibration": json.loads((folder / "calibration-3.json").read_text()),
+        "model": "planar",
+        "microscope": json.loads((folder / "microscope.json").read_text()),
+        "uncertain": {"phantom.radius_mm": [11.5, 0.2]},
+        "quantities": [*QUANTITIES],
+        "times_s": [0.0, 0.1],
+        **dict.fromkeys(("expected", "low", "high", "noise"), table),
+        "moved": [table],
+        "sha256": "",
+    }
+    (folder / "plan.json").write_bytes(signed(json.dumps(plan).encode()))
+
+
 def claim_run(folder):
     os.close(study.claim(folder / "run", SETTINGS, command="eyespot validate"))
 
@@ -103,13 +183,33 @@ def frames_of(path):
 
 def bag_of(path):
     frames_of(path)
-    read_poses(path)
+    return read_poses(path)
 
 
 def ranger_of(path):
     # The file of 0.1 was calibrated under a microscope of this scale.
     microscope = replace(read_microscope(path.with_name("microscope.json")), scale_mm_px=0.0067)
-    Ranger(read_calibration(path), microscope)
+    Ranger(found := read_calibration(path), microscope)
+    return found
+
+
+def lens_calibration(path):
+    found = read_calibration(path)
+    if found.model == "lens":
+        glue_lens(**{name: found.values[name] for name in LENS_PARAMETERS if name in found.values})
+    return found
+
+
+def rig_of(path):
+    rig = read_rig(path)
+    assert rig.response
+    return [rig, rig.view, rig.stated]
+
+
+def plan_of(path):
+    plan = read_plan(path)
+    microscope, beam = microscope_in(plan.microscope), plan.calibration
+    return [plan, microscope, *([] if beam is None else [calibration_in(beam)])]
 
 
 def opencv_camera(path):
@@ -150,7 +250,10 @@ TARGETS = {
     "opencv xml": alone(opencv_camera, "camera.xml", "words"),
     "opencv json": alone(opencv_camera, "camera.json", "json"),
     "calibration": alone(ranger_of, "calibration.json", "json"),
-    "lens calibration": alone(read_calibration, "calibration-lens.json", "json"),
+    "lens calibration": alone(lens_calibration, "calibration-lens.json", "json"),
+    "newest calibration": alone(read_calibration, "calibration-3.json", "json"),
+    "rig": alone(rig_of, "rig.toml", "toml"),
+    "plan": alone(plan_of, "plan.json", "signed"),
     "scene": alone(scene_of, "scene.toml", "toml"),
     "spec": alone(lambda path: plan(load_spec(path)), "spec.toml", "toml"),
     "lens": alone(load_lens, "lens.toml", "toml"),
@@ -161,6 +264,7 @@ TARGETS = {
     "npy": alone(frames_of, "frames.npy", "bytes"),
     "npz": alone(frames_of, "frames.npz", "bytes"),
     "hdf5": alone(frames_of, "frames.h5", "bytes"),
+    "dicom": alone(frames_of, "film.dcm", "bytes"),
     "manifest": (f"{STACK}/manifest.json", "json", whole_stack),
     "stack's microscope": (f"{STACK}/microscope.json", "json", whole_stack),
     "stack's poses": (f"{STACK}/kinematics.csv", "csv", whole_stack),
@@ -272,7 +376,7 @@ def test_the_samples_are_read(folder):
 
 @pytest.mark.parametrize("kind", [*TARGETS, *VALUES])
 @pytest.mark.parametrize(
-    "seeds", [range(12), pytest.param(range(1000, 1240), marks=[pytest.mark.slow])]
+    "seeds", [range(12), pytest.param(range(1000, 1400), marks=[pytest.mark.slow])]
 )
 def test_a_mutated_input_is_answered_with_one_message(folder, kind, seeds):
     found = {seed: fault_with(folder, kind, seed) for seed in seeds}

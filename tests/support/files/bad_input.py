@@ -6,6 +6,7 @@ the parser and meets the rules behind it.
 
 import copy
 import csv
+import hashlib
 import io
 import json
 import math
@@ -48,7 +49,15 @@ def mutated(data: bytes, form: str, rng: Rng) -> bytes:
     for _ in range(rng.integers(1, 4)):
         try:
             data = _MUTATIONS[form](data, rng)
-        except (ValueError, IndexError, TypeError, RecursionError, AttributeError, csv.Error):
+        except (
+            ValueError,
+            IndexError,
+            TypeError,
+            RecursionError,
+            AttributeError,
+            KeyError,
+            csv.Error,
+        ):
             return _of_bytes(data, rng)  # an earlier mutation made it no such file
     return data
 
@@ -129,6 +138,14 @@ def _json(data: bytes, rng: Rng) -> bytes:
     return json.dumps(_of_tree(json.loads(data), rng)).encode()
 
 
+def signed(data: bytes) -> bytes:
+    """A plan with the SHA-256 of its content, which whoever changes a plan can compute."""
+    content = json.loads(data)
+    content.pop("sha256")
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return json.dumps(content | {"sha256": hashlib.sha256(text.encode()).hexdigest()}).encode()
+
+
 def _json_lines(data: bytes, rng: Rng) -> bytes:
     lines = data.splitlines()
     at = int(rng.integers(len(lines)))
@@ -188,6 +205,7 @@ def png_chunk(name: bytes, content: bytes) -> bytes:
 
 _MUTATIONS: dict[str, Callable[[bytes, Rng], bytes]] = {
     "json": _json,
+    "signed": lambda data, rng: signed(_json(data, rng)),
     "jsonl": _json_lines,
     "toml": lambda data, rng: tomli_w.dumps(_of_tree(tomllib.loads(data.decode()), rng)).encode(
         errors="surrogatepass"
