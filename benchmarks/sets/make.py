@@ -10,6 +10,7 @@ import fcntl
 import importlib
 import importlib.metadata
 import json
+import math
 import os
 import re
 import threading
@@ -21,7 +22,7 @@ from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
-from distributed import Client, as_completed
+from distributed import Client, Future, as_completed
 from rich.filesize import decimal
 
 from eyespot import scenes
@@ -251,9 +252,7 @@ def _render(
             pure=False,
         )
         rendering = dict(zip(futures, left, strict=True))
-        for future in as_completed(futures):
-            if future.cancelled():  # the scheduler is gone, and with it all that is not done
-                break
+        for future in _finished(futures, client):
             stack, error = rendering.pop(future), future.exception()
             if isinstance(error, BeingWrittenError):
                 busy.append(stack)
@@ -264,12 +263,6 @@ def _render(
                     raise error  # no other stack can be made either
                 problems.append(f"{stack.split}/{stack.name}: {error or type(error).__name__}")
             advance()
-        if rendering:
-            raise SetError(
-                f"the Dask scheduler no longer answers; {len(rendering)} of {len(missing)} stacks "
-                "are still missing. Start the scheduler and its workers again, then run the same "
-                "command: it continues the set."
-            )
         if busy and len(left) > len(busy):
             say(f"Waiting for {len(busy)} stacks that other runs render.")
         left = busy
@@ -279,6 +272,42 @@ def _render(
         raise SetError(
             "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
         )
+
+
+_LOOK_S = 5.0
+_ALONE_S = 60.0
+"""How long workers may be gone that were there. A nanny starts one again in seconds; a worker that
+has lost its network ends after 30 s (Dask's `comm.timeouts.tcp`), and nobody starts it again."""
+
+
+def _finished(futures: Sequence[Future], client: Client) -> Iterator[Future]:
+    """The futures as they finish.
+
+    Raises:
+        SetError: the scheduler or all workers are gone.
+    """
+    left, seen_s = set(futures), math.inf
+
+    def gone(who: str) -> SetError:
+        return SetError(
+            f"{who}; {len(left)} stacks are still missing. Start the scheduler and its workers "
+            "again, then run the same command: it continues the set."
+        )
+
+    while left:
+        try:
+            for future in as_completed(left, timeout=_LOOK_S):
+                if future.cancelled():  # with the scheduler all is gone that is not done
+                    raise gone("the Dask scheduler no longer answers")
+                left.remove(future)
+                seen_s = time.monotonic()
+                yield future
+        except TimeoutError:
+            # The first worker may wait in the queue of a cluster for hours.
+            if client.scheduler_info()["workers"]:
+                seen_s = time.monotonic()
+            elif time.monotonic() - seen_s > _ALONE_S:
+                raise gone(f"Dask has had no worker for {_ALONE_S:.0f} s") from None
 
 
 def _claim(out: Path, spec: SetSpec, drawn: Draw) -> None:

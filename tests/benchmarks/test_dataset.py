@@ -6,10 +6,12 @@ import shutil
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from distributed import Client
@@ -20,7 +22,7 @@ from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
 from eyespot.scenes import SceneError
-from tests.support.command_line import EYESPOT
+from tests.support.command_line import EYESPOT, run
 from tests.support.drawn.drawn_sets import digests
 
 SPEC = """\
@@ -329,43 +331,71 @@ def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
     assert digests(out) == digests(whole)
 
 
-@pytest.mark.slow
-def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_path):
-    file = tmp_path / "scheduler.json"
+@contextmanager
+def cluster(folder: Path) -> Iterator[dict[str, Any]]:
+    """A scheduler and one worker, in processes of their own; `file` says where it is."""
+    file = folder / "scheduler.json"
     scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
-    worker = started("worker", "--scheduler-file", file, "--nthreads", 2)
+    worker = started("worker", "--scheduler-file", file, "--nthreads", 1, "--no-nanny")
     try:
         while not file.is_file():
             assert scheduler.poll() is None, "it ended too early"
             time.sleep(0.02)
-        address = json.loads(file.read_text())["address"]
-        make_set(spec, tmp_path / "set", workers=running_scheduler(address))
-    finally:
-        for process in (worker, scheduler):
-            process.terminate()
-            process.wait()
-    assert digests(tmp_path / "set") == digests(whole)
-
-
-@pytest.mark.slow
-def test_a_scheduler_that_dies_ends_the_run_with_an_error_and_the_next_run_continues(
-    spec, whole, tmp_path, monkeypatch
-):
-    file = tmp_path / "scheduler.json"
-    scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
-    worker = started("worker", "--scheduler-file", file, "--nthreads", 1)
-    seen_by(lambda done, total: scheduler.kill() if done == 1 else None, monkeypatch)
-    try:
-        while not file.is_file():
-            time.sleep(0.02)
-        with pytest.raises(SetError, match=r"no longer answers; \d of 5 stacks are still missing"):
-            make_set(spec, tmp_path / "set", workers=running_scheduler(str(file)))
+        yield {"file": file, "scheduler": scheduler, "worker": worker}
     finally:
         for process in (worker, scheduler):
             process.kill()
             process.wait()
-    make_set(spec, tmp_path / "set", workers=here())
+
+
+@pytest.mark.slow
+def test_the_workers_of_a_running_scheduler_make_the_same_set(spec, whole, tmp_path):
+    with cluster(tmp_path) as there:
+        address = json.loads(there["file"].read_text())["address"]
+        make_set(spec, tmp_path / "set", workers=running_scheduler(address))
     assert digests(tmp_path / "set") == digests(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seconds", [10, 90])
+def test_a_worker_that_does_not_answer_for_a_while_is_waited_for(
+    spec_file, whole, tmp_path, monkeypatch, seconds
+):
+    out = tmp_path / "set"
+    with cluster(tmp_path) as there:
+        worker = there["worker"]
+
+        def stop(done: int, total: int) -> None:
+            if done == 1:
+                worker.send_signal(signal.SIGSTOP)
+                threading.Timer(seconds, worker.send_signal, [signal.SIGCONT]).start()
+
+        seen_by(stop, monkeypatch)
+        outcome = run("dataset", spec_file, "--out", out, "--scheduler", there["file"])
+    assert outcome.exit_code == 0, outcome.stderr
+    assert digests(out) == digests(whole)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("who", "words"),
+    [
+        ("scheduler", "the Dask scheduler no longer answers; 4 stacks are still missing"),
+        ("worker", "Dask has had no worker for 5 s; 4 stacks are still missing"),
+    ],
+)
+def test_what_dies_for_good_is_named_and_the_next_run_continues(
+    spec_file, whole, tmp_path, monkeypatch, who, words
+):
+    out = tmp_path / "set"
+    monkeypatch.setattr(make, "_ALONE_S", 5.0)
+    with cluster(tmp_path) as there:
+        seen_by(lambda done, total: there[who].kill() if done == 1 else None, monkeypatch)
+        outcome = run("dataset", spec_file, "--out", out, "--scheduler", there["file"])
+        outcome.assert_bad_input(words, "run the same command")
+    monkeypatch.undo()
+    assert run("dataset", spec_file, "--out", out, "--workers", 1).exit_code == 0
+    assert digests(out) == digests(whole)
 
 
 def test_a_scheduler_that_does_not_answer_is_named():
