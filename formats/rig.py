@@ -64,8 +64,13 @@ EXACT: dict[str, dict[str, Any]] = {
 """Tolerances of a rig that is known exactly, as a rendered one is."""
 
 Medium = Literal["air", "water", "vitreous"]
-_Length = Annotated[float, Field(gt=0, le=1e6)]
+_Length = Annotated[float, Field(gt=0, le=1000)]
+_Scale = Annotated[float, Field(gt=0, le=100)]
 _Pixels = Annotated[int, Field(ge=1, le=2**20)]
+
+
+_CORE_OVER_FIBRE = 1.03
+"""What data sheets allow of a fibre's diameter, as in a scene."""
 
 
 def _rising(values: tuple[float, float]) -> tuple[float, float]:
@@ -91,7 +96,7 @@ class MicroscopeKeys(Strict):
     )
     width_px: _Pixels | None = Field(None, examples=["640"], description="Width of the images.")
     height_px: _Pixels | None = Field(None, examples=["480"], description="Height of the images.")
-    scale_mm_px: _Length | None = Field(
+    scale_mm_px: _Scale | None = Field(
         None, examples=["0.0067"], description="Size of a pixel at the height of the retinal pole."
     )
     scale_sigma: ShareKey = Field(
@@ -198,7 +203,7 @@ it. The retina over it is 0.2 to 0.3 mm thick, thinner at the fovea's centre, th
 class InstrumentKeys(Strict):
     """The instrument: the fibre that carries the light."""
 
-    fibre_diameter_mm: _Length = Field(
+    fibre_diameter_mm: Annotated[float, Field(gt=0, le=50)] = Field(
         0.5, description="Diameter of the tip's face, whose rim touches the wall first."
     )
     fibre_length_mm: _Length = Field(6.0, description="Length of bare fibre before the shaft.")
@@ -334,6 +339,30 @@ class Rig(Strict):
             )
         if isinstance(self.robot.touch, tuple) and not self.robot.touch[1] > 0:
             raise InputError(f"robot.touch needs a positive sigma; got {list(self.robot.touch)} mm")
+        fibre, wall, work = self.instrument, self.wall, self.workspace
+        core, fibre_mm = fibre.core_radius_mm or 0.0, fibre.fibre_diameter_mm / 2
+        if core > _CORE_OVER_FIBRE * fibre_mm:
+            raise InputError(
+                f"instrument.core_radius_mm = {core:g} is wider than the fibre, whose radius is "
+                f"{fibre_mm:g} mm. Correct it, or instrument.fibre_diameter_mm"
+            )
+        touch = self.robot.touch[0] if isinstance(self.robot.touch, tuple) else 0.0
+        if touch < 0:
+            raise InputError(f"robot.touch must not be negative; got {touch:g} mm")
+        if wall.radius_mm is not None and wall.kind != "plane":
+            most = {
+                "wall.clear_layer_mm": (wall.clear_layer_mm or 0.0, wall.radius_mm),
+                "workspace.eccentricity_mm": ((work.eccentricity_mm or (0, 0))[1], wall.radius_mm),
+                "robot.touch": (touch, 2 * wall.radius_mm),
+            }
+            if "distance_mm" in work.model_fields_set:  # the default is for eyes of people
+                most["workspace.distance_mm"] = (work.distance_mm[1], 2 * wall.radius_mm)
+            for name, (value, limit) in most.items():
+                if not value < limit:
+                    raise InputError(
+                        f"{name} must lie below {limit:g} mm in an eye of wall.radius_mm = "
+                        f"{wall.radius_mm:g}; got {value:g} mm"
+                    )
         beam = self.beam
         if beam.half_angle_deg is not None and beam.numerical_aperture is not None:
             raise InputError(

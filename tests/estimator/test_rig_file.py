@@ -70,6 +70,8 @@ def test_what_is_commented_out_in_the_template_is_a_possible_value():
         ("camera.noise.full_well_e=0", "camera.noise"),
         ("instrument.visible=yes", "instrument.visible"),
         ("workspace.tilt_deg=[30, 10]", "workspace.tilt_deg: must be the least and the largest"),
+        ("instrument.core_radius_mm=0.3", "core_radius_mm = 0.3 is wider than the fibre"),
+        ("robot.touch=[-0.1, 0.02]", "touch must not be negative; got -0.1 mm"),
         ("workspace.distance_mm=[0, 6]", "distance_mm must be above 0"),
         ("beam.numerical_aperture=1.2", "beam.numerical_aperture: .*0.95; got 1.2"),
         ("schema=2", "schema is 2; this eyespot"),
@@ -78,6 +80,16 @@ def test_what_is_commented_out_in_the_template_is_a_possible_value():
 def test_a_wrong_key_or_value_is_named(change, told):
     with pytest.raises(InputError, match=told):
         Rig().changed([change])
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("workspace.eccentricity_mm", [0, 12]), ("workspace.distance_mm", [1, 25])],
+)
+def test_a_workspace_fits_into_its_eye(key, value):
+    Rig().changed({key: value, "wall.radius_mm": 15.0})
+    with pytest.raises(InputError, match=f"{key} must lie below .* wall.radius_mm = 11.5"):
+        Rig().changed({key: value, "wall.radius_mm": 11.5})
 
 
 def test_a_cone_has_one_angle():

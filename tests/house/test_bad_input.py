@@ -107,7 +107,7 @@ pinhole_height_mm = 200.0
 bit_depth = 10
 black_level_dn = 4.0
 response = 2.2
-noise = { full_well_e = 10000.0, read_noise_e = 5.0 }
+noise = { full_well_e = 10000.0, read_noise_e = 5.0, black_level_dn = 4.0, bit_depth = 10 }
 [wall]
 kind = "eyeball"
 radius_mm = 11.5
