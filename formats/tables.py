@@ -33,6 +33,7 @@ LATEST_S = 1e11
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 """With it begins a time after ISO 8601."""
 _SEPARATORS = ",;\t"
+_MOST_COLUMNS = 1000
 
 
 def read_table(path: Path) -> "pd.DataFrame":
@@ -63,6 +64,8 @@ def read_table(path: Path) -> "pd.DataFrame":
                 )
         except pd.errors.EmptyDataError:
             return pd.DataFrame()
+        except InputError:
+            raise
         except UnicodeDecodeError as error:
             raise InputError(f"not a text file: {error}.") from None
         except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
@@ -75,7 +78,10 @@ def read_table(path: Path) -> "pd.DataFrame":
 def _separator(path: Path) -> str:
     with path.open(encoding="utf-8-sig") as file:
         header = file.readline()
-    return max(_SEPARATORS, key=header.count)
+    separator = max(_SEPARATORS, key=header.count)
+    if header.count(separator) >= _MOST_COLUMNS:  # pandas takes the square of them
+        raise InputError(f"more than {_MOST_COLUMNS:,} columns. Keep those that are needed.")
+    return separator
 
 
 def lines_of(path: Path) -> Place:
