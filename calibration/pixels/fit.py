@@ -11,14 +11,8 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
-from eyespot.calibration.pixels.light import (
-    ENCLOSED,
-    NEAREST_MM,
-    STATES,
-    VIEW,
-    Cells,
-    LinearLensLight,
-)
+from eyespot.calibration.pixels.lens_light import ENCLOSED, NEAREST_MM, LinearLensLight
+from eyespot.calibration.pixels.light import STATES, VIEW, Cells
 from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
 from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
 from eyespot.calibration.recorded_trial import touch_of

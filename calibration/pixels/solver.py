@@ -27,22 +27,17 @@ from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
 from eyespot.calibration.pixels.data import Footage, possible
-from eyespot.calibration.pixels.light import (
+from eyespot.calibration.pixels.lens_light import (
     CAP,
     CLEAR,
     NEAREST_MM,
-    SHIFT,
-    STATES,
-    TIP,
-    Cells,
-    FrameLight,
-    Light,
     LinearLensLight,
     cap_of,
     cap_sag,
     cap_shape,
     cap_slopes,
 )
+from eyespot.calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
 from eyespot.calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from eyespot.calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from eyespot.formats.inputs import InputError

@@ -17,7 +17,8 @@ from scipy import integrate, ndimage, stats
 from eyespot import calibration, optics
 from eyespot.calibration.pixels.data import BareFibre, Footage, check_names, footage_of
 from eyespot.calibration.pixels.fit import fit_image
-from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light, LinearLensLight
+from eyespot.calibration.pixels.lens_light import LinearLensLight
+from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.formats.camera import CameraNoise, CameraSheet, Response

@@ -12,7 +12,7 @@ from eyespot import optics, scenes
 from eyespot.calibration.command.fitting import chosen_model
 from eyespot.calibration.command.lens_guess import guessed_lenses
 from eyespot.calibration.pixels.data import footage_of
-from eyespot.calibration.pixels.light import cap_of, cap_shape, cap_slopes
+from eyespot.calibration.pixels.lens_light import cap_of, cap_shape, cap_slopes
 from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.estimator.recording import Recording
