@@ -11,9 +11,15 @@ import numpy as np
 import pandas as pd
 
 from eyespot import optics
-from eyespot.benchmarks.model_error import COLOURS, Geometry
+from eyespot.benchmarks.model_error import (
+    COLOURS,
+    Geometry,
+    cone_view,
+    exact_spots,
+    places,
+    readings,
+)
 from eyespot.benchmarks.reporting import rows_of
-from eyespot.benchmarks.rig_error import cone_view, exact_spots, places, readings
 from eyespot.benchmarks.workspace import geometry_of_rig, workspace_of
 from eyespot.estimator.distance.tilted_cone import spot_edge
 from eyespot.formats.rig import Rig

@@ -1,8 +1,9 @@
-"""Tables of models' errors: their geometry, their limits, and how figures show them."""
+"""Errors of the models on spots whose truth is known: geometry, readings, limits, looks."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import pandas as pd
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.statistics import first_reached, largest
+from eyespot.estimator.distance.tilted_cone import ConeView, SpotImage, spot_image
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""
@@ -51,6 +53,112 @@ MODEL_ERROR = (
 `azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
 spots, as the paper does, and `c_mm` is the true one.
 """
+
+
+# Exact contours, and what every model reads off a spot, in NumPy: JAX takes as long to import as
+# a rig's errors take.
+
+_STEPS = 8
+"""Of the iteration for `exact`; each reduces the error to a tenth or less."""
+
+
+def errors_of(
+    geometry: Geometry,
+    models: Sequence[str],
+    *,
+    c: np.ndarray,
+    d: np.ndarray,
+    semi_minor_px: np.ndarray | None = None,
+    **about: Any,
+) -> pd.DataFrame:
+    """What models read off spots, minus the truth: a row for each model and spot.
+
+    Args:
+        c: true eccentricities, mm, which the models are given.
+        d: true distances, mm.
+        semi_minor_px: of the spots; by default those of their exact contours.
+        about: values of further columns.
+    """
+    if semi_minor_px is None:
+        semi_minor_px = exact_spots(geometry, c=c, d=d).semi_minor
+    found = readings(geometry, models, c=c, semi_minor_px=semi_minor_px)
+    about |= place(geometry, c=c, d=d)
+    tables = [
+        pd.DataFrame({"model": model, **about, "estimate_mm": own, "error_mm": own - d})
+        for model, own in found.items()
+    ]
+    return pd.concat(tables, ignore_index=True)
+
+
+def errors_of_spots(geometry: Geometry, spots: pd.DataFrame, models: Sequence[str]) -> pd.DataFrame:
+    """Errors of models on measured spots: `paper.spots_of`, those that are used."""
+    c, d, e = spots[["c_mm", "d_mm", "semi_minor_px"]].to_numpy(float).T
+    about: dict[str, Any] = {"source": "rendered", "refit": False, "medium": spots.medium.iloc[0]}
+    return errors_of(geometry, models, c=c, d=d, semi_minor_px=e, **about)
+
+
+def readings(
+    geometry: Geometry, models: Sequence[str], *, c: np.ndarray, semi_minor_px: np.ndarray
+) -> dict[str, np.ndarray]:
+    """What models read off spots of known eccentricity (mm) and semi-minor axis (px), mm."""
+    view = cone_view(geometry)
+    closed: dict[str, Any] = {
+        "semi_minor_px": semi_minor_px,
+        "scale": view.scale,
+        "k": view.k,
+        "b": view.b,
+        "eccentricity": c,
+        "eye_radius": view.eye_radius,
+        "inverse_working_distance": view.inverse_working_distance,
+    }
+    return {
+        model: exact_distance(geometry, c=c, semi_minor_px=semi_minor_px)
+        if model == "exact"
+        else np.asarray(optics.closed_form_distance(model, **closed))
+        for model in models
+    }
+
+
+def exact_distance(geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray) -> np.ndarray:
+    """Distance (mm) whose exact contour has this semi-minor axis: `optics.exact_distance`."""
+    view = cone_view(geometry)
+    apart = view.k * view.scale * semi_minor_px
+    for _ in range(_STEPS):
+        seen = exact_spots(geometry, c=c, d=view.b + apart).semi_minor
+        apart = apart * semi_minor_px / seen
+    return view.b + apart
+
+
+def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> SpotImage:
+    """Ellipses of the spots of beams at eccentricities and distances, mm, at azimuth 0."""
+    spot, axis = places(geometry, c)
+    return spot_image(cone_view(geometry), spot=spot, axis=axis, distance=d)
+
+
+def places(geometry: Geometry, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Spots O at eccentricities (mm) in the plane of x and z, and axes of the beams, (n, 3)."""
+    sin_phi = c / geometry.eye_radius
+    cos_phi, zero = np.sqrt(1.0 - sin_phi**2), np.zeros_like(c)
+    outward = np.stack([sin_phi, zero, -cos_phi], axis=1)
+    meridional = np.stack([cos_phi, zero, sin_phi], axis=1)
+    azimuth = geometry.incidence_azimuth
+    sideways = math.cos(azimuth) * meridional + math.sin(azimuth) * np.array([0.0, 1.0, 0.0])
+    axis = math.cos(geometry.incidence) * outward + math.sin(geometry.incidence) * sideways
+    return geometry.eye_radius * outward, axis
+
+
+def cone_view(geometry: Geometry) -> ConeView:
+    """The geometry as `estimator.distance.tilted_cone` takes it."""
+    return ConeView(
+        k=1.0 / math.tan(geometry.half_angle),
+        b=geometry.apex_offset,
+        scale=geometry.scale,
+        eye_radius=geometry.eye_radius,
+        inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
+    )
+
+
+# Tables of errors.
 
 
 def error_limits(errors: pd.DataFrame, tolerance: float) -> pd.DataFrame:

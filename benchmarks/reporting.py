@@ -237,24 +237,17 @@ class Table:
 
 
 class Picture(NamedTuple):
-    """A figure of the report, or several side by side; written as figures/NAME.png and .svg.
+    """A figure of the report, written as figures/NAME.png and .svg.
 
     Its caption begins with its message; "z_F" and "d_r" get their subscripts. `inline` is the
     format in the page: frames with a camera's noise are ten times smaller as JPEG.
     """
 
     name: str
-    figure: Figure | Sequence[Figure]
+    figure: Figure
     caption: str
     data: str = ""
     inline: Literal["svg", "jpeg"] = "svg"
-
-    @property
-    def figures(self) -> dict[str, Figure]:
-        """The figures by the names of their files."""
-        if isinstance(self.figure, Figure):
-            return {self.name: self.figure}
-        return {f"{self.name}_{n}": figure for n, figure in enumerate(self.figure, 1)}
 
 
 class Section:
@@ -343,10 +336,9 @@ def write_page(
     (folder / "figures").mkdir()
     parts = [*report.first, *(part for section in report.sections for part in section.parts)]
     images = {
-        name: save_figure(figure, folder / "figures" / name, inline=picture.inline)
-        for picture in parts
-        if isinstance(picture, Picture)
-        for name, figure in picture.figures.items()
+        part.name: save_figure(part.figure, folder / "figures" / part.name, inline=part.inline)
+        for part in parts
+        if isinstance(part, Picture)
     }
     about = {"study": study, "scene_toml": scene_toml, "command": command, "versions": versions}
     html = (

@@ -20,9 +20,8 @@ from matplotlib.figure import Figure
 from eyespot import optics
 from eyespot.benchmarks import model_error as errors_of_models
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.model_error import Geometry, error_limits
+from eyespot.benchmarks.model_error import error_limits, errors_of
 from eyespot.benchmarks.workspace import azimuths_deg, geometry_of_rig, workspace_of
-from eyespot.estimator.distance.tilted_cone import ConeView, SpotImage, spot_image
 from eyespot.estimator.run.options import OUT, RigChanges
 from eyespot.formats.rig import Rig, read_rig
 from eyespot.formats.whole_files import written_whole
@@ -33,8 +32,6 @@ _ECCENTRICITIES = 129
 _FEWER = 8
 """One c of so many is enough for `exact`, which has no error to be interpolated."""
 _DISTANCES = 12
-_STEPS = 8
-"""Of the iteration for `exact`; each reduces the error to a tenth or less."""
 _SHOWN_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 _LEAST_MM = 1e-3
 """Smaller errors are drawn at the foot of a logarithmic axis."""
@@ -94,77 +91,9 @@ def model_error(
         for azimuth_deg in azimuths_deg(space) if tilt_deg else (0.0,):
             lean = {"incidence": tilt_deg, "incidence_azimuth": azimuth_deg}
             tilted = geometry._replace(**{name: math.radians(a) for name, a in lean.items()})
-            for models, spots in ((optics.CLOSED_FORMS, every), (("exact",), few)):
-                at = dict(zip("cd", spots, strict=True))
-                where = errors_of_models.place(tilted, **at)
-                seen = exact_spots(tilted, **at).semi_minor
-                for model, estimate in readings(
-                    tilted, models, c=at["c"], semi_minor_px=seen
-                ).items():
-                    about = {"model": model, **where, "estimate_mm": estimate}
-                    tables.append(pd.DataFrame(about | {"error_mm": estimate - at["d"]}))
+            for models, (at_c, at_d) in ((optics.CLOSED_FORMS, every), (("exact",), few)):
+                tables.append(errors_of(tilted, models, c=at_c, d=at_d))
     return pd.concat(tables, ignore_index=True)
-
-
-def readings(
-    geometry: Geometry, models: Sequence[str], *, c: np.ndarray, semi_minor_px: np.ndarray
-) -> dict[str, np.ndarray]:
-    """What models read off spots of known eccentricity (mm) and semi-minor axis (px), mm."""
-    view = cone_view(geometry)
-    closed: dict[str, Any] = {
-        "semi_minor_px": semi_minor_px,
-        "scale": view.scale,
-        "k": view.k,
-        "b": view.b,
-        "eccentricity": c,
-        "eye_radius": view.eye_radius,
-        "inverse_working_distance": view.inverse_working_distance,
-    }
-    return {
-        model: exact_distance(geometry, c=c, semi_minor_px=semi_minor_px)
-        if model == "exact"
-        else np.asarray(optics.closed_form_distance(model, **closed))
-        for model in models
-    }
-
-
-def exact_distance(geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarray) -> np.ndarray:
-    """Distance (mm) whose exact contour has this semi-minor axis: `optics.exact_distance`."""
-    view = cone_view(geometry)
-    apart = view.k * view.scale * semi_minor_px
-    for _ in range(_STEPS):
-        seen = exact_spots(geometry, c=c, d=view.b + apart).semi_minor
-        apart = apart * semi_minor_px / seen
-    return view.b + apart
-
-
-def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> SpotImage:
-    """Ellipses of the spots of beams at eccentricities and distances, mm, at azimuth 0."""
-    spot, axis = places(geometry, c)
-    return spot_image(cone_view(geometry), spot=spot, axis=axis, distance=d)
-
-
-def places(geometry: Geometry, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Spots O at eccentricities (mm) in the plane of x and z, and axes of the beams, (n, 3)."""
-    sin_phi = c / geometry.eye_radius
-    cos_phi, zero = np.sqrt(1.0 - sin_phi**2), np.zeros_like(c)
-    outward = np.stack([sin_phi, zero, -cos_phi], axis=1)
-    meridional = np.stack([cos_phi, zero, sin_phi], axis=1)
-    azimuth = geometry.incidence_azimuth
-    sideways = math.cos(azimuth) * meridional + math.sin(azimuth) * np.array([0.0, 1.0, 0.0])
-    axis = math.cos(geometry.incidence) * outward + math.sin(geometry.incidence) * sideways
-    return geometry.eye_radius * outward, axis
-
-
-def cone_view(geometry: Geometry) -> ConeView:
-    """The geometry as `estimator.distance.tilted_cone` takes it."""
-    return ConeView(
-        k=1.0 / math.tan(geometry.half_angle),
-        b=geometry.apex_offset,
-        scale=geometry.scale,
-        eye_radius=geometry.eye_radius,
-        inverse_working_distance=1.0 / (geometry.pinhole_height + geometry.eye_radius),
-    )
 
 
 def error_figure(errors: pd.DataFrame, tolerance: float) -> Figure:

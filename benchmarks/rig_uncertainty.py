@@ -12,8 +12,7 @@ import numpy as np
 import pandas as pd
 
 from eyespot import optics
-from eyespot.benchmarks.model_error import Geometry, degrees
-from eyespot.benchmarks.rig_error import exact_spots, readings
+from eyespot.benchmarks.model_error import Geometry, degrees, exact_spots, readings
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.rig import Rig
 

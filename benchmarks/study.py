@@ -23,7 +23,7 @@ from cyclopts import Parameter
 from cyclopts.types import NonNegativeInt
 
 from eyespot import scenes
-from eyespot.benchmarks.exact_spots import geometry_of
+from eyespot.benchmarks.model_error import Geometry
 from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from eyespot.benchmarks.reporting import STYLE, Report, write_page
 from eyespot.benchmarks.sets.spec import by_dotted_name
@@ -48,6 +48,7 @@ from eyespot.scenes import Scene, SceneError
 from eyespot.scenes.commands import Changes as Changes
 from eyespot.scenes.description.settings import OutsideWindow
 from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.world import World
 
 OutputFolder = Annotated[
     Path,
@@ -125,6 +126,7 @@ class Study:
         seeded = () if seed is None else (f"seed={seed}",)
         self.rig = None if rig is None else read_rig(rig)
         stated, self.unread = ({}, []) if self.rig is None else scene_of_rig(self.rig)
+        self.unread += [key for key in stated if among(key, varies)]
         of_rig = [change_of(*item) for item in stated.items()]
         self.scene = scenes.load_scene(scene, (*own, *of_rig, *changes, *seeded))
         _refuse_varied(name, changes, varies)
@@ -258,6 +260,20 @@ class Study:
             write_page(folder, made, command=self.command, versions=used, **run)
         self._let_go()
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
+
+
+def geometry_of(scene: Scene) -> Geometry:
+    """The geometry that the models are given of a scene."""
+    half_angle, b = World(scene).cone
+    return Geometry(
+        scale=scene.microscope.scale_mm_px,
+        pinhole_height=scene.microscope.pinhole_height_mm,
+        eye_radius=scene.phantom.radius_mm,
+        half_angle=half_angle,
+        apex_offset=b,
+        incidence=math.radians(scene.spot.incidence_deg),
+        incidence_azimuth=math.radians(scene.spot.incidence_azimuth_deg),
+    )
 
 
 def among(key: str, keys: Sequence[str]) -> bool:

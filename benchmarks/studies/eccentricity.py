@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from scipy.stats import qmc
 
 from eyespot import optics, scenes
-from eyespot.benchmarks import exact_spots, model_error, paper, statistics
+from eyespot.benchmarks import model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.studies import error_causes
@@ -29,6 +29,7 @@ from eyespot.benchmarks.study import (
     Seed,
     StartingScene,
     Study,
+    geometry_of,
 )
 from eyespot.calibration import fit_eccentricity
 from eyespot.formats.inputs import InputError
@@ -129,12 +130,12 @@ def withdrawals(
 
     Of all models with the true c, then of small_plane with the fitted one, see `refitted`.
     """
-    grid: dict[str, Any] = {"eccentricities": eccentricities, "distances": distances}
-    spots = exact_spots.exact_spots(geometry, **grid, medium=medium)
-    errors = exact_spots.model_errors(geometry, spots, source="analytic", models=optics.MODELS)
+    c, d = (axis.ravel() for axis in np.meshgrid(eccentricities, distances, indexing="ij"))
+    seen = model_error.exact_spots(geometry, c=c, d=d).semi_minor
+    about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": medium}
+    errors = model_error.errors_of(geometry, optics.MODELS, c=c, d=d, semi_minor_px=seen, **about)
     found = [
-        refitted(geometry, errors[errors.c_mm == c], own.semi_minor_px.to_numpy())
-        for c, own in grouped(spots, "c_mm")
+        refitted(geometry, errors[errors.c_mm == own], seen[c == own]) for own in eccentricities
     ]
     tables, refits = zip(*found, strict=True)
     return pd.concat([errors, *tables], ignore_index=True), pd.DataFrame(refits)
@@ -241,12 +242,10 @@ def measure(
     # Empty tables first, so that a run without spots has tables, too.
     errors, refits, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [], [pd.DataFrame()]
     for name, scene in every.items():
-        seen, geometry = tracked[name], exact_spots.geometry_of(scene)
+        seen, geometry = tracked[name], geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
-            errors.append(
-                exact_spots.model_errors(geometry, spots, source="rendered", models=optics.MODELS)
-            )
+            errors.append(model_error.errors_of_spots(geometry, spots, optics.MODELS))
         if len(spots) >= _FEWEST_SPOTS:
             rows, refit = refitted(geometry, errors[-1], spots.semi_minor_px.to_numpy())
             errors.append(rows)
@@ -373,7 +372,7 @@ def fill_space(
     The scene gives the scale, the spot's size at contact and the medium. The rows of `before` are
     written before those of the space.
     """
-    cone, filled = exact_spots.geometry_of(scene), []
+    cone, filled = geometry_of(scene), []
     about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": scene.source.medium}
     radius = -cone.apex_offset * float(np.tan(cone.half_angle))
     with (
@@ -475,12 +474,26 @@ def _report(
                 ),
             ),
             page.Section("Causes", *_causes(scene, tables["causes"])),
+            page.Section(
+                "An eye is no sphere, and its retina is clear",
+                page.Table(
+                    tables["eye"],
+                    tables["eye"].columns,
+                    "Errors of exact in a living eye. Shape: the largest on Atchison's emmetropic "
+                    f"ellipsoid, and on one tilted by {error_causes.LEAN_DEG:g}° and shifted by "
+                    f"{error_causes.ASIDE_MM:g} mm, read on a sphere. Layer: light comes back from "
+                    "below the clear retina, so a distance is longer by the layer than that to the "
+                    "surface.",
+                    data="eye.csv",
+                ),
+            ),
         ],
         data={
             "model_error.csv": None,
             "limits.csv": tables["limits"],
             "refit.csv": pd.concat([refits, tables["rendered_refits"]]),
             "causes.csv": tables["causes"],
+            "eye.csv": tables["eye"],
         },
     )
 
@@ -507,6 +520,15 @@ def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Cla
             "less.)",
             value=spot.whole_mm,
         )
+    of_eye = tables["eye"]
+    yield page.Claim(
+        name="a living eye",
+        sentence=f"At c = {listed(of_eye.c_mm, 'g')} mm the retina's shape adds up to "
+        f"{listed(of_eye.shape_mm, '.3f')} mm, tilted and shifted up to "
+        f"{listed(of_eye.tilted_mm, '.2f')} mm, to the error of exact, and the clear layer "
+        f"{of_eye.layer_from_mm[0]:.2f} to {of_eye.layer_to_mm[0]:.2f} mm.",
+        value=float(of_eye.tilted_mm.max()),
+    )
     if len(errors):
         worst = tuple(statistics.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
         yield page.Claim(
@@ -591,7 +613,7 @@ def eccentricity(
         for height in (0.0, *pinhole_heights(base), np.inf):
             for tilt in dict.fromkeys((0.0, base.spot.incidence_deg)):
                 view = {"microscope.pinhole_height_mm": height, "spot.incidence_deg": tilt}
-                geometry = exact_spots.geometry_of(scenes.changed(base, view))
+                geometry = geometry_of(scenes.changed(base, view))
                 found.append(
                     withdrawals(geometry, eccentricities=c, medium=medium, distances=distances)
                 )
@@ -606,6 +628,7 @@ def eccentricity(
         "rendered": rendered,
         "rendered_refits": rendered_refits,
         "causes": shares,
+        "eye": error_causes.of_an_eye(geometry_of(base)),
     }
     within = {m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS}
     study.publish(_report, base, study.space, tables, used, within, len(space))

@@ -20,9 +20,10 @@ import pandas as pd
 from jaxtyping import Array, Float
 
 from eyespot import optics
-from eyespot.benchmarks.model_error import Geometry, place
+from eyespot.benchmarks.model_error import Geometry, place, readings
 from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.optics.irradiance import in_batches
+from eyespot.optics.viewing import load_eye
 from eyespot.scenes import Scene
 from eyespot.scenes.walls.picture import PRESETS_MM, wall_spread
 
@@ -319,3 +320,69 @@ def _model_errors(
     )
     found = distances(believed, seen, links)
     return jnp.stack([found[model] for model in optics.MODELS]) - d
+
+
+# What a living eye adds: its retina is no sphere, and a clear layer lies over the wall.
+
+EYE_C_MM = (1.0, 3.0, 5.0)
+LEAN_DEG, ASIDE_MM = 8.0, 0.5
+"""Tilt and shift of the retina's ellipsoid against the microscope's axis."""
+LAYER_MM = (0.2, 0.3)
+"""Thickness of the clear retina over the layer that sends the light back."""
+_READ_ON_MM = 11.5  # radius of the sphere that stands for the ellipsoid
+_EYE_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
+
+
+def of_an_eye(geometry: Geometry) -> pd.DataFrame:
+    """Content of eye.csv: errors of `exact` in a living eye, mm, at `EYE_C_MM`.
+
+    Columns: `shape_mm`, the largest |error| over d and directions on Atchison's (2006) emmetropic
+    ellipsoid, scaled to the geometry's radius; `tilted_mm`, the same on one that is tilted and
+    shifted; `layer_from_mm` and `layer_to_mm`, by which a distance to the reflecting layer exceeds
+    that to the surface which a tool touches.
+    """
+    semi_axes = load_eye("atchison").retina_semi_axes * geometry.eye_radius / _READ_ON_MM
+    azimuths = np.radians(np.arange(0.0, 360.0, 30.0))
+    grid = np.meshgrid(EYE_C_MM, azimuths, _EYE_DISTANCES_MM, indexing="ij")
+    c, azimuth, d = (axis.ravel() for axis in grid)
+
+    def largest(lean_deg: float, aside_mm: float) -> np.ndarray:
+        placed = semi_axes, np.radians(lean_deg), aside_mm
+        seen = np.asarray(_on_ellipsoid(geometry, *placed, c, azimuth, d))
+        read = readings(geometry, ("exact",), c=c, semi_minor_px=seen)["exact"]
+        return np.abs(read - d).reshape(len(EYE_C_MM), -1).max(axis=1)
+
+    tilted = [largest(LEAN_DEG, aside) for aside in (ASIDE_MM, -ASIDE_MM)]
+    low, high = (thickness / np.cos(geometry.incidence) for thickness in LAYER_MM)
+    sizes = {"shape_mm": largest(0.0, 0.0), "tilted_mm": np.max(tilted, axis=0)}
+    layer = {"layer_from_mm": low, "layer_to_mm": high}
+    return pd.DataFrame({"c_mm": EYE_C_MM, **sizes, **layer})
+
+
+@jax.jit
+def _on_ellipsoid(
+    geometry: Geometry,
+    semi_axes: Array,
+    lean: Array,
+    aside: Array,
+    c: Array,
+    azimuth: Array,
+    d: Array,
+) -> Float[Array, "n"]:
+    """e1' of spots on an ellipsoid whose pole is where the sphere's is, px."""
+    height = geometry.pinhole_height + geometry.eye_radius
+    view = optics.Microscope(
+        scale=jnp.asarray(geometry.scale),
+        inverse_working_distance=jnp.asarray(1.0 / height),
+        pole_height=-semi_axes[2],
+        principal_point=jnp.zeros(2),
+        distortion=jnp.zeros(5),
+    )
+    wall = optics.Ellipsoid(semi_axes, shift=(aside, 0.0), tilt=lean)
+
+    def seen(c: Array, azimuth: Array, d: Array) -> Array:
+        place = {"eccentricity": c, "azimuth": azimuth, "distance": d}
+        beam = optics.beam_at_spot(wall, **place, **geometry.beam)
+        return optics.spot_ellipse(beam, wall, view).semi_minor
+
+    return jax.vmap(seen)(c, azimuth, d)

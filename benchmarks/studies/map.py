@@ -21,7 +21,6 @@ from scipy.special import ndtri
 
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.exact_spots import geometry_of
 from eyespot.benchmarks.model_error import ECCENTRICITY, Geometry
 from eyespot.benchmarks.reporting import number
 from eyespot.benchmarks.rig_uncertainty import NOISE_PX, UNTOLD, errors_at
@@ -34,6 +33,7 @@ from eyespot.benchmarks.study import (
     Seed,
     StartingScene,
     Study,
+    geometry_of,
 )
 from eyespot.benchmarks.workspace import azimuths_deg, calibrated_cone
 from eyespot.formats.calibration import Calibration, read_calibration

@@ -604,6 +604,13 @@ def _claims(errors: pd.DataFrame, rough: pd.DataFrame) -> Iterator[page.Claim]:
 
 # The command.
 
+VARIED = (
+    *STILL,
+    *("motion", "spot.eccentricity_mm", "spot.incidence_deg", "spot.incidence_azimuth_deg"),
+    *("instrument.gauge", "instrument.fibre_length_mm", "phantom.texture_seed"),
+)
+"""Keys of the scene that the study sets itself, or that what it sets switches off."""
+
 
 def pose(
     scene: StartingScene = None,
@@ -616,7 +623,9 @@ def pose(
     seed: Seed = None,
 ) -> pd.DataFrame:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
-    study = Study("pose", out, scene, changes, quick, seed, ("source.kind=cone",), check, rig=rig)
+    cone = ("source.kind=cone",)
+    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
+    study = Study("pose", out, scene, changes, quick, seed, cone, check, **about)
     wall, rows = optics.Sphere(study.scene.phantom.radius_mm), []
     with study.timed("noise on exact contours"):
         own, tools = study.scene.microscope, tools_of(*World(study.scene).cone)

@@ -15,11 +15,11 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
 from eyespot import optics
-from eyespot.benchmarks import exact_spots, model_error, paper, statistics
+from eyespot.benchmarks import model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
-from eyespot.benchmarks.study import LightSource, OutputFolder, Quick, Study
+from eyespot.benchmarks.study import LightSource, OutputFolder, Quick, Study, geometry_of
 from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
 from eyespot.formats.stack import Stack, read_stack
 
@@ -127,15 +127,16 @@ def fit_tables(
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
-    geometry = exact_spots.geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
+    geometry = geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
     tilts = [(0.0, 0.0)]
     tilts += [(geometry.incidence, math.radians(azimuth)) for azimuth in paper.TILT_AZIMUTHS_DEG]
-    c, d = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
+    grid = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
+    c, d = (axis.ravel() for axis in np.meshgrid(*grid, indexing="ij"))
     tables = []
     for height, (tilt, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
         own = geometry._replace(pinhole_height=height, incidence=tilt, incidence_azimuth=azimuth)
-        spots = exact_spots.exact_spots(own, eccentricities=c, distances=d)
-        tables.append(exact_spots.model_errors(own, spots, source="analytic"))
+        about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": "air"}
+        tables.append(model_error.errors_of(own, model_error.COMPARED, c=c, d=d, **about))
     return pd.concat(tables, ignore_index=True)
 
 
@@ -232,26 +233,32 @@ def film(findings: ValidateFindings) -> Figure:
     return figure
 
 
-def error_by_eccentricity(findings: ValidateFindings, height: float) -> Figure:
-    """Largest absolute error over all distances and tilts with one pinhole, logarithmic."""
-    figure = Figure(figsize=(5.0, 3.6), layout="constrained")
-    axes = figure.subplots()
-    axes.axhline(ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--")
-    for model, marker in zip(model_error.SHOWN, "ovs", strict=True):
-        line, points = (
-            model_error.largest_errors(where(errors, model=model, z_f_mm=height))
-            for errors in (findings.analytic, findings.rendered)
-        )
-        colour = model_error.MODEL_COLOURS[model]
-        # On exact contours `exact` is right to rounding, too small for a logarithmic axis.
-        if model != "exact":
-            axes.plot(line, color=colour, lw=1)
-        axes.plot(points, color=colour, ls="", marker=marker, ms=4.5, label=model)
-    labels = {"xlabel": model_error.ECCENTRICITY, "ylabel": "largest |estimate − $d$| (mm)"}
-    axes.set(yscale="log", ylim=(5e-4, 10.0), title=model_error.pinhole_title(height), **labels)
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.legend(loc="lower right", ncols=3)
-    return figure
+def error_by_eccentricity(findings: ValidateFindings) -> Figure:
+    """Largest absolute error over all distances and tilts, a panel for each pinhole."""
+
+    def draw(axes: Axes, _: str, height: float) -> None:
+        axes.axhline(ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--")
+        for model, marker in zip(model_error.SHOWN, "ovs", strict=True):
+            line, points = (
+                model_error.largest_errors(where(errors, model=model, z_f_mm=height))
+                for errors in (findings.analytic, findings.rendered)
+            )
+            colour = model_error.MODEL_COLOURS[model]
+            # On exact contours `exact` is right to rounding, too small for a logarithmic axis.
+            if model != "exact":
+                axes.plot(line, color=colour, lw=1)
+            axes.plot(points, color=colour, ls="", marker=marker, ms=4.5, label=model)
+        axes.set(yscale="log", ylim=(5e-4, 10.0))
+
+    return page.small_multiples(
+        draw,
+        columns=paper.PINHOLE_HEIGHTS_MM,
+        title=lambda _, height: model_error.pinhole_title(height),
+        x=model_error.ECCENTRICITY,
+        y="largest |estimate − $d$| (mm)",
+        height=3.6,
+        sharey=True,
+    )
 
 
 def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
@@ -284,49 +291,6 @@ def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
         x=model_error.MEASURED,
         y=model_error.READING,
         legend_columns=5,
-        sharex=True,
-        sharey="row",
-    )
-
-
-_SHADES = dict(
-    zip(model_error.CHOSEN_DISTANCES_MM, ("#A6CEE3", page.SKY, page.BLUE, "#08306B"), strict=True)
-)
-
-
-def model_error_figure(analytic: pd.DataFrame, rendered: pd.DataFrame) -> Figure:
-    """Signed error against c: a row for each pinhole, a column for each of `model_error.SHOWN`.
-
-    Tilted beams are shown at the first azimuth of their tilt.
-    """
-    tilted = analytic.incidence_deg.max()
-    leaning = analytic[analytic.incidence_deg == tilted]
-    square = analytic[analytic.incidence_deg != tilted]
-    azimuth = leaning.azimuth_deg.iloc[0]
-
-    def draw(axes: Axes, height: float, model: str) -> None:
-        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
-        for d, colour in _SHADES.items():
-            for errors, style in (
-                (square, {"ls": ":"}),
-                (leaning, {"label": f"exact contour, $d$ = {d:g} mm"}),
-                (rendered, {"ls": "", "marker": "o", "ms": 3.5}),
-            ):
-                here = (errors.model == model) & (errors.z_f_mm == height)
-                if errors is not square:
-                    here &= (errors.incidence_deg == tilted) & (errors.azimuth_deg == azimuth)
-                shown = errors[here & ((errors.d_mm - d).abs() < 1e-6)]
-                axes.plot(shown.c_mm, shown.error_mm, color=colour, **style)
-
-    return page.small_multiples(
-        draw,
-        rows=rendered.z_f_mm.unique().tolist() or leaning.z_f_mm.unique().tolist()[:2],
-        columns=model_error.SHOWN,
-        title=lambda height, model: (
-            f"{model}\n{model_error.pinhole_title(height)}, azimuth {azimuth:g}°"
-        ),
-        x=model_error.ECCENTRICITY,
-        y="estimate − $d$ (mm)",
         sharex=True,
         sharey="row",
     )
@@ -496,7 +460,7 @@ def report(findings: ValidateFindings) -> page.Report:
             ),
             page.Picture(
                 "error_by_eccentricity",
-                [error_by_eccentricity(findings, height) for height in paper.PINHOLE_HEIGHTS_MM],
+                error_by_eccentricity(findings),
                 "The paper's model fails with growing c, and sooner under a microscope (right) "
                 "than with its own pinhole on the eyeball's sphere (left). The largest error over "
                 "all distances and tilts, on exact contours (lines) and on spots measured in "
@@ -511,28 +475,12 @@ def report(findings: ValidateFindings) -> page.Report:
                 "tilts; + is the end of the range.",
                 data="model_error.csv",
             ),
-            "The paper's cos φ is the right factor for a pinhole at the eyeball's centre only; a "
-            "c that is fitted to the same distances, as in the paper's Table II, hides the error.",
+            "The paper's cos φ is the right factor for a pinhole at the eyeball's centre only; its "
+            "equation for FP has it on the eyeball's sphere. A c that is fitted to the same "
+            "distances, as in the paper's Table II, hides the error.",
         ],
         claims=list(claims(findings)),
-        sections=[
-            page.Section(
-                "The models against the exact geometry",
-                page.Picture(
-                    "model_error",
-                    model_error_figure(analytic, rendered),
-                    "The sign of the error: small_plane makes distances too short. Exact contours "
-                    "(lines; dotted: square beam) and spots measured in rendered frames of the "
-                    "ideal cone (dots, at the rendered distances). Every model is given the true "
-                    "k, b, c and r. The paper puts the pinhole F on the eyeball's sphere in its "
-                    "equation for FP, and at the eyeball's centre in the caption of the figure "
-                    "that goes with it; a real microscope has z_F near 200 mm. Dashed: "
-                    f"{ACCEPTABLE_ERROR_MM} mm.",
-                    data="model_error.csv",
-                ),
-            ),
-            _fits(findings, spots),
-        ],
+        sections=[_fits(findings, spots)],
         data={
             "model_error.csv": pd.concat([analytic, rendered]),
             "rendered_accuracy.csv": model_error.accuracy(rendered),
@@ -608,10 +556,10 @@ def validate(
         spots, planes, spheres = fit_tables(trials, spots)
         # Each pinhole height and azimuth of the grid in one batch.
         used, rendered = spots[spots.used], []
-        geometries = {t.name: exact_spots.geometry_of(t.scene) for t in trials if t.kind == "grid"}
+        geometries = {t.name: geometry_of(t.scene) for t in trials if t.kind == "grid"}
         for geometry in dict.fromkeys(geometries.values()):
             own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-            rendered.append(exact_spots.model_errors(geometry, used[own], source="rendered"))
+            rendered.append(model_error.errors_of_spots(geometry, used[own], model_error.COMPARED))
         findings = ValidateFindings(
             stacks=study.folder / "stacks",
             trials=trials,

@@ -218,7 +218,7 @@ def test_every_link_leads_to_a_file_or_a_place_in_the_page(written, page):
 
 def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written, page):
     figures = {str(attributes["id"]) for tag, attributes in page.tags if tag == "figure"}
-    assert {"film", "plane_fit", "model_error"} <= figures
+    assert {"film", "plane_fit", "error_by_eccentricity"} <= figures
     links = [str(attributes.get("href")) for tag, attributes in page.tags if tag == "a"]
     names = {Path(link).stem for link in links if link.startswith("figures/")}
     assert {path.stem for path in (written / "figures").iterdir()} == names
@@ -235,12 +235,12 @@ def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(run, p
     first = [tag for tag, _ in page.tags].index("h2")
     opening = [attributes.get("class") for tag, attributes in page.tags[:first] if tag == "p"]
     assert opening[0] == "answer"
-    assert [tag for tag, _ in page.tags[:first]].count("img") == 3  # a film and two panels
+    assert [tag for tag, _ in page.tags[:first]].count("img") == 2  # film and figure
     for part in made.first:
         assert not isinstance(part, Table) or len(part.cells) <= 8
-        assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 4
+        assert not isinstance(part, Picture) or len(part.figure.axes) <= 4
     for part in (part for section in made.sections for part in section.parts):
-        assert not isinstance(part, Picture) or sum(len(f.axes) for f in part.figures.values()) <= 6
+        assert not isinstance(part, Picture) or len(part.figure.axes) <= 6
     assert (written / "report.html").stat().st_size < 3e6
 
 

@@ -235,7 +235,7 @@ def test_names_with_markup_are_shown_as_they_are():
     assert isinstance(picture, Picture)
     figure = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines
-        picture.figures[picture.name].savefig(figure, format="svg")
+        picture.figure.savefig(figure, format="svg")
     root = ElementTree.fromstring(figure.getvalue())
     assert name in {"".join(text.itertext()).strip() for text in root.iter(f"{SVG}text")}
 

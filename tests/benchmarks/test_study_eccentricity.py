@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -10,11 +11,10 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks import exact_spots
-from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry
+from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry, errors_of_spots, readings
 from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.benchmarks.studies import eccentricity, error_causes
-from eyespot.benchmarks.studies.eccentricity import AXES, DISTANCES_MM, LIMITS_MM, PINHOLES
+from eyespot.benchmarks.studies.eccentricity import AXES, LIMITS_MM, PINHOLES
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -24,7 +24,6 @@ EDGE_PX, PIXELS_PX, SPREAD_PX = 0.03, -0.02, -0.5
 MICROSCOPE, TELECENTRIC, SQUARE, ON_AXIS, CENTRED = range(5)
 """Geometries whose errors are split: see `worths`."""
 C_MM = np.linspace(0.0, 8.0, 9)
-GRID = C_MM.size * len(DISTANCES_MM)
 
 
 def geometry(*, z_f: float, incidence_deg: float = 0.0) -> Geometry:
@@ -138,12 +137,17 @@ def test_what_is_not_there_has_no_part_in_the_error(worths):
 def test_the_parts_sum_to_the_error_that_the_models_make_of_the_measured_spot(worths):
     for where, pinhole in ((MICROSCOPE, 200.0), (SQUARE, 200.0)):
         told = geometry(z_f=pinhole, incidence_deg=30.0 if where == MICROSCOPE else 0.0)
-        # As many as a grid of withdrawals has, which spares a compilation.
-        c, d = np.full(GRID, 4.0), np.full(GRID, 4.0)
-        seen = exact_spots.semi_minor(told, c=c, d=d) + EDGE_PX + PIXELS_PX + SPREAD_PX
+        wall, view = told.world
+        size = optics.exact_semi_minor(wall, view, eccentricity=4.0, distance=4.0, **told.beam)
+        seen = np.array([size + EDGE_PX + PIXELS_PX + SPREAD_PX])
         # The working distance z_F + r is the microscope's and stays.
         wrong = told._replace(eye_radius=R + WRONG_R_MM, pinhole_height=pinhole - WRONG_R_MM)
-        found = exact_spots.estimates(wrong, c=c + WRONG_C_MM, semi_minor_px=seen)
+        c = 4.0 + WRONG_C_MM
+        found = readings(wrong, optics.CLOSED_FORMS, c=np.array([c]), semi_minor_px=seen)
+        at: dict[str, Any] = {"semi_minor_px": seen[0], "eccentricity": c}
+        wall, view = wrong.world
+        exact = optics.exact_distance(wall, view, **at, **wrong.beam)
+        found["exact"] = np.asarray(exact)[None]
         for m, model in enumerate(optics.MODELS):
             parts = shapley_values(worths[where, m])
             # Solvers settle to 1e-9 mm.
@@ -181,6 +185,15 @@ def test_light_spread_in_the_wall_moves_a_square_cones_distance_by_a_tenth_of_a_
     assert paper == pytest.approx(0.0244, abs=1e-4)
     own = scenes.load_scene(None, ["phantom.spread=own", "phantom.spread_mm=[0.1,0.05,0.02]"])
     assert error_causes.spread_length(own) == 0.05
+
+
+def test_an_eyes_shape_and_clear_layer_cost_what_another_program_found():
+    found = error_causes.of_an_eye(geometry(z_f=200.0)).set_index("c_mm")
+    # DESIGN, section 19, with light and geometry of other code, over other distances and tilts: up
+    # to 0.009, 0.07, 0.19 mm on the ellipsoid, and 0.07, 0.20, 0.44 mm on a tilted one.
+    for name, others in (("shape_mm", (0.009, 0.07, 0.19)), ("tilted_mm", (0.07, 0.20, 0.44))):
+        assert found[name].to_numpy() == pytest.approx(others, rel=0.6), name
+    assert (found.layer_from_mm[1.0], found.layer_to_mm[1.0]) == (0.2, 0.3)
 
 
 def test_shares_are_the_mean_gain_over_all_orders_of_joining():
@@ -257,9 +270,9 @@ def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
     scene = scenes.load_scene(None, ("source.kind=cone",))
     file = tmp_path / "model_error.csv"
     told = geometry(z_f=math.inf, incidence_deg=30.0)
-    spots = pd.DataFrame({"c_mm": np.full(GRID, 3.0), "d_mm": 2.0, "semi_minor_px": 55.0})
+    spots = pd.DataFrame({"c_mm": [3.0], "d_mm": 2.0, "semi_minor_px": 55.0})
     spots["medium"] = "air"
-    row = exact_spots.model_errors(told, spots, source="rendered")[:1]
+    row = errors_of_spots(told, spots, ("small_plane",))[:1]
     filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=row)
     rows = pd.read_csv(file)
     assert list(rows) == MODEL_ERROR

@@ -8,6 +8,7 @@ import pytest
 from eyespot import studies
 from eyespot.benchmarks import study as of_studies
 from eyespot.benchmarks.studies.eccentricity import VARIED as VARIED_BY_ECCENTRICITY
+from eyespot.benchmarks.studies.pose import VARIED as VARIED_BY_POSE
 from eyespot.scenes import Scene
 from eyespot.scenes.description import scene_file
 from eyespot.scenes.description.settings import SceneTable
@@ -77,7 +78,7 @@ def keys_of(scene):
     }
 
 
-VARIED = {"eccentricity": VARIED_BY_ECCENTRICITY}
+VARIED = {"eccentricity": VARIED_BY_ECCENTRICITY, "pose": VARIED_BY_POSE, "loop": ()}
 
 
 @pytest.mark.slow  # a quick run each

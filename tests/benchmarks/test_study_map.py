@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import eyespot
-from eyespot.benchmarks.rig_error import exact_spots, readings
+from eyespot.benchmarks.model_error import exact_spots, readings
 from eyespot.benchmarks.rig_uncertainty import NOISE_PX, UNTOLD, believed, errors_at, turned
 from eyespot.benchmarks.studies import map as of_map
 from eyespot.benchmarks.studies.map import f2554, limits, mapped

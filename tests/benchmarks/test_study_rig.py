@@ -5,8 +5,7 @@ import math
 import pytest
 
 from eyespot import scenes
-from eyespot.benchmarks.exact_spots import geometry_of
-from eyespot.benchmarks.study import require_possible
+from eyespot.benchmarks.study import geometry_of, require_possible
 from eyespot.benchmarks.workspace import scene_of_rig, workspace_of_scene
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import Rig

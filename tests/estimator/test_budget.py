@@ -15,8 +15,7 @@ import pytest
 from uncertainties import correlated_values, ufloat, umath
 
 from eyespot import optics
-from eyespot.benchmarks.exact_spots import estimates, semi_minor
-from eyespot.benchmarks.model_error import Geometry
+from eyespot.benchmarks.model_error import Geometry, errors_of
 from eyespot.estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
 from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.estimator.distance.ranger import Ranger
@@ -194,9 +193,11 @@ def test_on_a_sphere_the_linear_part_is_that_of_another_program():
 def test_the_correction_is_the_error_that_the_study_finds(model):
     c, d, incidence, towards = 3.0, 2.0, math.radians(30), math.radians(60)
     geometry = Geometry(SCALE, 200.0, R_EYE, HALF_ANGLE, B, incidence, towards)
-    given = {"c": np.array([c]), "d": np.array([d])}
-    seen_px = semi_minor(geometry, **given)
-    error = float(estimates(geometry, c=given["c"], semi_minor_px=seen_px)[model][0]) - d
+    wall, camera = geometry.world
+    exact = optics.exact_semi_minor(wall, camera, eccentricity=c, distance=d, **geometry.beam)
+    (error,) = errors_of(
+        geometry, (model,), c=np.array([c]), d=np.array([d]), semi_minor_px=np.array([exact])
+    ).error_mm
     view = microscope()
     beam = optics.beam_at_spot(
         view.wall(),
