@@ -3,17 +3,12 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
-from pathlib import Path
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from cyclopts.types import PositiveInt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.stats import qmc
 
 from eyespot import optics, scenes
 from eyespot.benchmarks import model_error, paper, statistics
@@ -32,82 +27,8 @@ from eyespot.benchmarks.study import (
     geometry_of,
 )
 from eyespot.calibration import fit_eccentricity
-from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import WorkspaceKeys
-from eyespot.formats.whole_files import written_whole
 from eyespot.scenes import Scene
-
-# The space of geometries: scrambled Sobol points, every model's error there, in bounded memory.
-
-AXES = {
-    "c_mm": (0.0, 8.0),
-    "d_mm": (0.5, 6.0),
-    "r_mm": (10.5, 12.5),
-    "incidence_deg": (0.0, 45.0),
-    "azimuth_deg": (0.0, 360.0),
-    "half_angle_deg": (2.0, 8.0),
-}
-"""What is varied continuously, and its range; columns of model_error.csv."""
-
-PINHOLES = ("centre", "sphere", "200", "inf")
-"""z_F: the eyeball's centre (0), on the sphere (r), 200 mm, telecentric."""
-
-BLOCK = 1 << 14  # geometries at a time; a Sobol sequence is balanced over powers of two
-_BATCH = 512
-_NUMBERS = model_error.MODEL_ERROR[model_error.MODEL_ERROR.index("c_mm") :]
-_DIGITS = {name: "{:.6g}" for name in _NUMBERS} | {"estimate_mm": "{:.6f}", "error_mm": "{:.6f}"}
-"""Of the numbers in model_error.csv."""
-
-
-def blocks(*, count: int, seed: int, scale: float, contact_radius: float) -> Iterator[pd.DataFrame]:
-    """Geometries that fill the space evenly, a row each, with the estimate of every model in mm.
-
-    Besides `AXES`, columns are pinhole (of `PINHOLES`), z_f_mm, and apex_offset_mm, such that the
-    spot at contact keeps its radius -b/k (mm) whatever the cone's angle. The scale is in mm/px. The
-    count is rounded up to whole blocks.
-    """
-    engine = qmc.Sobol(d=len(AXES) + 1, scramble=True, rng=np.random.default_rng(seed))
-    low, high = np.array(list(AXES.values())).T
-    size = min(BLOCK, 1 << (count - 1).bit_length())
-    for _ in range(-(-count // size)):
-        unit = engine.random(size)
-        found = pd.DataFrame(low + (high - low) * unit[:, :-1], columns=list(AXES))
-        pinhole = np.minimum(unit[:, -1] * len(PINHOLES), len(PINHOLES) - 1).astype(int)
-        r = found.r_mm.to_numpy()
-        half_angle = np.radians(found.half_angle_deg.to_numpy())
-        found["pinhole"] = np.array(PINHOLES)[pinhole]
-        found["z_f_mm"] = np.choose(pinhole, [0.0 * r, r, 0.0 * r + 200.0, 0.0 * r + np.inf])
-        found["apex_offset_mm"] = -contact_radius / np.tan(half_angle)
-        tilt = np.radians(found[["incidence_deg", "azimuth_deg"]].to_numpy()).T
-        beam = half_angle, found.apex_offset_mm, *tilt
-        columns = np.full(size, scale), 1.0 / (found.z_f_mm + r), r, *beam, found.c_mm
-        eye = error_causes.CauseEye(*(jnp.asarray(np.array(values)) for values in columns))
-        estimates = _estimates(eye, jnp.asarray(found.d_mm.to_numpy()))
-        yield found.assign(**{model: np.asarray(estimates[model]) for model in optics.MODELS})
-
-
-@jax.jit
-def _estimates(eye: error_causes.CauseEye, d: jax.Array) -> dict[str, jax.Array]:
-    def of(spot: tuple[error_causes.CauseEye, jax.Array]) -> dict[str, jax.Array]:
-        eye, d = spot
-        seen = error_causes.semi_minor(eye, d)
-        # With every link real there is a closed form, which saves half of the time.
-        stereographic = optics.closed_form_distance(
-            "stereographic",
-            semi_minor_px=seen,
-            scale=eye.scale,
-            k=optics.slope(eye.half_angle),
-            b=eye.apex_offset,
-            eccentricity=eye.eccentricity,
-            eye_radius=eye.radius,
-            inverse_working_distance=eye.inverse_working_distance,
-        )
-        exact = error_causes.inverse(eye, seen)
-        closed = error_causes.closed_forms(eye, seen)
-        return {**closed, "stereographic": stereographic, "exact": exact}
-
-    return jax.lax.map(of, (eye, d), batch_size=_BATCH)
-
 
 # The c at which a model's error reaches a limit, with the true c and with a fitted one.
 
@@ -364,49 +285,10 @@ def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
     )
 
 
-def fill_space(
-    scene: Scene, *, count: int, seed: int, csv_file: Path, before: pd.DataFrame
-) -> pd.DataFrame:
-    """Errors (mm) of all models over the space of geometries; writes model_error.csv as it goes.
-
-    The scene gives the scale, the spot's size at contact and the medium. The rows of `before` are
-    written before those of the space.
-    """
-    cone, filled = geometry_of(scene), []
-    about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": scene.source.medium}
-    radius = -cone.apex_offset * float(np.tan(cone.half_angle))
-    with (
-        written_whole(csv_file, replace=True) as partial,
-        partial.open("w", encoding="utf-8") as file,
-    ):
-
-        def write(errors: pd.DataFrame, *, header: bool = False) -> None:
-            text = {name: errors[name].map(digits.format) for name, digits in _DIGITS.items()}
-            rows = errors.assign(**text)[model_error.MODEL_ERROR]
-            rows.to_csv(file, header=header, index=False, lineterminator="\n")
-
-        write(before, header=True)
-        for block in blocks(count=count, seed=seed, scale=cone.scale, contact_radius=radius):
-            errors = block[list(optics.MODELS)].sub(block.d_mm, axis=0)
-            for model in optics.MODELS:
-                made = {"estimate_mm": block[model], "error_mm": errors[model]}
-                write(block.assign(model=model, **about, **made))
-            filled.append(errors.astype(np.float32))
-    return pd.concat(filled, ignore_index=True)
-
-
 # The page.
 
 
-def _report(
-    scene: Scene,
-    space: WorkspaceKeys,
-    tables: Tables,
-    used: np.ndarray,
-    within: Mapping[str, float],
-    geometries: int,
-) -> page.Report:
-    """The report; `within` is the part of the space in which a model keeps the largest limit."""
+def _report(scene: Scene, space: WorkspaceKeys, tables: Tables, used: np.ndarray) -> page.Report:
     heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
     reached = [limit_of(tables, "small_plane", height, incidence) for height in heights]
     places = (
@@ -427,17 +309,11 @@ def _report(
     refits, largest_mm = tables["refits"], LIMITS_MM[-1]
     chosen = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
     chosen &= refits.z_f_mm.isin(heights) & (refits.incidence_deg == incidence)
-    ranges = ", ".join(f"{name} {low:g} to {high:g}" for name, (low, high) in AXES.items())
     return page.Report(
         title="How wrong is the distance, at which eccentricity, and why?",
-        answer=f"The paper's model is off by {largest_mm:g} mm from c = {said}; over all "
-        f"geometries it stays within that in {100 * within['small_plane']:.0f} %, corrected in "
-        f"{100 * within['corrected']:.0f} %, "
-        f"exact in {100 * within['exact']:.0f} %.",
-        lead="Five models from spot size to distance against the exact geometry: on exact "
-        f"contours, on spots measured in rendered frames, and on {geometries:,} geometries, a "
-        f"scrambled Sobol sequence: {ranges}; z_F = 0, r, 200 mm and infinite. For every "
-        "half-angle the spot at contact has the scene's size.",
+        answer=f"The paper's model is off by {largest_mm:g} mm from c = {said}.",
+        lead="Five models from spot size to distance against the exact geometry, on exact contours "
+        "and on spots measured in rendered frames.",
         first=[
             page.Picture(
                 "largest_error",
@@ -489,7 +365,9 @@ def _report(
             ),
         ],
         data={
-            "model_error.csv": None,
+            "model_error.csv": pd.concat([tables["withdrawals"], tables["rendered"]])[
+                model_error.MODEL_ERROR
+            ],
             "limits.csv": tables["limits"],
             "refit.csv": pd.concat([refits, tables["rendered_refits"]]),
             "causes.csv": tables["causes"],
@@ -584,20 +462,10 @@ def eccentricity(
     changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
-    geometries: PositiveInt | None = None,
 ) -> dict[str, pd.DataFrame]:
-    """Measure how wrong each model is, at which eccentricity, and by which cause.
-
-    Args:
-        geometries: Number of random geometries (default: 131072; 16384 if quick).
-    """
-    if geometries is not None and geometries < 512:
-        raise InputError(
-            f"--geometries must be at least 512, to fill each range of c; got {geometries}."
-        )
-    count = geometries or (1 << 14 if quick else 1 << 17)
-    cone, options = ("source.kind=cone",), {"geometries": count}
-    about: dict[str, Any] = {"options": options, "rig": rig, "varies": VARIED, "in_workspace": True}
+    """Measure how wrong each model is, at which eccentricity, and by which cause."""
+    cone = ("source.kind=cone",)
+    about: dict[str, Any] = {"rig": rig, "varies": VARIED, "in_workspace": True}
     study = Study("eccentricity", out, scene, changes, quick, seed, cone, **about)
     base, medium = study.scene, study.scene.source.medium
     distances = np.linspace(*study.space.distance_mm, len(DISTANCES_MM)).tolist()
@@ -618,9 +486,6 @@ def eccentricity(
                     withdrawals(geometry, eccentricities=c, medium=medium, distances=distances)
                 )
         on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))
-    with study.timed("space of geometries"):
-        csv_file, before = study.folder / "model_error.csv", pd.concat([on_exact, rendered])
-        space = fill_space(base, count=count, seed=study.seed, csv_file=csv_file, before=before)
     tables = {
         "withdrawals": on_exact,
         "refits": refits,
@@ -630,6 +495,5 @@ def eccentricity(
         "causes": shares,
         "eye": error_causes.of_an_eye(geometry_of(base)),
     }
-    within = {m: float((space[m].abs() <= LIMITS_MM[-1]).mean()) for m in optics.MODELS}
-    study.publish(_report, base, study.space, tables, used, within, len(space))
+    study.publish(_report, base, study.space, tables, used)
     return tables

@@ -17,7 +17,6 @@ from matplotlib.figure import Figure
 from eyespot import scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.model_error import MEASURED, READING, TRIAL_COLOURS
 from eyespot.benchmarks.reporting import listed, number, rows_of, where
 from eyespot.benchmarks.study import (
     Changes,
@@ -275,35 +274,7 @@ def parts(variants: Mapping[str, Measured], *, texture: np.ndarray) -> pd.DataFr
     return pd.DataFrame(rows, columns=columns)
 
 
-# Figures.
-
-
-def _trials_figure(spots: Mapping[tuple[str, str], Measured]) -> Figure:
-    """d_r against e1' of all runs: planes and spheres (rows), by way of measuring (columns)."""
-    highest = max(np.nanmax(readings) for _, readings in spots.values())
-
-    def draw(axes: Axes, wall: str, way: str) -> None:
-        names = paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II
-        for n, (name, colour) in enumerate(zip(names, TRIAL_COLOURS, strict=True)):
-            points = (of[:, n].ravel() for of in spots[wall, way])
-            axes.plot(*points, ".", ms=2.5, alpha=0.5, color=colour, label=name)
-        if wall == "plane":
-            d = np.array([0.0, highest])
-            for line, colour in zip(paper.PAPERS_PLANES.values(), TRIAL_COLOURS, strict=True):
-                axes.plot((d - line.b) / line.delta_k, d, color=colour, lw=0.8)
-        axes.legend(loc="lower right", markerscale=3)
-
-    return page.small_multiples(
-        draw,
-        rows=["plane", "sphere"],
-        columns=_WAYS,
-        x=MEASURED,
-        y=READING,
-        height=3.2,
-        legend_columns=0,
-        sharex=True,
-        sharey=True,
-    )
+# The figure.
 
 
 def _causes_figure(causes: pd.DataFrame) -> Figure:
@@ -330,21 +301,10 @@ def _causes_figure(causes: pd.DataFrame) -> Figure:
 # The page.
 
 
-def _report(
-    runs: int,
-    spots: Mapping[tuple[str, str], Measured],
-    tables: pd.DataFrame,
-    causes: pd.DataFrame,
-) -> page.Report:
+def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Report:
     spreads, rmse = _spreads(tables), causes.set_index(["scope", "cause"]).rmse_mm
     alone = where(causes, scope=POOLED).set_index("cause").part_mm2
     most = alone[[cause for cause in CAUSES if cause in alone]].idxmax()
-    first_run = [
-        (trial, way, d, e)
-        for (wall, way), (semi_minor, readings) in spots.items()
-        for n, trial in enumerate(paper.PAPERS_PLANES if wall == "plane" else paper.TABLE_II)
-        for e, d in zip(semi_minor[0, n], readings[0, n], strict=True)
-    ]
     return page.Report(
         title="How much do the paper's Tables I and II scatter, and what causes their error?",
         answer=f"With all assumed causes a trial's RMSE is {number(rmse[OWN, ALL], 3)} mm and that "
@@ -373,13 +333,6 @@ def _report(
         sections=[
             page.Section(
                 "Tables I and II over many runs",
-                page.Picture(
-                    "static_trials",
-                    _trials_figure(spots),
-                    "Spots of all runs with all causes, on the planes (top) and in the eyeball "
-                    "(bottom); lines: those of the paper's Table I.",
-                    data="static_spots.csv",
-                ),
                 _beside_the_paper(
                     spreads,
                     paper.TABLE_I,
@@ -399,9 +352,6 @@ def _report(
             "static_tables.csv": tables,
             "static_spread.csv": spreads,
             "static_causes.csv": causes,
-            "static_spots.csv": pd.DataFrame(
-                first_run, columns=["trial", "way", "d_r_mm", "semi_minor_px"]
-            ),
         },
     )
 
@@ -488,5 +438,5 @@ def static(
     with study.timed("fit"):
         tables = pd.concat([_tables(way, spots, study.scene) for way in _WAYS], ignore_index=True)
         causes = parts(variants, texture=draws["texture"][:, 0])
-    study.publish(_report, runs, spots, tables, causes)
+    study.publish(_report, runs, tables, causes)
     return causes

@@ -50,7 +50,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
         changes=("spot.incidence_deg=20",),
         quick=True,
         seed=4,
-        options={"geometries": 512},
+        options={"exposure-ms": 20},
         defaults=("source.kind=cone",),
     )
     with study.timed("a step"):
@@ -58,7 +58,7 @@ def test_a_report_says_how_to_make_it_again_and_stands_alone(tmp_path):
     study.publish(small_report, None)
     html = (study.folder / "report.html").read_text(encoding="utf-8")
     command = (
-        "eyespot study eccentricity --set spot.incidence_deg=20 --geometries 512 --seed 4 --out "
+        "eyespot study eccentricity --set spot.incidence_deg=20 --exposure-ms 20 --seed 4 --out "
         f"'{tmp_path / 'a run'}' --quick"
     )
     assert shlex.split(study.command) == shlex.split(command)

@@ -11,10 +11,10 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry, errors_of_spots, readings
+from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry, readings
 from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.benchmarks.studies import eccentricity, error_causes
-from eyespot.benchmarks.studies.eccentricity import AXES, LIMITS_MM, PINHOLES
+from eyespot.benchmarks.studies.eccentricity import LIMITS_MM
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -250,42 +250,9 @@ def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(with
         assert math.isnan(found[200.0, model, 0.5])
 
 
-def test_the_space_is_filled_evenly_and_repeatably():
-    first, again = (
-        next(eccentricity.blocks(count=512, seed=5, scale=SCALE, contact_radius=0.256))
-        for _ in range(2)
-    )
-    for axis, (low, high) in AXES.items():
-        values = first[axis]
-        assert np.array_equal(values, again[axis])
-        # A Sobol net of 512 puts 32 points into each of 16 equal parts of every axis.
-        assert np.histogram(values, 16, (low, high))[0].tolist() == [32] * 16
-    assert first.pinhole.value_counts().to_dict() == dict.fromkeys(PINHOLES, 128)
-    assert (first.exact - first.d_mm).abs().max() < 1e-9
-    at_contact = -first.apex_offset_mm * np.tan(np.radians(first.half_angle_deg))
-    assert at_contact.to_numpy() == pytest.approx(0.256)
-
-
-def test_model_error_csv_has_the_columns_that_people_exchange(tmp_path):
-    scene = scenes.load_scene(None, ("source.kind=cone",))
-    file = tmp_path / "model_error.csv"
-    told = geometry(z_f=math.inf, incidence_deg=30.0)
-    spots = pd.DataFrame({"c_mm": [3.0], "d_mm": 2.0, "semi_minor_px": 55.0})
-    spots["medium"] = "air"
-    row = errors_of_spots(told, spots, ("small_plane",))[:1]
-    filled = eccentricity.fill_space(scene, count=512, seed=5, csv_file=file, before=row)
-    rows = pd.read_csv(file)
-    assert list(rows) == MODEL_ERROR
-    assert len(rows) == 1 + 5 * len(filled)
-    assert (rows.z_f_mm[0], rows.incidence_deg[0]) == (math.inf, 30)
-    assert rows.error_mm[0] == pytest.approx(row.error_mm[0], abs=1e-6)
-    # d has six figures, the others six decimals.
-    assert (rows.error_mm - (rows.estimate_mm - rows.d_mm)).abs().max() < 1e-5
-
-
 @pytest.mark.slow
 def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
-    tables = eccentricity.eccentricity(out=tmp_path / "run", quick=True, geometries=512)
+    tables = eccentricity.eccentricity(out=tmp_path / "run", quick=True)
     measured = eccentricity.with_true_c(tables["rendered"])
     # Of 2 x (3 tilted + 2 square) withdrawals with 3 frames, all models.
     assert len(measured) == 2 * 5 * 3 * len(optics.MODELS)
@@ -297,6 +264,8 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
     for _, parts in by_spot:
         assert parts.cause.tolist() == list(CAUSES)
         assert parts.part_mm.sum() == pytest.approx(parts.whole_mm.iloc[0], abs=1e-9)
+    rows = pd.read_csv(tmp_path / "run" / "model_error.csv")
+    assert list(rows) == MODEL_ERROR
     for name in ("report.html", "model_error.csv", "limits.csv", "refit.csv", "causes.csv"):
         assert (tmp_path / "run" / name).stat().st_size > 0
 
@@ -304,5 +273,5 @@ def test_a_quick_run_finds_what_is_known_and_resumes(tmp_path, monkeypatch):
         raise AssertionError("a finished stack was rendered again")
 
     monkeypatch.setattr(scenes, "render_stack", never)
-    again = eccentricity.eccentricity(out=tmp_path / "run", quick=True, geometries=512)
+    again = eccentricity.eccentricity(out=tmp_path / "run", quick=True)
     pd.testing.assert_frame_equal(again["rendered"], tables["rendered"])
