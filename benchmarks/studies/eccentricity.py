@@ -357,9 +357,10 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables, used: np.ndarray
                     tables["eye"].columns,
                     "Errors of exact in a living eye. Shape: the largest on Atchison's emmetropic "
                     f"ellipsoid, and on one tilted by {error_causes.LEAN_DEG:g}° and shifted by "
-                    f"{error_causes.ASIDE_MM:g} mm, read on a sphere. Layer: light comes back from "
-                    "below the clear retina, so a distance is longer by the layer than that to the "
-                    "surface.",
+                    f"{error_causes.ASIDE_MM:g} mm, read on a sphere; the beam is square to the "
+                    "wall. Besides, light comes back from below the clear retina, so a distance is "
+                    f"{error_causes.LAYER_MM[0]:g} to {error_causes.LAYER_MM[1]:g} mm longer than "
+                    "that to the surface which a tool touches.",
                     data="eye.csv",
                 ),
             ),
@@ -398,14 +399,14 @@ def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Cla
             "less.)",
             value=spot.whole_mm,
         )
-    of_eye = tables["eye"]
+    eye = where(tables["eye"], z_f_mm=paper.MICROSCOPE_MM)
     yield page.Claim(
         name="a living eye",
-        sentence=f"At c = {listed(of_eye.c_mm, 'g')} mm the retina's shape adds up to "
-        f"{listed(of_eye.shape_mm, '.3f')} mm, tilted and shifted up to "
-        f"{listed(of_eye.tilted_mm, '.2f')} mm, to the error of exact, and the clear layer "
-        f"{of_eye.layer_from_mm[0]:.2f} to {of_eye.layer_to_mm[0]:.2f} mm.",
-        value=float(of_eye.tilted_mm.max()),
+        sentence=f"Under a microscope the retina's shape adds up to {listed(eye.shape_mm, '.3f')} "
+        f"mm to the error of exact at c = {listed(eye.c_mm, 'g')} mm, and up to "
+        f"{listed(eye.tilted_mm, '.2f')} mm if the eye is tilted and shifted; the clear layer adds "
+        f"{listed(error_causes.LAYER_MM, 'g')} mm.",
+        value=float(eye.tilted_mm.max()),
     )
     if len(errors):
         worst = tuple(statistics.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
@@ -486,6 +487,8 @@ def eccentricity(
                     withdrawals(geometry, eccentricities=c, medium=medium, distances=distances)
                 )
         on_exact, refits = (pd.concat(part, ignore_index=True) for part in zip(*found, strict=True))
+    upright = geometry_of(base)._replace(incidence=0.0)
+    square = [upright._replace(pinhole_height=height) for height in pinhole_heights(base)]
     tables = {
         "withdrawals": on_exact,
         "refits": refits,
@@ -493,7 +496,7 @@ def eccentricity(
         "rendered": rendered,
         "rendered_refits": rendered_refits,
         "causes": shares,
-        "eye": error_causes.of_an_eye(geometry_of(base)),
+        "eye": pd.concat([error_causes.of_an_eye(own) for own in square], ignore_index=True),
     }
     study.publish(_report, base, study.space, tables, used)
     return tables

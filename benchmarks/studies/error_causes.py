@@ -336,10 +336,9 @@ _EYE_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 def of_an_eye(geometry: Geometry) -> pd.DataFrame:
     """Content of eye.csv: errors of `exact` in a living eye, mm, at `EYE_C_MM`.
 
-    Columns: `shape_mm`, the largest |error| over d and directions on Atchison's (2006) emmetropic
-    ellipsoid, scaled to the geometry's radius; `tilted_mm`, the same on one that is tilted and
-    shifted; `layer_from_mm` and `layer_to_mm`, by which a distance to the reflecting layer exceeds
-    that to the surface which a tool touches.
+    Columns: z_f_mm; `shape_mm`, the largest |error| over d and directions on Atchison's (2006)
+    emmetropic ellipsoid, scaled to the geometry's radius; `tilted_mm`, the same on one that is
+    tilted and shifted.
     """
     semi_axes = load_eye("atchison").retina_semi_axes * geometry.eye_radius / _READ_ON_MM
     azimuths = np.radians(np.arange(0.0, 360.0, 30.0))
@@ -353,10 +352,8 @@ def of_an_eye(geometry: Geometry) -> pd.DataFrame:
         return np.abs(read - d).reshape(len(EYE_C_MM), -1).max(axis=1)
 
     tilted = [largest(LEAN_DEG, aside) for aside in (ASIDE_MM, -ASIDE_MM)]
-    low, high = (thickness / np.cos(geometry.incidence) for thickness in LAYER_MM)
-    sizes = {"shape_mm": largest(0.0, 0.0), "tilted_mm": np.max(tilted, axis=0)}
-    layer = {"layer_from_mm": low, "layer_to_mm": high}
-    return pd.DataFrame({"c_mm": EYE_C_MM, **sizes, **layer})
+    at = {"z_f_mm": geometry.pinhole_height, "c_mm": EYE_C_MM}
+    return pd.DataFrame({**at, "shape_mm": largest(0.0, 0.0), "tilted_mm": np.max(tilted, axis=0)})
 
 
 @jax.jit
