@@ -22,6 +22,7 @@ from eyespot.benchmarks.rivals.running import read_constants, run, tune
 from eyespot.benchmarks.sets.read import plain_spot, stacks_of
 from eyespot.benchmarks.sets.score.judging import images_of
 from eyespot.benchmarks.sets.score.spots import read_set_spots
+from eyespot.benchmarks.sets.spec import load_spec, named_specs, plan
 from eyespot.estimator import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
@@ -165,6 +166,14 @@ def test_tuning_sees_the_split_train_only_and_finds_the_better_level(drawn, tmp_
     assert found["stacks"] == ["train/a", "train/b"]
     # Drawn edges are symmetric: their half maximum is the middle between dark and bright.
     assert abs(found["entries"]["opencv-relative"]["constants"]["level"] - 0.5) <= 0.1
+
+
+def test_no_wall_of_a_named_set_was_shown_in_tuning():
+    shown = load_spec(Path(running.__file__).with_name("training.toml"))
+    walls = {stack.scene.phantom.texture_seed for stack in plan(shown)}
+    for name in named_specs():
+        others = {stack.scene.phantom.texture_seed for stack in plan(load_spec(name))}
+        assert not walls & others, name
 
 
 def test_every_free_constant_of_an_entry_is_in_the_file_that_comes_with_eyespot():
