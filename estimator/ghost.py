@@ -50,9 +50,9 @@ class Ghost(NamedTuple):
         return self.share / self.sigma
 
     @property
-    def doubt(self) -> float:
-        """1 where one set of frames makes it likely; 2 where it is sure without others."""
-        return min(self.sigmas / _SURE_SIGMAS, self.share / _LEAST_SHARE)
+    def is_found(self) -> bool:
+        """Whether what a model of the beam leaves shows it, and it is large enough to matter."""
+        return self.sigmas > GHOST_SIGMAS and _LEAST_SHARE < self.share < 1.0
 
     @property
     def said(self) -> str:
@@ -177,8 +177,9 @@ class GhostWatch:
         if len(self._kept) < _FEWEST_FRAMES:
             return
         ghost = _beside_discs(self._kept) or _NONE
-        sure = ghost.doubt > 2.0 or (ghost.doubt > 1.0 and self._doubted)
-        self._doubted = ghost.doubt > 1.0
+        doubts = min(ghost.sigmas / _SURE_SIGMAS, ghost.share / _LEAST_SHARE)
+        sure = doubts > 2.0 or (doubts > 1.0 and self._doubted)
+        self._doubted = doubts > 1.0
         self.found = ghost if sure else None
         if sure and ghost.share > (self.strongest or _NONE).share:
             self.strongest = ghost

@@ -52,7 +52,7 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
 
 def pixels_against_rig(fit: ImageFit, one: RecordedTrial) -> Iterator[Compared]:
     """First distance and direction of a beam that was fitted to pixels, against the rig; ghosts."""
-    if fit.ghost is not None and fit.ghost.doubt > 1.0:
+    if fit.ghost is not None and fit.ghost.is_found:
         yield Compared("ghost", fit.ghost.sigmas, f"{one.name}: {fit.ghost.said}")
     for name, (value, sigma) in fit.parameters.items():
         if name == "touch":

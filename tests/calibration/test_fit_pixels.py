@@ -138,6 +138,25 @@ def test_the_cone_is_found_in_pixels_of_a_recording_that_begins_far_from_contact
     assert found.sigma("b") == pytest.approx({"distance": 0.02, "core": 0.0512}[known], rel=0.3)
 
 
+@pytest.mark.slow
+def test_a_ghost_of_the_spot_is_said(cone):
+    whole = Recording.open(cone)
+    frames = [*whole.source]
+    images = np.array([frame.image for frame in frames]).astype(float)
+    dark = np.median(images, axis=(1, 2), keepdims=True)
+    ghost = 0.15 * np.roll(np.maximum(images - dark, 0.0), (8, 22), axis=(1, 2))
+    recording = Recording(
+        np.clip(images + ghost, 0, 255).round().astype(np.uint8),
+        times=[frame.time_s for frame in frames],
+        exposure_s=[frame.exposure_s for frame in frames],
+        poses=whole.robot(),
+        rig=whole.rig,
+    )
+    fit = eyespot.fit(recording, model="image")
+    assert not fit.good
+    assert "the spot has a ghost" in fit.verdict
+
+
 @pytest.mark.slow  # the lens's light takes a minute to compute
 @pytest.mark.parametrize("wall", ["printed paper", "retina", "photograph"])
 def test_a_lens_is_found_over_a_wall_that_nobody_knows(tmp_path, wall):

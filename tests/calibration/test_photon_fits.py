@@ -13,6 +13,7 @@ import pytest
 import tomli_w
 from scipy import ndimage, stats
 
+import eyespot
 from eyespot import calibration, optics
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.formats.calibration import read_calibration
@@ -137,6 +138,30 @@ def test_a_lens_is_found_in_a_stack_of_files_that_photons_made(tmp_path):
     assert all(found.sigma(name) < 0.02 * true for name, true in truth.items())
     assert found.sigma_inflation >= 1
     assert "Maps of residuals for groups of frames" in out.with_suffix(".html").read_text()
+
+
+@pytest.mark.slow  # five minutes of it for the lens's light, by six parameters
+def test_a_lens_is_found_where_only_its_core_says_how_far_the_tip_was(tmp_path):
+    drop = Drop(core=0.233, aperture=0.273, sag=0.0254, rim=0.028, aperture_na=0.15)
+    recording = Recording(
+        drop=drop, wall="eyeball", eccentricity=1.2, frames=10, width=96, height=72, scale=0.032
+    )
+    frames = photographed(recording, np.random.default_rng(6))
+    stack = write_photons(tmp_path / "stack", recording, frames)
+    noise = {"full_well_e": recording.full_well, "read_noise_e": recording.read_noise}
+    rig = {
+        "camera.noise": noise | {"black_level_dn": recording.black, "bit_depth": 8},
+        "robot.touch": "free",
+        "instrument.core_radius_mm": 1.01 * drop.core,
+        "instrument.rim_height_sigma_mm": 0.05,
+    }
+    fit = eyespot.fit(stack, model="lens", changes=rig)
+    assert fit.good
+    truth = {"sag": drop.sag, "glue_length": drop.sag + drop.rim, "core_radius": drop.core}
+    truth |= {"aperture_radius": drop.aperture, "numerical_aperture": drop.aperture_na}
+    assert_within(fit.calibration, truth, 3)
+    first, sigma = fit.parameters.loc["touch", ["value", "sigma"]]
+    assert abs(first - frames.where.touch - recording.first) < 3 * sigma < 0.15
 
 
 def test_drawn_spot_of_a_long_narrow_beam_has_the_size_of_its_geometry():
