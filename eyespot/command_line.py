@@ -193,9 +193,28 @@ class _Unneeded:
         pass
 
 
+def _check_command(words: list[str]) -> None:
+    """Refuse a command that does not exist: to propose one, cyclopts would load every command."""
+    group = groups.get(words[0], app) if words else app
+    known = [name for name in group if not name.startswith("-")]
+    for name in words[:1] if group is app else words[1:2]:
+        # What follows `dataset` may be a spec.
+        if name.startswith("-") or name in known or group is groups["dataset"]:
+            continue
+        import difflib
+
+        from eyespot.formats.inputs import InputError
+
+        close = difflib.get_close_matches(name, known, 1)
+        meant = f" Did you mean {close[0]}?" if close else ""
+        asked = " ".join(["eyespot", *words[:1]] if group is not app else ["eyespot"])
+        raise InputError(f"unknown command {name!r}.{meant} {asked} --help lists all.")
+
+
 def run() -> None:
     """Run the command that the command line names."""
     words = sys.argv[1:]
+    _check_command(words)
     if {"-h", "--help"} & {*words} and not {*HEAVY} & sys.modules.keys():
         sys.meta_path.insert(0, _Unneeded())
     for command in app.parse_commands(words)[1]:

@@ -365,7 +365,7 @@ def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
     Raises:
         InputError: another schema, or as `read_microscope`.
     """
-    check_schema(content["schema"], HISTORY, remedy="Restore the file, or render again.")
+    check_schema(content.get("schema"), HISTORY, remedy="Restore the file, or render again.")
     telecentric = content.get("pinhole_height_mm") is None
     through_path = content.get("viewing_path") is not None
     file = validated(

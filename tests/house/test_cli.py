@@ -84,6 +84,26 @@ def test_an_unknown_option_is_bad_input():
     assert run("version", "--colour").exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [("trakc", "track"), ("study eccentricty", "eccentricity"), ("scene chek", "check")],
+)
+def test_a_misspelt_command_is_named_before_anything_is_loaded(words, meant):
+    code = f"import sys; from eyespot import main; sys.argv = ['eyespot', *{words.split()}]\n"
+    code += "try: main()\nfinally: print('cv2' in sys.modules or 'jax' in sys.modules)"
+    outcome = run_python(code)
+    outcome.assert_bad_input("unknown command", f"Did you mean {meant}?")
+    assert outcome.stdout == "False\n"
+
+
+def test_a_device_that_is_not_there_is_named():
+    code = "import jax; from eyespot.estimator.run.exit_codes import run_command\n"
+    code += "run_command(lambda: jax.numpy.zeros(1))"  # JAX's own error may have no text
+    run_python(code, JAX_PLATFORMS="cuda").assert_bad_input(
+        "JAX finds no device for JAX_PLATFORMS=cuda. Unset this variable"
+    )
+
+
 @pytest.mark.parametrize("command", [["scene", "check"], ["render", "--out", "out"]])
 def test_a_missing_scene_file_is_bad_input(tmp_path, command):
     scene = tmp_path / "missing.toml"
