@@ -296,7 +296,7 @@ def _image(data: bytes) -> DecodedImage:
         import imagecodecs
 
         # OpenCV drops the transparent level of a grey image.
-        image = np.asarray(imagecodecs.png_decode(data))
+        image = np.asarray(imagecodecs.png_decode(_pixels_of_png(data)))
     else:
         found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
         if found is None:
@@ -309,6 +309,18 @@ def _image(data: bytes) -> DecodedImage:
         colours = image[:, :, 0] if image.shape[2] == 2 else image[:, :, :3]
         image = over_black(colours, image[:, :, -1], np.iinfo(image.dtype).max)
     return DecodedImage(image, _full_scale(data, image), orientation)
+
+
+def _pixels_of_png(data: bytes) -> bytes:
+    """A PNG without profiles, times and texts, about which libpng prints words of its own."""
+    kept, at = [data[:8]], 8
+    while at + 8 <= len(data):
+        end = at + 12 + int.from_bytes(data[at : at + 4], "big")
+        name = data[at + 4 : at + 8]
+        if name == b"tRNS" or not name[0] & 0x20:  # a small first letter: not needed for the pixels
+            kept.append(data[at:end])
+        at = end
+    return b"".join(kept)
 
 
 def _checked_header(data: bytes) -> int:

@@ -2,6 +2,7 @@
 
 import struct
 import sys
+import zlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -377,6 +378,14 @@ def test_a_png_is_what_pillow_shows_over_black(tmp_path, bits, transparent):
     (frame,) = open_source(tmp_path / "a.png")
     shown = grey_as_rgb(frame.image) if frame.image.ndim == 2 else frame.image
     np.testing.assert_array_equal(shown, expected)
+
+
+def test_a_bad_profile_of_a_png_is_no_word_in_the_middle(capfd):
+    written = cv2.imencode(".png", np.full((4, 5), 90, np.uint8))[1].tobytes()
+    profile = png_chunk(b"iCCP", b"x\0\0" + zlib.compress(b"too short"))
+    found = decoded_image(written[:33] + profile + written[33:])
+    assert (found.image == 90).all()
+    assert capfd.readouterr() == ("", "")
 
 
 def test_alpha_in_between_dims_and_a_constant_one_does_nothing(tmp_path):
