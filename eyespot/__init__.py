@@ -26,9 +26,11 @@ from eyespot.formats.cache_folder import cache_folder
 # programs that take a moment each: for a fit these are five seconds together.
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", f"{cache_folder()}/eyespot/jax")
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
-# OpenCV and FFmpeg would print their own account of an error that we report once.
+# OpenCV, FFmpeg and XLA would print their own account of an error that we report once; XLA also of
+# a compilation that takes long on a busy machine.
 os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
 
 _attached, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 

@@ -250,5 +250,5 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
 
 def _taken(path: Path) -> InputError:
     return InputError(
-        f"{path} already exists. Choose another name, or --overwrite if the command has it."
+        f"{path} already exists. Choose another name, or delete it (some commands: --overwrite)."
     )
