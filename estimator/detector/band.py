@@ -20,7 +20,7 @@ from eyespot.estimator.detector.ellipse import (
     ring_variance,
     robust_step,
 )
-from eyespot.estimator.detector.levels import Levels
+from eyespot.estimator.detector.levels import Levels, top_counts
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
 from eyespot.formats.spots import NoSpot, Reason
 
@@ -555,8 +555,10 @@ def refine_sharp(
         return band.refined(
             levels, offsets, found, fitted, half=half, half_variance=variance, shaded=shaded
         )
-    slope, doubt = _slope(band, found, levels.width)
+    slope, doubt, unseen = _slope(band, found, levels.width)
     levels = _sharpened(levels, band, slope, doubt)
+    inside = max(1 - Sharp.BRIGHTEST_INSIDE * levels.width, 0.0)
+    levels = replace(levels, hidden=levels.hidden + inside**2 * unseen)
     crossing = band.half_crossing(levels.half, Sharp.MIDDLE * levels.width)
     if crossing is None or not levels.width > 0:
         return NoSpot(Reason.NONE_FOUND)
@@ -607,17 +609,19 @@ def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> L
     return replace(levels, width=width, peak=peak, variance=levels.variance + doubt)
 
 
-def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, float]:
+def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, float, float]:
     """Slope of the light across the plateau, over its mean per radius, (2,), and its variance.
+
+    The last number is the variance of a slope that texture hides.
 
     A beam that meets the wall obliquely is brighter on the near side. Texture is uneven, too, so
     the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
     1995).
     """
     # A slope moves a sharp edge so little that a wrong estimate of it would do more harm.
-    counts = min(max(width / Sharp.SLOPE_SHOWS - 1, 0.0), 1.0)
+    counts = top_counts(width)
     if counts == 0:
-        return np.zeros(2), 0.0
+        return np.zeros(2), 0.0, 0.0
     waves = np.where(found[:, None], _SLOPES, 0.0)
     _, fitted = cv2.solve(waves.T @ waves, waves.T @ band.gain[:, None].astype(float))
     slope = fitted[1:, 0] / fitted[0, 0]
@@ -625,4 +629,5 @@ def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, flo
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
     variance = Sharp.SLOPE_DOUBT * 2 * ring_variance(rest, slice(2, 7)) / RAYS
     kept = counts * max(0.0, 1 - variance / square) if square > 0 else 0.0
-    return kept * slope, kept * variance + kept * (1 - kept) * square
+    doubt = kept * variance + kept * (1 - kept) * square
+    return kept * slope, doubt, (counts - kept) * min(variance, square)

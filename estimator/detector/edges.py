@@ -65,7 +65,7 @@ def refine_broad(
         half = band.half_crossing(levels.half, reach)
     if fitted is None or half is None or np.abs(fitted[0]).max() > Refine.LARGEST_STEP:
         return NoSpot(Reason.NONE_FOUND)
-    levels = replace(levels, width=band.width(levels))
+    levels = replace(levels, width=band.width(levels), hidden=0.0)
     if half_variance == 0:
         # The wall under the top differs from the wall under the contour by texture of the longest
         # waves, which the contour shows only as far as they are not the light's own slope.
@@ -123,7 +123,9 @@ def _with_sloping_top(
     peak = simple + kept * rise
     if not peak > levels.background:
         return levels
-    return replace(levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2)
+    return replace(
+        levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2, hidden=0.0
+    )
 
 
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)

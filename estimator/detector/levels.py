@@ -8,7 +8,7 @@ import numpy as np
 
 from eyespot.estimator.detector.coarse import Coarse
 from eyespot.estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
-from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, WideView
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, Sharp, WideView
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""
@@ -29,6 +29,7 @@ class Levels:
         peak: signal of the spot's brightest part, without noise and texture.
         dome: signal over the peak's, a polynomial in the squared radius.
         variance: of the peak, relative, due to texture.
+        hidden: variance of the peak, relative, if the light's top may be uneven: texture hides it.
         background_radius: where it was taken, units of the radius.
         scatter: standard deviation there of what noise leaves after averaging, such as texture;
             infinite if it is out of view.
@@ -44,6 +45,7 @@ class Levels:
     scatter: float
     width: float
     half_radius: float
+    hidden: float = 0.0
 
     @property
     def amplitude(self) -> float:
@@ -120,11 +122,11 @@ def levels_of(
     dark, glaring = (bright + around) / 2, 2 * bright
     if 2 * np.count_nonzero(profiles[:, :16] > glaring) > profiles[:, :16].size:
         return None  # the halo of something brighter
-    peak, dome, variance = _top(profiles, width, dark, glaring)
+    peak, dome, variance, hidden = _top(profiles, width, dark, glaring)
     if not peak > background:
         return None
     half_radius = outermost_radius(mean, (peak + background) / 2, RADII)
-    found = Levels(peak, dome, variance, background, radius, scatter, width, half_radius)
+    found = Levels(peak, dome, variance, background, radius, scatter, width, half_radius, hidden)
     return found.before(background, radius, scatter)
 
 
@@ -197,10 +199,15 @@ def dark_radius(width: float) -> float:
     return near if width < HalfLevel.TAILED else max(near, HalfLevel.TAIL_END)
 
 
+def top_counts(width: float) -> float:
+    """How far the shape of a top counts: it hardly moves a sharp edge."""
+    return min(max(width / Sharp.SLOPE_SHOWS - 1, 0.0), 1.0)
+
+
 def _top(
     profiles: np.ndarray, width: float, dark: float, glaring: float
-) -> tuple[float, tuple[float, float, float], float]:
-    """Peak, the dome under it (see `Levels`), and the variance of the dome's height.
+) -> tuple[float, tuple[float, float, float], float, float]:
+    """Peak, the dome under it, and the variances `variance` and `hidden` (see `Levels`).
 
     An even polynomial is fitted to the means of rings, over samples that are neither dark (a shaft)
     nor glaring. A wall's texture looks like a dome too, so the dome counts only as far as it
@@ -222,7 +229,7 @@ def _top(
     height = top / plateau - 1 if plateau > dark / 2 else 0.0
     whole = inner[seen.all(axis=1)]
     if len(whole) < FEWEST_RAYS or not height > 0:
-        return plateau, (1.0, 0.0, 0.0), 0.0
+        return plateau, (1.0, 0.0, 0.0), 0.0, 0.0
     sums = whole.sum(axis=1)
     sums -= sums.sum() / len(sums)
     variance = float(sums @ sums) / len(sums) / (plateau * len(radii)) ** 2
@@ -231,4 +238,5 @@ def _top(
     dome = (1 - kept + kept * c0, kept * c1, kept * c2)
     # The variance of a dome that exists with probability `kept`.
     doubt = kept * variance + kept * (1 - kept) * height**2
-    return plateau / (1 - kept + kept * plateau / top), dome, doubt
+    hidden = top_counts(width) * (1 - kept) * min(variance, height**2)
+    return plateau / (1 - kept + kept * plateau / top), dome, doubt, hidden

@@ -9,9 +9,12 @@ Without blur it is a disc, and of a disc much smaller than the blur a Gaussian i
 fall more steeply at their centre have exp(-t^p) with p below 2. The slope at the half maximum
 orders them all, so that one number selects the profile. Pixels integrate the light over their area.
 
-The wall's texture multiplies the light. What the residuals contain beyond the camera's noise is
-taken for texture of long waves, a random field with an exponential covariance, and its share of the
-parameters' covariance is added (the sandwich of White 1980).
+What a real beam has beyond that family, such as a halo, rings or a dark middle, repeats all round:
+it is seen in the mean of the residuals on rings, and moves the half level (`_own_profile`).
+
+The wall's texture multiplies the light. What the residuals contain beyond the camera's noise and
+the rings is taken for texture of long waves, a random field with an exponential covariance, and its
+share of the parameters' covariance is added (the sandwich of White 1980).
 """
 
 import math
@@ -24,7 +27,8 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.special import i1e
 
 from eyespot.estimator.detector.ellipse import AffineEllipse
-from eyespot.estimator.detector.tuning import Small
+from eyespot.estimator.detector.levels import outermost_radius
+from eyespot.estimator.detector.tuning import Broad, Small
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,19 +143,20 @@ def fit_to_pixels(
     if not (settled and levels[0] > 0):
         return None
     columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
-    fitted = values - left
-    errors = _errors((u - x0, v - y0), columns, left, fitted)
+    errors = _errors(model, np.stack([u, v]), float(levels[0]), columns, left, values - left)
     if errors is None:
         return None
-    covariance, noise, texture = errors
+    # Both axes grow alike with the half level.
+    covariance = errors.covariance[:5, :5]
+    covariance[2:4, 2:4] += errors.size_variance
     return SmallSpot(
-        ellipse=model.ellipse,
-        step_covariance=covariance[:5, :5],
+        ellipse=model.ellipse.scaled(errors.half_radius),
+        step_covariance=covariance,
         steepness=model.steepness,
-        amplitude=float(levels[0]),
+        amplitude=errors.peak,
         background=float(levels[1:] @ _plane_at(model.ellipse.centre, u, v, side)),
-        noise=noise,
-        texture=texture,
+        noise=errors.noise,
+        texture=errors.texture,
     )
 
 
@@ -169,14 +174,44 @@ def _levelled(
     return rows, levels, values - levels @ columns
 
 
+class _Errors(NamedTuple):
+    """What the residuals of a fit show, and the profile with what the family lacks.
+
+    Attributes:
+        covariance: of the fit's parameters.
+        noise, texture: see `SmallSpot`.
+        half_radius: of the spot's own profile, over that of the fit.
+        size_variance: of that ratio.
+        peak: of the spot's own profile above background.
+    """
+
+    covariance: np.ndarray
+    noise: float
+    texture: float
+    half_radius: float
+    size_variance: float
+    peak: float
+
+
 def _errors(
-    at: tuple[np.ndarray, np.ndarray], columns: np.ndarray, left: np.ndarray, fitted: np.ndarray
-) -> tuple[np.ndarray, float, float] | None:
-    """Covariance of the parameters, noise of a pixel, and the texture's standard deviation.
+    model: _Model,
+    at: np.ndarray,
+    amplitude: float,
+    columns: np.ndarray,
+    left: np.ndarray,
+    fitted: np.ndarray,
+) -> _Errors | None:
+    """Covariance of the parameters, noise, texture, and the spot's own profile.
 
     Variances of noise and texture are estimated from cells of pixels by restricted maximum
     likelihood (Patterson and Thompson 1971): what the fit has taken of either is accounted for.
     Their mean over the likelihood is taken, because a few dozen cells leave their ratio open.
+
+    The spot's own profile differs from the family's by a broken line in the radius. Each of its
+    components counts only as far as it exceeds noise and texture (the garrote of Breiman 1995).
+
+    Args:
+        at: columns and rows of the frame, (2, n).
     """
     size = np.sqrt((columns * columns).sum(axis=1))
     if not size.min() > 0:
@@ -186,23 +221,36 @@ def _errors(
     if not values[0] > 1e-9:
         return None
     inverse = (vectors / values) @ vectors.T
-    side = max(int(max(at[0].max(), at[1].max()) + 1) / Small.CELLS, 1.0)
-    across = int(at[0].max() / side) + 1
-    _, cell = np.unique(
-        (at[1] / side).astype(int) * across + (at[0] / side).astype(int), return_inverse=True
-    )
+    side = max(int(np.ptp(at, axis=1).max() + 1) / Small.CELLS, 1.0)
+    across, down = ((at - at.min(axis=1, keepdims=True)) / side).astype(int)
+    _, cell = np.unique(down * (across.max() + 1) + across, return_inverse=True)
     number = np.bincount(cell)
-    means = np.stack([np.bincount(cell, row) for row in (*scaled, left, fitted, *at)]) / number
-    rows, (rest, lit, x, y) = means[: len(scaled)], means[len(scaled) :]
+    radii = np.hypot(*np.linalg.solve(model.ellipse.shape, at - model.ellipse.centre[:, None]))
+    rings = _rings(radii)
+    means = [np.bincount(cell, row) for row in (*scaled, *rings, left, fitted, *at)] / number
+    rows, rings, (rest, lit, x, y) = np.split(means, [len(scaled), len(scaled) + len(rings)])
     root = np.sqrt(number)
     distance = np.sqrt(np.square(x[:, None] - x) + np.square(y[:, None] - y) + side * side / 6)
     field = np.mean([np.exp(-distance / length) for length in Small.TEXTURE_LENGTHS], axis=0)
     field *= np.outer(lit, lit)
-    free = np.linalg.qr((rows * root).T, mode="complete")[0][:, len(rows) :]
-    if free.shape[1] < Small.PARAMETERS:
+    # What rings show beyond the fit.
+    design, rings = (rows * root).T, (rings * root).T
+    taken = np.linalg.lstsq(design, rings, rcond=None)[0]
+    own, strength, mix = np.linalg.svd(rings - design @ taken, full_matrices=False)
+    shown = int(np.count_nonzero(strength > Small.SHOWN * strength[0]))
+    own, correlated = own[:, :shown], field * np.outer(root, root)
+    # In its dim tails a beam's shape differs by more of the light than texture does anywhere.
+    share = rows[6] * size[6]
+    dark = np.flatnonzero(share < Small.DARK)
+    seen = np.append(
+        np.flatnonzero(share > Small.BRIGHT), dark[:: len(dark) // Small.PARAMETERS**2 + 1]
+    )
+    fixed = np.hstack([design, rings])[seen]
+    if len(fixed) < fixed.shape[1] + Small.PARAMETERS:
         return None
-    ratios, axes = np.linalg.eigh(free.T @ (field * np.outer(root, root)) @ free)
-    squares = np.square(axes.T @ (free.T @ (rest * root)))
+    free = np.linalg.qr(fixed, mode="complete")[0][:, fixed.shape[1] :]
+    ratios, axes = np.linalg.eigh(free.T @ correlated[np.ix_(seen, seen)] @ free)
+    squares = np.square(axes.T @ (free.T @ (rest * root)[seen]))
     shares = np.concatenate([[0.0], np.geomspace(1e-4, 1e4, 49) / max(ratios[-1], 1e-30)])
     spread = 1 + np.maximum(ratios, 0) * shares[:, None]
     noises = (squares / spread).mean(axis=1)
@@ -215,8 +263,47 @@ def _errors(
     weighted = rows * number
     meat = weighted @ field @ weighted.T
     covariance = noise * inverse + texture * inverse @ meat @ inverse
-    return covariance / np.outer(size, size), math.sqrt(noise), math.sqrt(texture)
 
+    found = own.T @ (rest * root)
+    variances = noise + texture * (own * (correlated @ own)).sum(axis=0)
+    kept = np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
+    # The mean profile over rays, and what a unit of each component changes in it.
+    u, v = model.ellipse.centre[:, None] + model.ellipse.shape @ _ON_RAYS
+    light, *slopes = model.linearised(u, v).reshape(7, -1, len(_RADII)).mean(axis=1)
+    of_fit = np.stack([*(amplitude * slope for slope in slopes), light]) / size[:7, None]
+    change = (mix[:shown] / strength[:shown, None]) @ (_rings(_RADII) - taken[:7].T @ of_fit)
+    family, _, _ = _profile(_profiles().profiles, model.steepness, (_RADII - 1) * model.steepness)
+    profile = amplitude * family + (kept * found) @ change
+
+    def half_radius(light: np.ndarray) -> float:
+        return outermost_radius(light, light.max() / 2, _RADII)
+
+    radius = half_radius(profile)
+    moved = [
+        half_radius(profile + error * row)
+        for error, row in zip(np.sqrt(variances), change, strict=True)
+    ]
+    moves = np.square(np.array(moved) - radius)
+    doubt = kept + kept * (1 - kept) * found**2 / variances
+    return _Errors(
+        covariance / np.outer(size, size),
+        math.sqrt(noise),
+        math.sqrt(texture),
+        radius,
+        float(doubt @ moves),
+        float(profile.max()),
+    )
+
+
+def _rings(radii: np.ndarray) -> np.ndarray:
+    """Triangles of height 1 about even radii, of which a broken line is a sum, (n, ...)."""
+    return np.maximum(1 - np.abs(radii / Small.RING - np.arange(_NUMBER)[:, None]), 0)
+
+
+_NUMBER = round(Small.REACH / Small.RING)
+_RADII = np.linspace(0.0, Small.REACH, 20 * _NUMBER + 1)
+_TURN = np.exp(2j * np.pi * np.arange(16) / 16)
+_ON_RAYS = np.stack([part[:, None] * _RADII for part in (_TURN.real, _TURN.imag)]).reshape(2, -1)
 
 _HALF = 0.5 / math.sqrt(3)
 _QUADRATURE = np.array([(x, y) for x in (-_HALF, _HALF) for y in (-_HALF, _HALF)])

@@ -34,6 +34,9 @@ class SubpixelSettings:
         min_coverage: fraction of the contour below which a spot is `occluded` or `clipped`.
         max_jump_px: furthest move between frames; a spot further away must be seen twice.
         max_growth: largest ratio of the semi-minor axes of two frames, either way.
+        uneven_top: whether the light's top may be uneven, as behind a lens. Where the wall's
+            texture hides that, one frame does not tell the light's from the wall's unevenness, and
+            the size's error contains both. A reader with a lens's calibration sets it.
     """
 
     response: Response = field(default_factory=Response)
@@ -46,6 +49,7 @@ class SubpixelSettings:
     min_coverage: float = 0.5
     max_jump_px: float = 80.0
     max_growth: float = 1.5
+    uneven_top: bool = False
 
     def __post_init__(self) -> None:
         """Reject settings under which nothing can be found."""

@@ -120,7 +120,7 @@ class Broad:
     WIDEST = 0.5  # radii: the same, at most (derived: the top begins inside)
     FORGIVEN = 0.3  # widths: shift of an edge that texture explains, bells on retinas
     SHOULDER = 1.25  # widths: where a plateau begins to fall, linear flanks
-    TOP_DOUBT = 4.0  # variances that a top's shape must exceed to count, bells on retinas
+    TOP_DOUBT = 4.0  # variances that a top's or profile's shape must exceed, bells on retinas
     POWERS = 5  # coefficients of the polynomial through a top, light of glue lenses
     PEAK_ERROR = 0.003  # peak: fitted to bells exp(-t^p), p 1.7 to 3, and Moffat's: 0.1 to 0.7 %
     # Variance of the wall's slope under a spot over its surroundings': fitted to bells on a fundus
@@ -212,7 +212,6 @@ class Reflection:
 class Verdict:
     """Spot or not (`verdict`)."""
 
-    FIELD = 0.8  # of the frame's width or height: larger discs are a camera's field stop
     # Area of the region over that of the seen part of the ellipse. Where a shaft over the middle
     # hides half of the contour, one of two segments has 1/4 - 1/(2 pi) = 0.09 of the ellipse.
     LIT = 0.18
@@ -266,7 +265,10 @@ class Small:
     OPENING_PX = 61  # px: what is wider than a bell's foot is no small spot (derived: twice 30)
     PARAMETERS = 10  # derived: ellipse 5, steepness, height, plane 3
     REACH = 3.0  # radii: size of the patch (derived: a Gaussian has 0.2 % there)
-    CELLS = 18  # on the longer side of a patch: two to three on a radius
+    CELLS = 24  # on the longer side of a patch: four on a radius
     TEXTURE_LENGTHS = (3.0, 30.0)  # px: of the wall's texture, spectrum 1/f and printed retinas
+    BRIGHT, DARK = 0.25, 0.02  # of the peak: where noise and texture are seen, not between them
+    RING = 0.5  # radii: between the corners of the line by which a beam's profile is its own
+    SHOWN = 0.1  # of the clearest component of that line: fainter ones look like the fit's own
     VAGUEST = 0.1  # radii: standard error of a size
     ROUGHEST = 0.2  # of the light: standard deviation of what is no such spot's

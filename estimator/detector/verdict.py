@@ -26,7 +26,7 @@ from eyespot.estimator.detector.measuring import (
 )
 from eyespot.estimator.detector.pixel_fit import SmallSpot
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import RAYS, Refine, Saturated, Small, Verdict
+from eyespot.estimator.detector.tuning import RAYS, HalfLevel, Refine, Saturated, Small, Verdict
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
@@ -78,7 +78,10 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     levels = fit.levels
     semi_major, semi_minor, _ = fit.ellipse.axes()
     ellipse = measured.ellipse or fit.ellipse
-    covariance = covariance_of_axes(ellipse, fit.step_covariance)
+    of_steps = fit.step_covariance.copy()
+    if settings.uneven_top:
+        of_steps[2:4, 2:4] += math.pi / 2 * levels.width**2 * levels.hidden
+    covariance = covariance_of_axes(ellipse, of_steps)
     coverage, belonging, in_frame = shares_of_contour(
         fit.ellipse, fit.seen, fit.inliers, fit.band.inside
     )
@@ -89,10 +92,15 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     low = levels.amplitude < settings.min_contrast * levels.background
     significance = levels.amplitude / levels.scatter
     vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
-    # A camera's field stop is a lit disc, too. So large a spot hides its background anyway.
+    # A camera's field stop is a lit disc, too. Beside so large a spot the frame has no room for the
+    # rings of its background, so that it could not be measured anyway.
     half_width, half_height = fit.ellipse.half_extent()
     rows, columns = region.frame.shape[:2]
-    spans = 2 * max(half_width / columns, half_height / rows)
+    outermost = 2 * (1 + HalfLevel.RINGS[-1]) * max(half_width / columns, half_height / rows)
+    # Beyond a bell's flank another light begins, such as a beam's second lobe.
+    beside = fit.band.whole & (fit.band.profiles[:, -1] > levels.half)
+    (another,) = shares_of_contour(fit.ellipse, beside)
+    lobed = levels.width > Refine.BROAD and another > 1 - Verdict.WHOLE
     # Dots whose outermost ones lie on an ellipse leave most of it dark.
     patchy = region.area_px < Verdict.LIT * coverage * math.pi * semi_major * semi_minor
     covered, smallest = settings.min_coverage, settings.min_semi_minor_px
@@ -101,7 +109,8 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         (semi_major > settings.max_axis_ratio * semi_minor, Reason.NONE_FOUND),
         (semi_minor < smallest, Reason.TOO_SMALL),
         (semi_major > settings.max_semi_major_px, Reason.TOO_LARGE),
-        (spans > Verdict.FIELD, Reason.TOO_LARGE),
+        (outermost > 1, Reason.TOO_LARGE),
+        (lobed, Reason.AMBIGUOUS),
         (coverage < covered, Reason.CLIPPED if in_frame < covered else Reason.OCCLUDED),
         (rough, Reason.OCCLUDED if partial else Reason.NONE_FOUND),
         (measured.ellipse is None, Reason.NONE_FOUND),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from eyespot import optics
 
 _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation between incidences
-_SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, the wall's texture and the camera's blur
+_SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, fine texture and the camera's blur
 _BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
 _DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
 _STRANGE = 25.0  # the same of the best distance, from which only the size counts: five
@@ -107,9 +107,11 @@ def distance_from_lens(
     if shape is not None:
         # Tilt shifts the isophotes against each other, but not the median over the rays.
         square, _ = curve.at(0.0)
+        # What moves the contour, such as texture, moves the other isophotes as much.
+        shape_variance = _SHAPE_ERROR**2 + relative_sigma**2
         for column, ratio in zip((0, 2), shape.ratios, strict=True):
             expected = over_grid(square[:, column] / square[:, 1])
-            cost = cost + ((expected - ratio) / _SHAPE_ERROR) ** 2
+            cost = cost + (expected - ratio) ** 2 / shape_variance
     if peak_irradiance is not None:
         value, relative = peak_irradiance
         cost = cost + np.log(over_grid(peak) / value) ** 2 / (relative**2 + _BRIGHTNESS_ERROR**2)

@@ -273,7 +273,8 @@ class SubpixelMode(_OutlineMode[SubpixelSettings]):
     mode = "subpixel"
 
     def __init__(self, settings: SubpixelSettings, ranger: Ranger | None, **about: Any) -> None:
-        super().__init__(settings, ranger, **about)
+        uneven = ranger is not None and ranger.model == "lens"
+        super().__init__(replace(settings, uneven_top=uneven), ranger, **about)
         self.ghosts = GhostWatch()
 
     def forget(self) -> None:

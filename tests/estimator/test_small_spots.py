@@ -4,6 +4,8 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.special import j1
 from scipy.stats import ncx2
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure, track
@@ -46,7 +48,6 @@ def blurred_disc(x, y, radius, blur):
 
 def half_radius(radius, blur):
     """Where a blurred disc falls to half of its peak."""
-    from scipy.optimize import brentq
 
     def fall(r):
         return ncx2.cdf((radius / blur) ** 2, 2, (r / blur) ** 2) - 0.5 * -math.expm1(
@@ -119,6 +120,26 @@ def test_stated_errors_of_small_discs_are_those_of_the_errors(contrast):
     # 40 squares leave the root of their mean open by 11 %, and texture that is not the model's by
     # 20 %.
     assert 0.75 < math.sqrt(np.mean(z * z)) < 1.35
+
+
+def test_a_focus_with_rings_and_a_halo_is_measured_at_half_of_its_own_peak():
+    u, v = grid(_FINE)
+    for seed, radius in enumerate((3.0, 4.0, 6.0, 9.0)):
+        rng = np.random.default_rng([7, seed])
+
+        def focus(t):
+            """Airy's pattern, half at t = 1, on a halo that no bell or disc has."""
+            x = 1.6163 * np.maximum(t, 1e-9)
+            return (2 * j1(x) / x) ** 2 + 0.15 * np.exp(-((t / 2.2) ** 2))
+
+        true = radius * brentq(lambda t: focus(t) - focus(0.0) / 2, 0.5, 2.0)
+        x, y = place(rng)
+        light = integrated(focus(np.hypot(u - x, v - y) / radius)) / focus(0.0)
+        spot = spot_in(camera_frame(rng, light, 180.0))
+        error = math.sqrt(spot.semi_major_px * spot.semi_minor_px) - true
+        # The goal for real beams is 3 % of the area's radius.
+        assert abs(error) < max(3 * spot.sigma_semi_minor_px, 0.03 * true)
+        assert spot.sigma_semi_minor_px < 0.06 * true
 
 
 def test_a_spot_that_grows_through_15_px_is_measured_all_the_way():

@@ -8,7 +8,7 @@ import pytest
 from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.formats.spots import Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, light_of
-from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.drawn_spots import domed_edge, spot_in
 from tests.support.drawn.lookalikes import LOOKALIKES, taken_for_spots
 from tests.support.drawn.own_frames import (
     any_ellipse,
@@ -42,6 +42,23 @@ def test_an_edge_in_shadow_is_measured_too(left, seed):
     assert spot.coverage > 0.85
     # Whole spots on this wall are off by 0.045 px RMS, arcs of two thirds by 0.15 px.
     assert abs(spot.semi_minor_px - truth.semi_minor) < 3 * 0.045
+
+
+def test_behind_a_lens_the_stated_error_contains_a_dome_that_texture_hides():
+    truth = Truth(x=320.3, y=240.8, semi_major=66, semi_minor=60, angle=0.7)
+    ratios = []
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        wall = textured_wall(rng)[..., None] if seed else None
+        # As behind a lens: the edge is 0.05 radii wide, and the plateau falls by a tenth.
+        drawing = Drawing(truth=truth, profile=domed_edge(3.0, 0.1), wall=wall)
+        image = camera_image(rng, light_of(drawing))
+        behind_lens = spot_in(image, SubpixelSettings(uneven_top=True))
+        ratios.append(behind_lens.sigma_semi_minor_px / spot_in(image).sigma_semi_minor_px)
+    even, *textured = ratios
+    # An even wall shows the dome, and hides next to nothing.
+    assert 1 <= even < 1.1
+    assert np.median(textured) > 1.5
 
 
 @pytest.mark.parametrize("unevenness", [-0.5, 0.5])
