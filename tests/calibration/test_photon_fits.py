@@ -160,8 +160,9 @@ def test_a_lens_is_found_where_only_its_core_says_how_far_the_tip_was(tmp_path):
     truth = {"sag": drop.sag, "glue_length": drop.sag + drop.rim, "core_radius": drop.core}
     truth |= {"aperture_radius": drop.aperture, "numerical_aperture": drop.aperture_na}
     assert_within(fit.calibration, truth, 3)
-    first, sigma = fit.parameters.loc["touch", ["value", "sigma"]]
-    assert abs(first - frames.where.touch - recording.first) < 3 * sigma < 0.15
+    found = fit.parameters
+    off = found.value["touch"] - frames.where.touch - recording.first
+    assert abs(off) < 3 * found.sigma["touch"] < 0.15
 
 
 def test_drawn_spot_of_a_long_narrow_beam_has_the_size_of_its_geometry():
