@@ -93,10 +93,10 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     significance = levels.amplitude / levels.scatter
     vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
     # A camera's field stop is a lit disc, too. Beside so large a spot the frame has no room for the
-    # rings of its background, so that it could not be measured anyway.
+    # rings of its background but the outermost, so that it could not be measured anyway.
     half_width, half_height = fit.ellipse.half_extent()
     rows, columns = region.frame.shape[:2]
-    outermost = 2 * (1 + HalfLevel.RINGS[-1]) * max(half_width / columns, half_height / rows)
+    outermost = 2 * (1 + HalfLevel.RINGS[-2]) * max(half_width / columns, half_height / rows)
     # Beyond a bell's flank another light begins, such as a beam's second lobe.
     beside = fit.band.whole & (fit.band.profiles[:, -1] > levels.half)
     (another,) = shares_of_contour(fit.ellipse, beside)
