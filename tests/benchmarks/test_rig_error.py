@@ -154,8 +154,8 @@ def test_a_medium_narrows_the_cone():
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
-        ({"workspace.distance_mm": [1.0, 30.0]}, r"distance_mm reaches 30 .* may reach 19\.7 mm"),
-        ({"workspace.eccentricity_mm": [0.0, 12.0]}, r"reaches 12 mm .* may reach 10\.9 mm"),
+        ({"workspace.distance_mm": [1.0, 22.0]}, r"distance_mm reaches 22 .* may reach 19\.7 mm"),
+        ({"workspace.eccentricity_mm": [0.0, 11.4]}, r"reaches 11\.4 mm .* may reach 10\.9 mm"),
         ({"workspace.tilt_deg": [0.0, 79.0]}, r"tilt_deg reaches 79 .* may reach 78\.1 degrees"),
         ({"microscope.pinhole_height_mm": -8.0}, "as high as the pinhole at -8 mm"),
         ({"wall.kind": "plane"}, "where all models agree"),
