@@ -82,7 +82,7 @@ def test_ten_images_a_second():
 
 
 def test_what_cannot_be_is_said_on_the_page():
-    with pytest.raises(InputError, match="distance_mm reaches 10 mm"):
+    with pytest.raises(InputError, match="distance_mm must lie below 8 mm"):
         explore.drawing({**STATE, "radius": 4.0, "d": 10.0})
 
 

@@ -104,6 +104,10 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         ),
         [0.3, -0.2, 1.0, 0.1, 0.1, 1.0, 1.0, 1.49],
     ),
+    "nearest_point": (
+        lambda x: optics.nearest_point((x[:3], x[3:6]), (x[6:9], x[9:])),
+        [0.1, -0.2, 0.3, 0.2, 0.1, -1.0, 3.0, 0.5, 0.2, -0.3, 0.05, -1.0],
+    ),
     "beam_at_spot": (beam, AT_BEAM),
     "contact_distance": of(
         partial(optics.contact_distance, WALL), {"incidence": 0.4, "rim_radius": 0.25}
