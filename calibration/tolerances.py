@@ -45,6 +45,14 @@ def tolerances(recordings: Sequence[RecordedTrial]) -> dict[str, Prior]:
     return {name: Prior(*prior) for name, prior in found.items() if prior[1] > 0}
 
 
+def stated_core(recording: RecordedTrial) -> Prior | None:
+    """The core's radius, mm, as the rig states it; None if it does not."""
+    tip = recording.recording.rig.instrument
+    if tip.core_radius_mm is None:
+        return None
+    return Prior(tip.core_radius_mm, tip.core_radius_mm * tip.core_radius_sigma)
+
+
 def microscope_of(recordings: Sequence[RecordedTrial]) -> str:
     """The name of the microscope that all recordings share; empty if none is stated."""
     names = {one.recording.rig.microscope.id for one in recordings}

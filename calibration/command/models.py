@@ -37,6 +37,7 @@ from eyespot.calibration.tolerances import (
     PriorOutcome,
     microscope_of,
     said_of_priors,
+    stated_core,
     tolerances,
 )
 from eyespot.estimator.distance.consistency import disagreements
@@ -249,14 +250,14 @@ def free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
     """
     if not any(one.trial.touch == FREE_TOUCH for one in recordings):
         return None
-    own = recordings[0].recording.rig.instrument
-    if own.core_radius_mm is None:
+    core = stated_core(recordings[0])
+    if core is None:
         raise InputError(
             f"{recordings[0].name}: robot.touch is free, so that nothing says how far the tip was. "
             "State instrument.core_radius_mm, on which the distances then rest; or the first "
             "distance, --prior touch=MEAN,SIGMA; or begin at contact."
         )
-    return Prior(own.core_radius_mm, own.core_radius_mm * own.core_radius_sigma)
+    return core
 
 
 def cone_from(core: Prior, half_angle: float) -> JointPrior:

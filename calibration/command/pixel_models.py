@@ -31,6 +31,7 @@ from eyespot.calibration.tolerances import (
     PriorOutcome,
     microscope_of,
     said_of_priors,
+    stated_core,
     tolerances,
 )
 from eyespot.estimator.distance.consistency import disagreements
@@ -73,11 +74,11 @@ def fit_image_of_cone(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     (recording,) = recordings
     footage = _footage(recording, choices)
     own = known_cone(choices.known, recordings) if choices.known else None
-    start = dict(own.mean) if own else cone_start(recordings)
-    if core := free_core(recordings):
-        line = cone_start(recordings)
-        own = own or cone_from(core, start["half_angle"])
-        start |= own.mean
+    line, core = cone_start(recordings), free_core(recordings)
+    if core and own is None:
+        own = cone_from(core, line["half_angle"])
+    start = dict(own.mean if own else line)
+    if core:
         start["touch"] = start["b"] - line["b"]
     if "blur" in choices.names:
         start["blur"] = _BLUR_PX
@@ -109,8 +110,7 @@ def fit_image_of_lens(recordings: Sequence[RecordedTrial], choices: Choices) -> 
         kind = lens_parameters(optics.load_lens(choices.lens))
     else:
         drop = {name: Prior(*(radius * x for x in prior)) for name, prior in DROP.items()}
-        if tip.core_radius_mm is not None:
-            core = Prior(tip.core_radius_mm, tip.core_radius_mm * tip.core_radius_sigma)
+        if core := stated_core(recording):
             drop["core_radius"] = core
         drop |= {name: prior for name, prior in choices.priors.items() if name in drop}
         kind = {name: prior.mean for name, prior in drop.items()}

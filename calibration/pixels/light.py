@@ -167,16 +167,18 @@ class Light:
         numbers: Sequence[int],
     ) -> None:
         """Make the light of some frames linear in the view around that of these parameters."""
+        if not self.of_view:
+            return
         self._looked = {name: values[name] for name in self.of_view}
         self._by_view = {k: np.zeros((len(self.of_view), self.cells.along**2)) for k in numbers}
         self._last = None, []
-        here = self._frames(values, states, numbers, False) if self.of_view else None
+        here = self._frames(values, states, numbers, False)
+        if here is None:  # a beam meets no wall
+            return
         for row, name in enumerate(self.of_view):
             step = _STEP * max(abs(values[name]), _LEAST_SIZE)
             moved = self._frames({**values, name: values[name] + step}, states, numbers, False)
-            if here is None or moved is None:  # a beam that meets no wall
-                continue
-            for number, own, other in zip(numbers, here, moved, strict=True):
+            for number, own, other in zip(numbers, here, moved or here, strict=True):
                 self._by_view[number][row, own.cells] = (other.light - own.light) / step
 
     def frames(
