@@ -33,7 +33,8 @@ from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.inputs import InputError, in_file, object_in, read_text, read_toml, shortened
-from eyespot.formats.rig import WorkspaceKeys, read_rig
+from eyespot.formats.rig import read_rig
+from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.formats.settings_files import change_of
 from eyespot.formats.stack import Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import (

@@ -11,7 +11,8 @@ from eyespot.benchmarks.model_error import Geometry
 from eyespot.formats.calibration import CONE_MODELS, Calibration, read_calibration
 from eyespot.formats.camera import CameraSheet
 from eyespot.formats.inputs import InputError, Strict
-from eyespot.formats.rig import Rig, WorkspaceKeys
+from eyespot.formats.rig import Rig
+from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.scenes import Scene
 from eyespot.scenes.description.settings import CameraSettings
 

@@ -27,7 +27,7 @@ from eyespot.benchmarks.study import (
     geometry_of,
 )
 from eyespot.calibration import fit_eccentricity
-from eyespot.formats.rig import WorkspaceKeys
+from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.scenes import Scene
 
 # The c at which a model's error reaches a limit, with the true c and with a fitted one.

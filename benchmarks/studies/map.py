@@ -37,7 +37,8 @@ from eyespot.benchmarks.study import (
 )
 from eyespot.benchmarks.workspace import azimuths_deg, calibrated_cone
 from eyespot.formats.calibration import Calibration, read_calibration
-from eyespot.formats.rig import Rig, WorkspaceKeys
+from eyespot.formats.rig import Rig
+from eyespot.formats.rig_keys import WorkspaceKeys
 
 _SAME_CONTOUR = 3.84
 """Chi squared of the mirrored pose below which the contour does not refuse it, at 95 %."""
