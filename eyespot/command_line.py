@@ -8,10 +8,11 @@ when that command runs. How a command ends is decided in `estimator.run.exit_cod
 from __future__ import annotations
 
 import io
+import subprocess
 import sys
 from importlib.machinery import ModuleSpec
 from types import ModuleType
-from typing import Annotated, Any
+from typing import Any
 
 from cyclopts import App, Group, Parameter
 
@@ -161,12 +162,6 @@ def _version() -> str:
     return metadata.version("eyespot")
 
 
-@groups["dataset"].default
-def dataset(*words: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)]) -> None:
-    """Read `dataset SPEC` as `dataset make SPEC`."""
-    app(["dataset", "make", *words] if words else ["dataset", "--help"])
-
-
 def show_docstring(command: App) -> None:
     """Make a command's docstring its help, instead of the line that the list shows."""
     function = command.default_command
@@ -198,8 +193,7 @@ def _check_command(words: list[str]) -> None:
     group = groups.get(words[0], app) if words else app
     known = [name for name in group if not name.startswith("-")]
     for name in words[:1] if group is app else words[1:2]:
-        # What follows `dataset` may be a spec.
-        if name.startswith("-") or name in known or group is groups["dataset"]:
+        if name.startswith("-") or name in known:
             continue
         import difflib
 
@@ -211,12 +205,46 @@ def _check_command(words: list[str]) -> None:
         raise InputError(f"unknown command {name!r}.{meant} {asked} --help lists all.")
 
 
+_SLOW = {
+    group or function.rpartition(":")[2]
+    for group, functions in COMMANDS.items()
+    for function in functions
+    if function.startswith("benchmarks.")
+}
+"""First words of the commands whose modules load what computes: seconds, in which a user waits."""
+
+
+def _check_options(words: list[str]) -> None:
+    """Refuse wrong options of a slow command: another process reads them, and loads no library."""
+    code = "from eyespot.command_line import read_options; read_options()"
+    reader = [sys.executable, "-P", "-c", code, *words]
+    done = subprocess.run(reader, stderr=subprocess.PIPE, text=True, check=False)
+    if done.returncode:
+        from eyespot.formats.inputs import InputError
+
+        raise InputError(done.stderr.strip().removeprefix("eyespot: "))
+
+
+def read_options() -> None:
+    """Read the command line, but run nothing."""
+    from eyespot.estimator.run.exit_codes import run_command
+
+    sys.meta_path.insert(0, _Unneeded())
+    run_command(lambda: app.parse_args(sys.argv[1:]))
+
+
 def run() -> None:
     """Run the command that the command line names."""
     words = sys.argv[1:]
+    if words[:1] == ["dataset"] and words[1:] and words[1] not in groups["dataset"]:
+        words.insert(1, "make")  # `dataset SPEC`
     _check_command(words)
-    if {"-h", "--help"} & {*words} and not {*HEAVY} & sys.modules.keys():
-        sys.meta_path.insert(0, _Unneeded())
+    loaded = {*HEAVY} & sys.modules.keys()
+    if {"-h", "--help"} & {*words}:
+        if not loaded:
+            sys.meta_path.insert(0, _Unneeded())
+    elif not loaded and words and words[0] in _SLOW:
+        _check_options(words)
     for command in app.parse_commands(words)[1]:
         show_docstring(command)
     app(words)

@@ -240,18 +240,35 @@ def _missing(error: CycloptsError) -> str | None:
     return f"`{command}` needs {name}{f' ({about})' if about else ''}. See {command} --help."
 
 
+def _also_unknown(error: CycloptsError, first: str = "") -> list[str]:
+    """What to say of the options that do not exist, but for the first, whatever else is wrong."""
+    if isinstance(error, MissingArgumentError) and error.keyword:
+        return []  # the words behind an option without its value were not read
+    words, known = error.unused_tokens or (), {first}
+    if isinstance(error, UnknownOptionError) and error.unused_tokens is None:
+        words = error.root_input_tokens or ()
+        known |= {name for entry in error.argument_collection for name in entry.names}
+    left = (word.partition("=")[0] for word in words if word.startswith("--"))
+    return [
+        moved(word[2:].replace("-", "_")) or f"Unknown option: {word}."
+        for word in dict.fromkeys(left)
+        if word not in known
+    ]
+
+
 def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     """The message of an expected error; None for a bug."""
     # A class whose module was never loaded cannot have been raised.
     modules = ("pydantic", "eyespot.scenes.machine.variant", "eyespot.formats.inputs")
     pydantic, variant, inputs = map(sys.modules.get, modules)
     if isinstance(error, UnknownOptionError):
-        name = (error.token.keyword or error.token.value).lstrip("-").partition("=")[0]
-        return moved(name.replace("-", "_")) or str(error)
+        name = (error.token.keyword or error.token.value).partition("=")[0]
+        said = moved(name.lstrip("-").replace("-", "_")) or str(error)
+        return "\n".join([said, *_also_unknown(error, name)])
     if isinstance(error, CycloptsError):
         # `__context__` is what a settings model says of a value.
         of_model = message_of(error.__context__, of_options=True) if error.__context__ else None
-        return of_model or _missing(error) or str(error)
+        return "\n".join([of_model or _missing(error) or str(error), *_also_unknown(error)])
     if pydantic and isinstance(error, pydantic.ValidationError):
         return "\n".join(
             f"{option(name) if of_options else name}: {rule}; got {problem['input']!r}"

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -245,11 +245,11 @@ def test_an_estimate_counts_the_images_and_weighs_them(spec, whole):
     assert found.processor_s > 0
 
 
-def started(role: str, *arguments: object) -> subprocess.Popen[bytes]:
-    """A process of Dask's."""
+def started(role: str, *arguments: object, on: Sequence[str] = ()) -> subprocess.Popen[bytes]:
+    """A process of Dask's; `on` runs it on another machine."""
     module = f"distributed.cli.dask_{role}"
     return subprocess.Popen(
-        [sys.executable, "-m", module, "--dashboard-address", ":0", *map(str, arguments)],
+        [*on, sys.executable, "-m", module, "--dashboard-address", ":0", *map(str, arguments)],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
@@ -332,11 +332,13 @@ def test_two_runs_at_the_same_time_both_end_well_and_the_set_is_complete(
 
 
 @contextmanager
-def cluster(folder: Path) -> Iterator[dict[str, Any]]:
+def cluster(
+    folder: Path, *, host: str = "127.0.0.1", on: Sequence[str] = ()
+) -> Iterator[dict[str, Any]]:
     """A scheduler and one worker, in processes of their own; `file` says where it is."""
     file = folder / "scheduler.json"
-    scheduler = started("scheduler", "--port", 0, "--scheduler-file", file)
-    worker = started("worker", "--scheduler-file", file, "--nthreads", 1, "--no-nanny")
+    scheduler = started("scheduler", "--host", host, "--port", 0, "--scheduler-file", file)
+    worker = started("worker", "--scheduler-file", file, "--nthreads", 1, "--no-nanny", on=on)
     try:
         while not file.is_file():
             assert scheduler.poll() is None, "it ended too early"
@@ -395,6 +397,55 @@ def test_what_dies_for_good_is_named_and_the_next_run_continues(
         outcome.assert_bad_input(words, "run the same command")
     monkeypatch.undo()
     assert run("dataset", spec_file, "--out", out, "--workers", 1).exit_code == 0
+    assert digests(out) == digests(whole)
+
+
+def ip(*words: str) -> None:
+    subprocess.run(["ip", *words], check=True, capture_output=True)
+
+
+@pytest.fixture
+def cable():
+    """A cable to another machine: a network namespace, whose worker reaches us by this alone."""
+    name = f"eye{os.getpid()}"
+    try:
+        ip("netns", "add", name)
+    except (OSError, subprocess.CalledProcessError) as error:
+        pytest.skip(f"a network namespace needs root and the program ip: {error}")
+    try:
+        ip("link", "add", name, "type", "veth", "peer", "name", "near", "netns", name)
+        ip("addr", "add", "10.213.77.1/24", "dev", name)
+        ip("-n", name, "addr", "add", "10.213.77.2/24", "dev", "near")
+        ip("link", "set", name, "up")
+        ip("-n", name, "link", "set", "lo", "up")
+        ip("-n", name, "link", "set", "near", "up")
+        yield name
+    finally:
+        ip("netns", "del", name)  # and with it the cable
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seconds", "survives"), [(10, True), (90, False)])
+def test_a_network_that_is_cut_costs_at_most_another_run(
+    spec_file, whole, tmp_path, monkeypatch, cable, seconds, survives
+):
+    out = tmp_path / "set"
+
+    def cut(done: int, total: int) -> None:
+        if done == 1:
+            ip("link", "set", cable, "down")
+            threading.Timer(seconds, ip, ["link", "set", cable, "up"]).start()
+
+    with cluster(tmp_path, host="10.213.77.1", on=["ip", "netns", "exec", cable]) as there:
+        seen_by(cut, monkeypatch)
+        outcome = run("dataset", spec_file, "--out", out, "--scheduler", there["file"])
+    if survives:
+        assert outcome.exit_code == 0, outcome.stderr
+    else:
+        # Dask gives a connection up after 30 s, and we a cluster without workers after 60 s.
+        outcome.assert_bad_input("Dask has had no worker for 60 s; 4 stacks are still missing")
+        monkeypatch.undo()
+        assert run("dataset", spec_file, "--out", out, "--workers", 1).exit_code == 0
     assert digests(out) == digests(whole)
 
 

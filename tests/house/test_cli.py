@@ -85,14 +85,23 @@ def test_an_unknown_option_is_bad_input():
 
 
 @pytest.mark.parametrize(
-    ("words", "meant"),
-    [("trakc", "track"), ("study eccentricty", "eccentricity"), ("scene chek", "check")],
+    ("words", "said"),
+    [
+        ("trakc", "unknown command 'trakc'. Did you mean track?"),
+        ("study eccentricty", "Did you mean eccentricity?"),
+        ("scene chek", "Did you mean check?"),
+        ("score set --mode fast", "Choose from"),
+        ("error --shap 3 --colour", "Unknown option: --shap."),
+        ("dataset spec.toml --colour --shap", "Unknown option: --colour."),
+        ("export set --out o --shap", "`eyespot export` needs --to."),
+    ],
 )
-def test_a_misspelt_command_is_named_before_anything_is_loaded(words, meant):
+def test_what_is_misspelt_is_named_before_anything_is_loaded(words, said):
     code = f"import sys; from eyespot import main; sys.argv = ['eyespot', *{words.split()}]\n"
     code += "try: main()\nfinally: print('cv2' in sys.modules or 'jax' in sys.modules)"
     outcome = run_python(code)
-    outcome.assert_bad_input("unknown command", f"Did you mean {meant}?")
+    wrong = [word for word in ("--shap", "--colour") if word in words]
+    outcome.assert_bad_input(said, *(f"Unknown option: {word}." for word in wrong), lines=2)
     assert outcome.stdout == "False\n"
 
 
