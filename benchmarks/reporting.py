@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullLocator
 
 from eyespot.formats.page import PALETTE, templates
@@ -99,6 +100,47 @@ def limit_lines(axes: Axes, limit: float) -> None:
     axes.axhline(0, color=GREY, lw=0.8)
     for end in (-limit, limit):
         axes.axhline(end, color=VERMILION, lw=0.8, ls="--")
+
+
+class CutOut(NamedTuple):
+    """A part of an image around a spot, with the true ellipse and the measured one.
+
+    Ellipses are x, y, semi-major and semi-minor axis (px) and angle (rad); `half` is half of the
+    side of the part, px.
+    """
+
+    image: np.ndarray
+    half: int
+    true: Sequence[float]
+    measured: Sequence[float]
+    caption: str
+
+
+def cut_outs(shown: Sequence[CutOut]) -> Figure:
+    """Parts of images side by side; the true ellipses are white, the measured ones blue."""
+    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN / len(shown) + 0.3), layout="constrained")
+    axes = figure.subplots()
+    for n, one in enumerate(shown):
+        left, top = (round(place) - one.half for place in one.true[:2])
+        side = 2 * one.half
+        image = one.image.reshape(*one.image.shape[:2], -1)
+        if image.dtype != np.uint8:
+            bits = max(int(image.max()).bit_length(), 8)
+            image = (image >> (bits - 8)).astype(np.uint8)
+        padded = np.pad(image, ((side, side), (side, side), (0, 0)))
+        part = padded[top + side :, left + side :][:side, :side]
+        axes.imshow(part, extent=(n, n + 1, 1, 0), cmap="gray")
+        for ellipse, colour, width in ((one.true, "white", 2.5), (one.measured, BLUE, 1.0)):
+            x, y, major, minor, angle = ellipse
+            # Integer coordinates are the centres of pixels.
+            centre = n + (x - left + 0.5) / side, (y - top + 0.5) / side
+            axes_of_it = 2 * major / side, 2 * minor / side
+            style: dict[str, Any] = {"fill": False, "color": colour, "lw": width}
+            axes.add_patch(Ellipse(centre, *axes_of_it, angle=math.degrees(angle), **style))
+        axes.text(n + 0.5, 1.02, one.caption, ha="center", va="top")
+    axes.set(xlim=(0, len(shown)), ylim=(1, 0))
+    axes.set_axis_off()
+    return figure
 
 
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:

@@ -12,7 +12,6 @@ import pandas as pd
 from cyclopts.types import NonNegativeInt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
 from eyespot import optics
 from eyespot.benchmarks import model_error, paper, statistics
@@ -215,22 +214,18 @@ def film(findings: ValidateFindings) -> Figure:
     rows = rows.iloc[np.linspace(0, len(rows) - 1, _FILM).round().astype(int)]
     half = round(1.5 * rows.half_max_semi_major_px.max())
     stack = read_stack(findings.stacks / trial.name)
-    figure = Figure(figsize=(10.0, 10.0 / _FILM + 0.2), layout="constrained")
-    axes, tiles = figure.subplots(), []
-    for n, row in enumerate(rows_of(rows)):
-        left, top = round(row.half_max_x_px) - half, round(row.half_max_y_px) - half
-        around = np.pad(stack.image(row), ((2 * half,) * 2, (2 * half,) * 2, (0, 0)))
-        tiles.append(around[top + 2 * half :, left + 2 * half :][: 2 * half, : 2 * half])
-        for kind, colour, width in (("half_max_", "white", 3.0), ("", page.BLUE, 1.0)):
-            x, y, major, minor, angle = (getattr(row, f"{kind}{name}") for name in paper.ELLIPSE)
-            centre, style = (x - left + 2 * half * n, y - top), {"color": colour, "lw": width}
-            turn = math.degrees(angle)
-            axes.add_patch(Ellipse(centre, 2 * major, 2 * minor, angle=turn, fill=False, **style))
-        foot = 2 * half * n + half, 2 * half
-        axes.text(*foot, f"$d$ = {row.d_mm:.2f} mm", ha="center", va="top")
-    axes.imshow(np.hstack(tiles))
-    axes.set_axis_off()
-    return figure
+    return page.cut_outs(
+        [
+            page.CutOut(
+                stack.image(row),
+                half,
+                [getattr(row, f"half_max_{name}") for name in paper.ELLIPSE],
+                [getattr(row, name) for name in paper.ELLIPSE],
+                f"$d$ = {row.d_mm:.2f} mm",
+            )
+            for row in rows_of(rows)
+        ]
+    )
 
 
 def error_by_eccentricity(findings: ValidateFindings) -> Figure:

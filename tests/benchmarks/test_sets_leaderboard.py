@@ -41,8 +41,12 @@ def judged(
 
 def total(entries: dict[str, pd.DataFrame]) -> dict[str, Any]:
     """The entries' standings on all images."""
-    found = standings(entries, E1)
+    found = standings(together(entries), E1)
     return {row.entry: row for row in rows_of(found[found.condition == ALL])}
+
+
+def together(entries: dict[str, pd.DataFrame]) -> pd.DataFrame:
+    return pd.concat(own.assign(estimator=name) for name, own in entries.items())
 
 
 def test_an_entry_that_leaves_out_the_difficult_images_does_not_win():
@@ -61,7 +65,7 @@ def test_an_entry_that_finds_nothing_is_the_last():
     found = total({"blind": judged([[math.inf] * 3] * 4), "bad": judged([[9.0] * 3] * 4)})
     assert (found["bad"].rank, found["blind"].rank) == (1, 2)
     assert found["blind"].missed == 1.0
-    assert standings({"blind": judged([[math.inf]])}, E1).empty
+    assert standings(judged([[math.inf]]).assign(estimator="blind"), E1).empty
 
 
 def test_an_interval_is_that_of_independent_stacks_and_not_of_images():
@@ -121,7 +125,7 @@ def test_only_images_that_all_entries_cover_are_compared():
     assert found["everywhere"].median == pytest.approx(0.1)
     other = easy.assign(stack="elsewhere")
     with pytest.raises(InputError, match="no image together"):
-        standings({"everywhere": everywhere, "other": other}, E1)
+        standings(together({"everywhere": everywhere, "other": other}), E1)
 
 
 def test_an_efficient_estimator_is_at_the_bound_and_a_miss_is_beyond_it():

@@ -1,7 +1,7 @@
 """Outcome and errors of each image, and their summary for all images and by condition."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -74,11 +74,10 @@ CONDITIONS: dict[str, tuple[float, ...]] = {
 last one has no upper limit."""
 
 
-def groups(images: pd.DataFrame, condition: str) -> Iterator[tuple[str, pd.DataFrame]]:
-    """The images of each group of a condition, in order; those without a group are left out."""
+def groups(images: pd.DataFrame, condition: str) -> pd.Series:
+    """The group of each image by a condition, in the order of the groups; missing without one."""
     if condition == ALL:
-        yield ALL, images
-        return
+        return pd.Series(ALL, images.index, dtype="category")
     edges, values = CONDITIONS[condition], images[condition]
     if edges:
         order = [*(f"{low:g}–{high:g}" for low, high in pairwise(edges)), f"≥ {edges[-1]:g}"]
@@ -88,9 +87,7 @@ def groups(images: pd.DataFrame, condition: str) -> Iterator[tuple[str, pd.DataF
     else:
         place = {group: index for index, group in enumerate(_ORDER)}
         order = sorted(set(values) - {""}, key=lambda group: (place.get(group, len(place)), group))
-    for group in order:
-        if (members := values == group).any():
-            yield group, images[members]
+    return values.where(values != "").astype(pd.CategoricalDtype(order, ordered=True))
 
 
 Against = Literal["half_max", "cone"]
@@ -166,43 +163,61 @@ def judge(
     )
 
 
-def counts_of(judged: pd.DataFrame) -> dict[str, int]:
-    """Numbers of images by outcome.
+def counts_of(judged: pd.DataFrame) -> pd.DataFrame:
+    """Numbers of images by outcome, a row for each estimator and group.
 
     `visible`: half of the contour or more is visible; `found` and `missed` are of these, `glimpsed`
     is with the true spot of the `hidden` ones; `false_spots` are at a wrong position.
     """
-    of = judged.outcome.value_counts().reindex([*Outcome], fill_value=0)
-    missed = int(of[Outcome.MISSED] + of[Outcome.MISPLACED])
-    visible = int(of[Outcome.FOUND]) + missed
-    return {
-        "images": len(judged),
-        "visible": visible,
-        "found": visible - missed,
-        "missed": missed,
-        "false_spots": int(of[Outcome.MISPLACED] + of[Outcome.INVENTED]),
-        "hidden": len(judged) - visible,
-        "glimpsed": int(of[Outcome.GLIMPSED]),
-    }
+    by_group = judged.groupby(["estimator", "group"], observed=True)
+    of = by_group.outcome.value_counts().unstack(fill_value=0)
+    of = of.reindex(columns=[*Outcome], fill_value=0)
+    missed = of[Outcome.MISSED] + of[Outcome.MISPLACED]
+    images, visible = of.sum(axis=1), of[Outcome.FOUND] + missed
+    return pd.DataFrame(
+        {
+            "images": images,
+            "visible": visible,
+            "found": of[Outcome.FOUND],
+            "missed": missed,
+            "false_spots": of[Outcome.MISPLACED] + of[Outcome.INVENTED],
+            "hidden": images - visible,
+            "glimpsed": of[Outcome.GLIMPSED],
+        }
+    ).reset_index()
 
 
-def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
-    """Errors of one quantity over the found images, in its unit; `n` is 0 if none has it.
+def errors_of(judged: pd.DataFrame) -> pd.DataFrame:
+    """Errors over the found images, a row for each estimator, group and quantity with a value.
 
-    `bias` is NaN for the distance between centres, which has no sign. The 95 % intervals are by a
-    bootstrap over stacks for `rmse`, NaN for fewer than three stacks, and exact (Clopper and
-    Pearson 1934) for the parts within 1 σ and 2 σ of the `n_sigma` images with a σ; these are 0.683
-    and 0.954 for normal errors and correct σ, as `z_std`, that of error/σ, is 1.
+    `bias` is NaN for the distance between centres, which has no sign.
     """
-    known = judged[np.isfinite(judged[f"error_{quantity}"])]
-    errors = known[f"error_{quantity}"].to_numpy(float)
-    if not errors.size:
-        return {"quantity": quantity, "n": 0}
-    sigmas = known[f"sigma_{quantity}"].to_numpy(float)
+    about = judged[["estimator", "group", "stack"]]
+    every = pd.concat(
+        about.assign(quantity=q, error=judged[f"error_{q}"], sigma=judged[f"sigma_{q}"])
+        for q in QUANTITIES
+    )
+    known = every[np.isfinite(every.error)].astype({"quantity": pd.CategoricalDtype(QUANTITIES)})
+    by_quantity = known.groupby(["estimator", "group", "quantity"], observed=True)
+    found = by_quantity[["stack", "error", "sigma"]].apply(error_summary)
+    found = found.reindex(columns=_SUMMARY).reset_index()
+    found.loc[found.quantity == CENTRE, "bias"] = math.nan
+    return found.astype({"quantity": str, "n": "Int64", "n_sigma": "Int64"})
+
+
+def error_summary(found: pd.DataFrame) -> pd.Series:
+    """Errors of one quantity over images, in its unit: the columns stack, error and sigma.
+
+    The 95 % intervals are by a bootstrap over stacks for `rmse`, NaN for fewer than three stacks,
+    and exact (Clopper and Pearson 1934) for the parts within 1 σ and 2 σ of the `n_sigma` images
+    with a σ; these are 0.683 and 0.954 for normal errors and correct σ, as `z_std`, that of
+    error/σ, is 1.
+    """
+    errors, sigmas = found[["error", "sigma"]].to_numpy(float).T
     stated = (sigmas > 0) & np.isfinite(sigmas)
     z = errors[stated] / sigmas[stated]
     low = high = math.nan
-    names, index = np.unique(known["stack"].to_numpy(str), return_inverse=True)
+    names, index = np.unique(found["stack"].to_numpy(str), return_inverse=True)
     if names.size >= _FEWEST_STACKS:
         # Stacks are resampled, because errors within a stack are correlated.
         squares, images = np.bincount(index, errors**2), np.bincount(index)
@@ -213,20 +228,21 @@ def error_summary(judged: pd.DataFrame, quantity: str) -> dict[str, Any]:
     for k in (1, 2):
         ends = (f"within_{k}_{name}" for name in ("sigma", "low", "high"))
         inside |= zip(ends, _part(np.abs(z) <= k), strict=True)
-    return {
-        "quantity": quantity,
-        "n": errors.size,
-        "bias": math.nan if quantity == CENTRE else float(errors.mean()),
-        "rmse": math.sqrt(np.mean(errors**2)),
-        "rmse_low": low,
-        "rmse_high": high,
-        "median_abs": float(np.median(np.abs(errors))),
-        "max_abs": float(np.abs(errors).max()),
-        "n_sigma": z.size,
-        "z_mean": float(z.mean()) if z.size else math.nan,
-        "z_std": float(z.std(ddof=1)) if z.size > 1 else math.nan,
-        **inside,
-    }
+    return pd.Series(
+        {
+            "n": errors.size,
+            "bias": errors.mean(),
+            "rmse": math.sqrt(np.mean(errors**2)),
+            "rmse_low": low,
+            "rmse_high": high,
+            "median_abs": np.median(np.abs(errors)),
+            "max_abs": np.abs(errors).max(),
+            "n_sigma": z.size,
+            "z_mean": z.mean() if z.size else math.nan,
+            "z_std": z.std(ddof=1) if z.size > 1 else math.nan,
+            **inside,
+        }
+    )
 
 
 def _part(inside: np.ndarray) -> tuple[float, float, float]:
@@ -242,7 +258,7 @@ def _part(inside: np.ndarray) -> tuple[float, float, float]:
 
 _KEYS = ["estimator", "condition", "group"]
 _SUMMARY = (
-    "quantity n bias rmse rmse_low rmse_high median_abs max_abs n_sigma z_mean z_std "
+    "n bias rmse rmse_low rmse_high median_abs max_abs n_sigma z_mean z_std "
     "within_1_sigma within_1_low within_1_high within_2_sigma within_2_low within_2_high"
 ).split()
 
@@ -252,14 +268,14 @@ class Score:
     """Scores of estimators on a set, against one of the two true ellipses.
 
     Attributes:
-        judged: images of each estimator, see `judge`.
+        judged: images of all estimators, see `judge`, with the column `estimator`.
         left_out: number of images in splits and exposures for which an estimator has no spots.
         counts: by estimator, condition and group, see `counts_of`; ALL is both of all images.
         errors: the same by quantity, see `error_summary`; quantities without a value are left out.
     """
 
     against: Against
-    judged: Mapping[str, pd.DataFrame]
+    judged: pd.DataFrame
     left_out: Mapping[str, int]
     counts: pd.DataFrame
     errors: pd.DataFrame
@@ -295,22 +311,22 @@ def score(
     images: pd.DataFrame, spots: Mapping[str, Mapping[str, SpotRecord]], *, against: Against
 ) -> Score:
     """Compare each estimator's records by image (`read_set_spots`) with the labels of a set."""
-    judged = {name: judge(images, records, against=against) for name, records in spots.items()}
+    of_each = {name: judge(images, records, against=against) for name, records in spots.items()}
+    judged = pd.concat([found.assign(estimator=name) for name, found in of_each.items()])
+    in_order = pd.CategoricalDtype([*of_each])
     counts, errors = [], []
     for condition in (ALL, *CONDITIONS):
-        for name, found in judged.items():
-            for group, members in groups(found, condition):
-                key = dict(zip(_KEYS, (name, condition, group), strict=True))
-                counts.append(key | counts_of(members))
-                errors += [key | error_summary(members, quantity) for quantity in QUANTITIES]
-    summary = pd.DataFrame(errors, columns=[*_KEYS, *_SUMMARY])
-    summary = summary[summary.n > 0].astype({"n": "Int64", "n_sigma": "Int64"})
+        own = judged.astype({"estimator": in_order}).assign(group=groups(judged, condition))
+        counts.append(counts_of(own).assign(condition=condition))
+        errors.append(errors_of(own).assign(condition=condition))
+    tables = (pd.concat(part, ignore_index=True) for part in (counts, errors))
+    by_group, summary = (t[[*_KEYS, *t.columns.difference(_KEYS, sort=False)]] for t in tables)
     return Score(
         against=against,
         judged=judged,
-        left_out={name: len(images) - len(found) for name, found in judged.items()},
-        counts=pd.DataFrame(counts),
-        errors=summary.reset_index(drop=True),
+        left_out={name: len(images) - len(found) for name, found in of_each.items()},
+        counts=by_group.astype({"estimator": str}),
+        errors=summary.astype({"estimator": str}),
     )
 
 
@@ -320,9 +336,10 @@ _MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in sigmas
 _BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
 """Label with the bound of a quantity."""
 _WIDE = 1.96  # sigmas that contain 95 % of normal errors
+_VISIBLE = (Outcome.FOUND, Outcome.MISSED, Outcome.MISPLACED)
 
 
-def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
+def standings(judged: pd.DataFrame, quantity: str) -> pd.DataFrame:
     """Rank the entries that measure a quantity, on the images that all of them cover.
 
     The columns are those that docs/leaderboard.md explains, each with the ends of its 95 % interval
@@ -333,49 +350,42 @@ def standings(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame
     Raises:
         InputError: the entries have no image in common.
     """
-    column = f"error_{quantity}"
-    has_errors = {name: np.isfinite(own[column]).any() for name, own in judged.items()}
-    if not any(has_errors.values()):
+    has_error = judged[f"error_{quantity}"].notna().groupby(judged.estimator).transform("any")
+    if not has_error.any():
         return pd.DataFrame()
-    measuring = {
-        name: own.set_index(["stack", "file_name"], drop=False)
-        for name, own in judged.items()
-        if has_errors[name]
-        or (quantity != "distance_mm" and not (own.outcome == Outcome.FOUND).any())
-    }
-    first, *others = measuring.values()
-    common = first.index
-    for own in others:
-        common = common[common.isin(own.index)]
-    if not len(common):
+    finds = (judged.outcome == Outcome.FOUND).groupby(judged.estimator).transform("any")
+    taking_part = judged[has_error | (~finds & (quantity != "distance_mm"))]
+    covering = taking_part.groupby(["stack", "file_name"]).estimator.transform("nunique")
+    common = taking_part[covering == taking_part.estimator.nunique()]
+    if common.empty:
         raise InputError(
             "the entries cover no image together: each has spots of other splits or exposures. "
             "Score them one by one."
         )
-    shared = {name: own.loc[common] for name, own in measuring.items()}
+    # The images of every entry have one order, so that they are resampled alike.
+    common = common.sort_values(["stack", "file_name"], ignore_index=True)
     placed = []
     for condition in (ALL, *CONDITIONS):
-        found = list(groups(first.loc[common], condition))
-        if condition == ALL or len(found) > 1:
-            for group, members in found:
-                of = {name: own.loc[members.index] for name, own in shared.items()}
-                ranked = _ranked(of, quantity)
-                ranked.insert(0, "condition", condition)
-                ranked.insert(1, "group", group)
-                placed.append(ranked)
+        by_group = common.groupby(groups(common, condition), observed=True)
+        if condition == ALL or by_group.ngroups > 1:
+            for group, members in by_group:
+                about = {"condition": condition, "group": group}
+                ranked = _ranked(members, quantity)
+                placed.append(ranked.assign(**about)[[*about, *ranked]])
     return pd.concat(placed, ignore_index=True)
 
 
-def _ranked(judged: Mapping[str, pd.DataFrame], quantity: str) -> pd.DataFrame:
-    resampled = _Resampled(next(iter(judged.values()))["stack"].to_numpy(str))
-    standing = {name: _standing(own, resampled, quantity) for name, own in judged.items()}
+def _ranked(judged: pd.DataFrame, quantity: str) -> pd.DataFrame:
+    entries = dict([*judged.groupby("estimator", sort=False)])
+    resampled = _Resampled(next(iter(entries.values()))["stack"].to_numpy(str))
+    standing = {name: _standing(own, resampled, quantity) for name, own in entries.items()}
     medians = np.array([own["median"] for own in standing.values()])
     # 1 + the number of better entries, in each resample.
     ranks = 1.0 + (medians[None, :, :] < medians[:, None, :]).sum(axis=1)
     rows = []
     for (name, own), rank in zip(standing.items(), ranks, strict=True):
-        row: dict[str, Any] = _interval("rank", rank)
-        row |= {"entry": name, "visible": counts_of(judged[name])["visible"]}
+        visible = entries[name].outcome.isin(_VISIBLE).sum()
+        row: dict[str, Any] = _interval("rank", rank) | {"entry": name, "visible": visible}
         for figure, samples in own.items():
             row |= _interval(figure, samples)
         rows.append(row)

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from itertools import chain
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import matplotlib
 import numpy as np
@@ -18,8 +18,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.paper import VISIBLE_ENOUGH
-from eyespot.benchmarks.sets.read import Mode, check_unchanged, stacks_of
+from eyespot.benchmarks.paper import ELLIPSE, VISIBLE_ENOUGH
+from eyespot.benchmarks.reporting import grouped, rows_of, where
+from eyespot.benchmarks.sets.read import Mode, SetStack, check_unchanged, stacks_of
 from eyespot.benchmarks.sets.score import judging
 from eyespot.benchmarks.sets.score import spots as spots_of_set
 from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
@@ -30,7 +31,7 @@ from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError, in_figure, in_utf8
 from eyespot.formats.manifest import fingerprint
-from eyespot.formats.spots import write_spots
+from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.formats.whole_files import require_space, written_whole
 
 # Tables on the terminal, as wide as they need to be.
@@ -44,19 +45,16 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
     By title. The last table is left out if there are too many estimators; the page has it.
     """
     images = result.counts[result.counts.condition == ALL]
-    why = {}
-    for name, of in result.judged.items():
-        counts = of.reason[of.outcome == Outcome.MISSED].value_counts()
-        why[name] = ", ".join(
-            f"{n} {str(reason).replace('_', ' ')}" for reason, n in counts.items()
-        )
+    why = dict.fromkeys(result.left_out, "")
+    for name, counts in reasons_of_misses(result).items():
+        said = (f"{n} {str(reason).replace('_', ' ')}" for reason, n in counts.items())
+        why[name] = ", ".join(said)
     images = images.drop(columns=["condition", "group"]).assign(
-        left_out=images.estimator.map(result.left_out), why_missed=images.estimator.map(why)
+        left_out=images.estimator.map(result.left_out),
+        why_missed=images.estimator.map(why),
     )
     images = images.rename(columns={"visible": "spot visible", "glimpsed": "reported if hidden"})
-    order = {name: place for place, name in enumerate(result.judged)}
     errors = result.errors[result.errors.condition == ALL]
-    errors = errors.sort_values("estimator", kind="stable", key=lambda names: names.map(order))
     sizes = errors[["estimator", "quantity", "n"]].assign(
         bias=[_number(value, "+.3f", none="") for value in errors.bias],
         RMSE=_with_intervals(errors, "rmse", ".3f"),
@@ -76,13 +74,21 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
         f"Errors of the found spots ({result.against}), with 95 % intervals in brackets": sizes,
         "Errors divided by the estimator's σ; ideal: 0 ± 1, 0.68, 0.95": sigmas,
     }
-    if len(result.judged) <= _MOST_ESTIMATORS:
+    if len(images) <= _MOST_ESTIMATORS:
         here = result.by_condition
         missed = here.missed.astype(str) + " of " + here.visible.astype(str)
         rows = here[["condition", "group"]].assign(estimator=here.estimator, missed=missed)
         rows["RMSE"] = _with_intervals(here, "rmse", ".3f")
         found[f"RMSE of {MAIN}, and missed images"] = rows
     return {title: frame for title, frame in found.items() if len(frame)}
+
+
+def reasons_of_misses(result: Score) -> dict[str, dict[str, int]]:
+    """How many visible spots each estimator missed, by its reason, the most frequent first."""
+    missed = where(result.judged, outcome=Outcome.MISSED)
+    return {
+        str(name): of.reason.value_counts().to_dict() for name, of in grouped(missed, "estimator")
+    }
 
 
 def _number(value: float, form: str, *, none: str = "–") -> str:
@@ -135,8 +141,18 @@ _SHOWN = {
 }
 
 
-def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: str) -> page.Report:
-    """The report of a leaderboard; InputError if the entries cover no image together."""
+def leaderboard(
+    result: Score,
+    entries: Mapping[str, ScoredEstimator],
+    *,
+    name: str,
+    stacks: Sequence[SetStack] = (),
+) -> page.Report:
+    """The report of a leaderboard; InputError if the entries cover no image together.
+
+    Args:
+        stacks: of the scored images, for a picture of the best entry's worst ones.
+    """
     made = pd.DataFrame([vars(entry) for entry in entries.values()]).drop(columns="spots")
     made = made.rename(columns={"name": "entry"}).astype({"ms_per_frame": float})
     first: list[page.Picture | page.Table] = []
@@ -179,7 +195,10 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
             "are as the entries state them, or wall times of this run.",
             data="leaderboard.csv",
         )
-        sections.append(page.Section(title, table, *([picture] if first else [])))
+        parts: list[page.Table | page.Picture] = [table, *([picture] if first else [])]
+        if quantity == MAIN and stacks:
+            parts += _worst(where(result.judged, estimator=best.entry), result.against, stacks)
+        sections.append(page.Section(title, *parts))
         if not first:
             columns = {key: _SHOWN[key] for key in ("rank", "entry", "median", "missed")}
             caption = f"{title} ({unit}), with 95 % intervals; missed in %."
@@ -206,6 +225,37 @@ def leaderboard(result: Score, entries: Mapping[str, ScoredEstimator], *, name: 
         ],
         data=data | {"score.csv": None},
     )
+
+
+_MOST_WORST = 6
+_AROUND = 1.6  # half of the side of a cut-out, in semi-major axes
+
+
+def _worst(
+    judged: pd.DataFrame, against: Against, stacks: Sequence[SetStack]
+) -> list[page.Picture]:
+    """The images of one entry with the largest errors of the main quantity; none without one."""
+    errors = judged[f"error_{MAIN}"].abs().dropna()
+    worst = judged.loc[errors.nlargest(_MOST_WORST).index]
+    by_name = {entry.qualified_name: entry for entry in stacks}
+    shown = []
+    for row in rows_of(worst):
+        true = [getattr(row, f"{against}_{name}") for name in ELLIPSE]
+        off = [getattr(row, f"error_{name}") for name in ELLIPSE]
+        # The angle of a spot that is nearly round is not scored.
+        measured = [t + (0.0 if math.isnan(e) else e) for t, e in zip(true, off, strict=True)]
+        image = by_name[row.stack].open().image(row)
+        caption = f"{row.stack}\n{getattr(row, f'error_{MAIN}'):+.2f} px"
+        half = round(_AROUND * true[2])
+        shown.append(page.CutOut(image, half, true, measured, in_figure(caption)))
+    if not shown:
+        return []
+    entry = judged.estimator.iloc[0]
+    caption = (
+        f"The worst images of {entry}: largest errors of e₁′ among the spots that it found. Blue: "
+        "the measured ellipse. White: the true one."
+    )
+    return [page.Picture("worst", page.cut_outs(shown), caption, "score.csv", inline="jpeg")]
 
 
 def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:
@@ -294,7 +344,6 @@ def run(
         raise InputError(f"two estimators have the name {twice[0]}. Rename one of the spots files.")
     if calibration is not None and mode not in ("auto", "pixels"):
         raise InputError("calibration has no effect without --mode auto or pixels. Give both.")
-    beam = None if calibration is None else read_calibration(calibration)
     with nullcontext() if out is None else written_whole(out) as whole:
         if out is not None and whole is not None:
             whole.mkdir()
@@ -306,32 +355,22 @@ def run(
             known = ", ".join(dict.fromkeys(entry.split for entry in stacks if entry.split))
             raise InputError(f"the set has no split {split}. It has: {known or 'no splits'}.")
         images = judging.images_of(stacks)
+        scored = images if split is None else images[images.split == split]
         spots = {
             entry.name: spots_of_set.read_set_spots(entry.spots, stacks, images.index)
             for entry in given
             if entry.spots
         }
         found = {entry.name: entry for entry in given}
-        scored = images if split is None else images[images.split == split]
-        # A path on this machine means nothing to others.
-        is_sample = folder.resolve() == sample_folder().resolve()
-        name = "--sample" if is_sample else in_utf8(folder.resolve().name)
         with progress("Tracking", total=len(scored) * len(modes)) as advance:
+            about: dict[str, Any] = {"unrelated": unrelated, "progress": advance}
+            if calibration is not None:
+                about["calibration"] = read_calibration(calibration)
             for own in modes:
-                begin = time.perf_counter()
-                measured = spots_of_set.track_set(
-                    *(chosen, own), calibration=beam, unrelated=unrelated, progress=advance
-                )
-                passed = time.perf_counter() - begin
+                found[own], measured = measure(folder, chosen, own, **about)
+                spots[own] = {record.file_name: record for record in measured}
                 if whole is not None:
                     write_spots(whole / f"{own}.csv", measured)
-                spots[own] = {record.file_name: record for record in measured}
-                found[own] = ScoredEstimator(
-                    name=own,
-                    command=f"eyespot score {name} --mode {own}",
-                    versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
-                    ms_per_frame=1000 * passed / len(scored),  # with the reading of the images
-                )
         kept = {
             name: {image: record for image, record in records.items() if image in scored.index}
             for name, records in spots.items()
@@ -341,8 +380,6 @@ def run(
         result = judging.score(scored, kept, against=against)
         if out is None or whole is None:
             return result
-        write_json(whole / "score.json", _summary(result, folder))
-        result.table.to_csv(whole / "score.csv", index=False, lineterminator="\n")
         words = ["eyespot", "score", folder, *spots_files]
         options = {"entries": entries, "mode": mode, "calibration": calibration, "split": split}
         options |= {"out": out}
@@ -350,35 +387,63 @@ def run(
             words.append("--unrelated" if unrelated else "--sequence")
         given_options = [[f"--{name}", value] for name, value in options.items() if value]
         words += [*chain(*given_options), "--against", against]
-        with matplotlib.rc_context(page.STYLE):
-            page.write_page(
-                whole,
-                leaderboard(result, found, name=in_utf8(folder.resolve().name)),
-                command=shlex.join(map(str, words)),
-                versions=versions(),
-                summary_file="score.json",
-            )
+        write(whole, result, found, chosen, folder=folder, command=shlex.join(map(str, words)))
     say(f"Wrote {out / 'report.html'}.", result=True)
     return result
 
 
-def _summary(result: Score, folder: Path) -> dict[str, object]:
-    """Content of score.json; score.csv has the errors."""
+def measure(
+    folder: Path, stacks: Sequence[SetStack], mode: Mode, **options: Any
+) -> tuple[ScoredEstimator, list[SpotRecord]]:
+    """One of our modes as an entry, and its spots in the stacks; options of `track_set`."""
+    begin = time.perf_counter()
+    records = spots_of_set.track_set(stacks, mode, **options)
+    passed = time.perf_counter() - begin
+    # A path on this machine means nothing to others.
+    is_sample = folder.resolve() == sample_folder().resolve()
+    name = "--sample" if is_sample else in_utf8(folder.resolve().name)
+    entry = ScoredEstimator(
+        name=mode,
+        command=f"eyespot score {name} --mode {mode}",
+        versions=", ".join(f"{package} {versions()[package]}" for package in _TRACKING),
+        ms_per_frame=1000 * passed / len(records),  # with the reading of the images
+    )
+    return entry, records
+
+
+def write(
+    out: Path,
+    result: Score,
+    entries: Mapping[str, ScoredEstimator],
+    stacks: Sequence[SetStack],
+    *,
+    folder: Path,
+    command: str,
+) -> None:
+    """Write the page of a score with its figures and tables, score.csv and score.json."""
     manifest = folder / "manifest.json"
-    return {
+    outcomes = grouped(result.judged, "estimator")
+    summary = {
         "schema": _SCHEMA,
         "set": folder.resolve().name,
         "manifest": fingerprint(manifest) if manifest.is_file() else None,
         "against": result.against,
         "visible_from_fraction": VISIBLE_ENOUGH,
-        "outcomes": {name: Counter(judged.outcome) for name, judged in result.judged.items()},
-        "reasons_of_misses": {
-            name: Counter(judged.reason[judged.outcome == Outcome.MISSED])
-            for name, judged in result.judged.items()
-        },
+        "outcomes": {name: own.outcome.value_counts().to_dict() for name, own in outcomes},
+        "reasons_of_misses": {name: {} for name in result.left_out} | reasons_of_misses(result),
         "left_out": result.left_out,
         "versions": versions(),
     }
+    write_json(out / "score.json", summary)
+    result.table.to_csv(out / "score.csv", index=False, lineterminator="\n")
+    with matplotlib.rc_context(page.STYLE):
+        page.write_page(
+            out,
+            leaderboard(result, entries, name=in_utf8(folder.resolve().name), stacks=stacks),
+            command=command,
+            versions=versions(),
+            summary_file="score.json",
+        )
 
 
 # The command.
@@ -439,5 +504,5 @@ def score(
         return
     for title, table in tables(result).items():
         print(title, table.to_string(index=False, na_rep=""), sep="\n", end="\n\n")
-    if any((of.reason == "ambiguous").any() for of in result.judged.values()):
+    if (result.judged.reason == "ambiguous").any():
         print("After a jump a spot is ambiguous; --unrelated measures each image by itself.")
