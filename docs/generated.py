@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from docs.messages import cell, failures_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
+from eyespot.benchmarks.explore import drawing, state_of
 from eyespot.scenes import Scene
 
 _PICTURES = {
@@ -58,6 +59,7 @@ def write_pages(folder: Path) -> None:
         "scene_keys.md": _scene_keys(),
         "files.md": _files(),
         "messages.md": failures_page(),
+        "explore.svg": [_explored()],
     }
     for name, lines in pages.items():
         _write(folder / name, "\n".join(lines) + "\n")
@@ -74,6 +76,20 @@ def _write(path: Path, text: str) -> None:
     """Write a file only if it changes, so that Sphinx reads only what changed."""
     if not path.exists() or path.read_text(encoding="utf-8") != text:
         path.write_text(text, encoding="utf-8")
+
+
+def _explored() -> str:
+    """The pictures of `eyespot explore` in its usual state, side by side, for the first page."""
+    pictures = drawing(state_of({}))
+    del pictures["table"]
+    side = 300
+    placed = "".join(
+        picture.replace("<svg ", f'<svg x="{side * n}" width="{side}" height="{side}" ', 1)
+        for n, picture in enumerate(pictures.values())
+    )
+    box = f'viewBox="0 0 {side * len(pictures)} {side}" font-family="sans-serif"'
+    paper = '<rect width="100%" height="100%" fill="#fff"/>'
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {box}>{paper}{placed}</svg>'
 
 
 def _commands() -> str:

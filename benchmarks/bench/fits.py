@@ -3,11 +3,9 @@
 Labels of the stacks are used for comparison only. Errors are fitted values less the true ones.
 """
 
-import itertools
 import math
 import tempfile
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +14,9 @@ import pandas as pd
 
 from eyespot import calibration, optics
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.studies.pose import PRIOR_DEG, angle_deg, drawn_prior
-from eyespot.calibration import Prior
-from eyespot.calibration.pixels.data import Footage, footage_of
+from eyespot.calibration.pixels.data import footage_of
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.recorded_trial import recorded_trial
-from eyespot.formats.stack import Stack
 from eyespot.optics.wall_light.lens import lens_parameters
 from eyespot.scenes import Scene, render_stack
 
@@ -63,76 +58,6 @@ def cone_withdrawals(full: bool = False) -> pd.DataFrame:
     )
 
 
-# Tip and axis, from all pixels of one frame.
-
-_DISTANCE_SIGMA_MM = 0.5
-_LIGHT = {"sensitivity": Prior(200.0, 0.2), "illumination": Prior(0.05, 5e-4)}
-"""Prior knowledge of the camera's sensitivity and the microscope light."""
-
-
-def frame_pose(full: bool = False) -> pd.DataFrame:
-    """Single frames of a known beam on an even wall; the robot's axis is 5 degrees off; RMS.
-
-    Each frame is fitted alone. `eyespot study pose` uses the contour only.
-    """
-    dome = {"width_px": 192, "height_px": 144, "scale_mm_px": 0.03, "samples": 16}
-    lens = lens_parameters(optics.load_lens("dome"))
-    rows: list[dict[str, Any]] = []
-    for kind, beam, view, known in (
-        ("cone", {"kind": "cone"}, {"samples": 256}, _CONE),
-        ("lens", {"kind": "lens", "lens": "dome"}, dome, lens),
-    ):
-        rng = np.random.default_rng(0)
-        for incidence, c in itertools.product((10.0, 20.0, 30.0), (0.0, 2.5, 5.0)):
-            scene: dict[str, Any] = {
-                "schema": 1,
-                "seed": int(10 * c + incidence),
-                "phantom": {"wall": "uniform"},
-                "instrument": {"visible": False},
-                "source": beam,
-                "spot": {"eccentricity_mm": c, "incidence_deg": incidence},
-                "motion": {"travel_mm": 3.9, "frames": 4},
-                "microscope": view,
-                "exposures": {"kinds": ["metered"]},
-            }
-            stack, footage = _footage(scene)
-            for frame, labels in enumerate(stack.labels[1:], 1):
-                axis = drawn_prior(np.array(labels.axis), rng)
-                distance = labels.d_mm + _DISTANCE_SIGMA_MM * rng.uniform(-1, 1)
-                alone = {
-                    name: getattr(footage, name)[[frame]]
-                    for name in ("light", "clear", "exposure_s")
-                }
-                lean = Prior(0.0, math.radians(PRIOR_DEG))
-                known_pose = {"lean": lean, "lean_sideways": lean}
-                fit = fit_image(
-                    replace(footage, **alone, readings=np.zeros(1), axis=axis),
-                    source=kind,  # type: ignore[arg-type]
-                    start=known,
-                    free=(),
-                    priors={"touch": Prior(distance, _DISTANCE_SIGMA_MM), **known_pose, **_LIGHT},
-                )
-                sigmas = (fit.parameters[name][1] for name in ("lean", "lean_sideways"))
-                rows.append(
-                    {
-                        "source": kind,
-                        "incidence_deg": incidence,
-                        "tip_um": 1e3 * np.linalg.norm(fit.tips[0] - labels.tip_mm),
-                        "axis_deg": angle_deg(fit.axis, np.array(labels.axis)),
-                        "stated_axis_deg": math.degrees(math.hypot(*sigmas)),
-                        "distance_um": 1e3 * (fit.values["touch"] - labels.d_mm),
-                    }
-                )
-    return pd.DataFrame(rows).groupby(["source", "incidence_deg"], sort=False).agg(rms)
-
-
-def _footage(scene: dict[str, Any]) -> tuple[Stack, Footage]:
-    """Render a stack, and read its pixels."""
-    with tempfile.TemporaryDirectory() as folder:
-        stack = render_stack(Scene.model_validate(scene), Path(folder) / "stack")
-        return stack, footage_of(stack)
-
-
 # Beams, from all pixels of a withdrawal.
 
 
@@ -162,7 +87,8 @@ def beam_fit(full: bool = False) -> pd.DataFrame:
         spot = {"eccentricity_mm": 2.0}
         scene = {"seed": 11, "source": source, "spot": spot, "motion": motion, "microscope": view}
         scene |= {"phantom": {"wall": "uniform"}, "exposures": {"kinds": ["metered"]}}
-        _, footage = _footage(scene)
+        with tempfile.TemporaryDirectory() as folder:
+            footage = footage_of(render_stack(Scene.model_validate(scene), Path(folder) / "stack"))
         began = time.perf_counter(), time.process_time()
         fit = fit_image(footage, source=kind, start=start, free=free)  # type: ignore[arg-type]
         row: dict[str, Any] = {"beam": beam}

@@ -361,50 +361,21 @@ def to_render(scan: pd.DataFrame, *, quick: bool) -> list[Any]:
 
 # Why trials differ.
 
-TOUCH_MM, LIGHT, TILT_DEG, HEIGHT_MM = 0.5, 0.2, 10.0, 1.0
+LIGHT = 0.2
+"""Part of the light by which a trial may have more or less."""
 
 
-def causes(isophotes: Isophotes, choice: Any, scene: Scene) -> pd.DataFrame:
-    """The choice's line, without a cause and with each cause alone.
+def moved_by_light(isophotes: Isophotes, choice: Any) -> float:
+    """How far a fifth more or less light moves −b/δk, the radius at contact, of a choice, px.
 
-    A wrong touch shifts all readings alike, so b by as much and nothing else. More light lowers the
-    level that the threshold stands for, a steeper tilt raises it. A lower wall is seen smaller.
+    More light lowers the level that the threshold stands for. A wrong touch would shift b alone.
     """
     reading = readings(choice.from_mm, choice.to_mm)
-
-    def line(
-        d_r: np.ndarray = reading, *, level: float = choice.level, turn: float = 0.0
-    ) -> paper.PlaneRow:
-        incidence = isophotes.incidence + math.radians(turn)
-        radius = isophotes.radius(d_r, level=np.full_like(d_r, level), incidence=incidence)
-        return paper.PlaneRow(*map(float, fit_lines(radius / choice.scale_mm_px, d_r)))
-
-    own = line()
-    height = scene.microscope.pinhole_height_mm + scene.phantom.radius_mm
-    lower = own._replace(delta_k=own.delta_k * (height + HEIGHT_MM) / height)
-    longer = min(choice.from_mm + 1.5 * (choice.to_mm - choice.from_mm), FARTHEST_MM)
-    changed = {
-        "none": own,
-        f"touch {TOUCH_MM:g} mm too far off": own._replace(b=own.b - TOUCH_MM),
-        f"{100 * LIGHT:g} % more light": line(level=choice.level / (1 + LIGHT)),
-        f"{100 * LIGHT:g} % less light": line(level=choice.level / (1 - LIGHT)),
-        f"tilt {TILT_DEG:g}° steeper": line(turn=TILT_DEG),
-        f"tilt {TILT_DEG:g}° less steep": line(turn=-TILT_DEG),
-        f"wall {HEIGHT_MM:g} mm lower": lower,
-        f"readings up to {longer:.1f} mm": line(readings(choice.from_mm, longer)),
-    }
-    return _against(own, changed)
-
-
-def _against(own: paper.PlaneRow, lines: Mapping[str, paper.PlaneRow]) -> pd.DataFrame:
-    """Content of table_one_causes.csv: lines, and their changes from the own one."""
-    found = pd.DataFrame([(name, *line) for name, line in lines.items()], columns=["cause", *_LINE])
-    found.insert(3, "contact_radius_px", -found.b_mm / found.delta_k_mm_px)
-    return found.assign(
-        delta_k_change_percent=100 * (found.delta_k_mm_px / own.delta_k - 1),
-        b_change_mm=found.b_mm - own.b,
-        contact_radius_change_px=found.contact_radius_px + own.b / own.delta_k,
-    )
+    levels = choice.level / np.array([1.0, 1.0 + LIGHT, 1.0 - LIGHT])
+    radius = isophotes.radius(reading[None, :], level=levels[:, None])
+    lines = fit_lines(radius / choice.scale_mm_px, reading)
+    own, *others = (-lines.b / lines.delta_k).tolist()
+    return max(abs(other - own) for other in others)
 
 
 # The figure.
@@ -467,7 +438,6 @@ def _figure(
 _TRIALS = list(paper.PAPERS_PLANES.values())
 
 _LENS = ["numerical_aperture", "sag_mm"]
-_CHANGES = ["delta_k_change_percent", "b_change_mm", "contact_radius_change_px"]
 
 
 def report(
@@ -483,9 +453,7 @@ def report(
         columns=["way", "trial", *_LINE, "contact_radius_px", "spots"],
     )
     best = confirmed[0].choice
-    changes = causes(isophotes[family_of(best)], best, scene)
-    first, second, third = _TRIALS
-    papers = {f"paper, point {n} against point 2": row for n, row in ((1, first), (3, third))}
+    light = moved_by_light(isophotes[family_of(best)], best)
     nearest = where(scan, asked=AT_SCALE).sort_values("miss", kind="stable")
     fitting, rendered = sum(nearest.miss <= 1), sum(one.reproduces for one in confirmed)
     return page.Report(
@@ -517,7 +485,7 @@ def report(
                 data="table_one_scan.csv",
             ),
         ],
-        claims=list(_claims(scene, scan, confirmed, changes)),
+        claims=list(_claims(scene, scan, confirmed, light)),
         sections=[
             page.Section(
                 "Rendered",
@@ -528,26 +496,16 @@ def report(
                     data="table_one_rendered.csv",
                 ),
             ),
-            page.Section(
-                "Why trials differ",
-                page.Table(
-                    pd.concat([changes, _against(second, papers)]),
-                    ["cause", *_LINE, "contact_radius_px", *_CHANGES],
-                    "The best lens's line, in closed form, and how each cause alone changes it.",
-                    data="table_one_causes.csv",
-                ),
-            ),
         ],
         data={
             "table_one_scan.csv": scan,
             "table_one_rendered.csv": lines,
-            "table_one_causes.csv": changes,
         },
     )
 
 
 def _claims(
-    scene: Scene, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], changes: pd.DataFrame
+    scene: Scene, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], light: float
 ) -> Iterator[page.Claim]:
     yield from confirmed[0].criteria.values()
     near, anywhere = (where(scan, asked=way) for way in (AT_SCALE, ANYWHERE))
@@ -569,7 +527,6 @@ def _claims(
     # Light moves δk and b in proportion, so that −b/δk stays; a missed touch moves b alone.
     ratios = np.array([row.delta_k / second.delta_k for row in (first, third)])
     touches = np.array([row.b for row in (first, third)]) - ratios * second.b
-    light = changes[changes.cause.str.endswith("light")].contact_radius_change_px.abs().max()
     rendered = paper.plane_rows(where(confirmed[0].lines, way=paper.LITERAL.name))
     yield page.Claim(
         name="light moves −b/δk less than the paper's trials differ",
@@ -581,7 +538,7 @@ def _claims(
         f"{listed(np.abs(touches), '.2f')} mm explains. The rendered trials of the best lens, at "
         "three places of one picture and touched exactly, have δk of "
         f"{listed([rendered[trial].delta_k for trial in paper.PAPERS_PLANES], '.4f')} mm/px.",
-        value=float(light),
+        value=light,
         high=float(np.ptp(contacts)) / 3,
     )
 
