@@ -13,7 +13,6 @@ import pandas as pd
 
 from eyespot import optics
 from eyespot.benchmarks.model_error import Geometry, degrees, exact_spots, readings
-from eyespot.formats.calibration import Calibration
 from eyespot.formats.rig import Rig
 
 UNTOLD = "exact, axis unknown"
@@ -29,11 +28,13 @@ _NODES_DEG = 30.0
 
 
 def uncertainties(
-    rig: Rig, geometry: Geometry, calibration: Calibration | None
+    rig: Rig, geometry: Geometry, cone: np.ndarray | None
 ) -> list[tuple[str, dict[str, float]]]:
     """Independent errors of what is believed: the cause, and one standard deviation of each field.
 
-    A calibration's covariance becomes the axes of its ellipse.
+    Args:
+        cone: covariance of half-angle (rad) and b (mm) by a calibration; it becomes the axes of its
+            ellipse.
     """
     own, robot = rig.microscope, rig.robot
     kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
@@ -44,12 +45,11 @@ def uncertainties(
     ]
     if "touch_sigma_mm" in robot.model_fields_set:
         found.append(("touch", {"apex_offset": robot.touch_sigma_mm}))
-    if calibration is None:
+    if cone is None:
         core = rig.instrument.core_radius_sigma
         found.append(("cone", {"apex_offset": core * abs(geometry.apex_offset)}))
         return found
-    _, _, covariance = calibration.cone
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(cone)
     for value, vector in zip(values, vectors.T, strict=True):
         half_angle, b = (math.sqrt(max(value, 0.0)) * vector).tolist()
         found.append(("cone", {"half_angle": half_angle, "apex_offset": b}))
@@ -78,9 +78,12 @@ def turned(geometry: Geometry, *, along: float, across: float) -> Geometry:
 
 
 def errors_at(
-    geometry: Geometry, rig: Rig, calibration: Calibration | None, *, c: np.ndarray, d: np.ndarray
+    geometry: Geometry, rig: Rig, cone: np.ndarray | None, *, c: np.ndarray, d: np.ndarray
 ) -> pd.DataFrame:
-    """Bias and standard deviations by cause, mm, of all `READERS` at one tilt of the beam."""
+    """Bias and standard deviations by cause, mm, of all `READERS` at one tilt of the beam.
+
+    `cone` is as for `uncertainties`.
+    """
     seen = exact_spots(geometry, c=c, d=d).semi_minor
 
     def read(own: Geometry, e: np.ndarray = seen, at: np.ndarray = c) -> np.ndarray:
@@ -89,7 +92,7 @@ def errors_at(
 
     true = read(geometry)
     parts = {"image": np.abs(read(geometry, seen + _SIZE_SIGMA_PX) - true)}
-    for cause, moved in uncertainties(rig, geometry, calibration):
+    for cause, moved in uncertainties(rig, geometry, cone):
         if any(moved.values()):
             # A wrong scale also puts the spot at a wrong c.
             at = c * (1.0 + moved.get("scale", 0.0) / geometry.scale)

@@ -2,13 +2,18 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float
 
 from eyespot import optics
 from eyespot.benchmarks.model_error import Geometry
-from eyespot.formats.calibration import CONE_MODELS, Calibration, read_calibration
+from eyespot.formats.calibration import (
+    CONE_MODELS,
+    LENS_PARAMETERS,
+    Calibration,
+    read_calibration,
+)
 from eyespot.formats.camera import CameraSheet
 from eyespot.formats.inputs import InputError, Strict
 from eyespot.formats.rig import Rig
@@ -18,6 +23,9 @@ from eyespot.scenes.description.settings import CameraSettings
 
 USUAL_SCALE_MM_PX = 0.0067
 """Scale of a rig that states none. Without noise no error depends on it."""
+
+LENS_RANGE_MM = (0.5, 6.0)
+"""Distances over which a lens is taken for a cone; as in the paper's trials."""
 
 _USUAL_REACH = 0.7
 """Largest eccentricity over the eye's radius, if the rig states none: 8 mm in an eye of 11.5 mm."""
@@ -80,7 +88,7 @@ def cone_of_rig(rig: Rig) -> tuple[float, float]:
     beam, known = rig.beam, _known(_needed_of_the_cone(rig), "the cone")
     if beam.calibration is not None and not known:
         file = rig.folder / beam.calibration
-        return calibrated_cone(file, read_calibration(file))
+        return calibrated_cone(read_calibration(file))[:2]
     if beam.half_angle_deg is not None:
         half_angle = math.radians(beam.half_angle_deg)
     else:
@@ -111,15 +119,32 @@ def _known(needed: Mapping[str, float | None], what: str) -> dict[str, float]:
     return known
 
 
-def calibrated_cone(file: Path, calibration: Calibration) -> tuple[float, float]:
-    """Half-angle (rad) and b (mm) of the calibration in a file."""
-    if calibration.model not in CONE_MODELS:
-        raise InputError(
-            f"{file} is of a {calibration.model}; a model's error is that of a cone. State "
-            "beam.half_angle_deg and instrument.core_radius_mm in its place."
-        )
-    half_angle, b, _ = calibration.cone
-    return half_angle, b
+def calibrated_cone(calibration: Calibration) -> tuple[float, float, Float[np.ndarray, "2 2"]]:
+    """Half-angle (rad) and b (mm) of a calibrated beam, and their covariance.
+
+    Of a lens those of its effective cone over the paper's distances, 0.5 to 6 mm (Zhou et al. 2020,
+    equation 1), to first order in the errors of the lens.
+    """
+    if calibration.model in CONE_MODELS:
+        return calibration.cone
+    values = calibration.values
+
+    def cone(of: Mapping[str, float]) -> np.ndarray:
+        known = {name: np.asarray(of[name]) for name in LENS_PARAMETERS if name in of}
+        glass = optics.GlueLens(**dict.fromkeys(LENS_PARAMETERS) | known)
+        light = optics.LensField(glass, calibration.medium_index)
+        low, high = LENS_RANGE_MM
+        found = optics.effective_cone(light, from_distance=low, to_distance=high)
+        return np.array([found.half_angle, found.b])
+
+    own, slopes = cone(values), np.zeros((2, len(values)))
+    for column, (name, value) in enumerate(values.items()):
+        # Steps of one standard error: the quadrature's own error exceeds the effect of small ones.
+        step = calibration.sigma(name)
+        if name in LENS_PARAMETERS and step > 0:
+            slopes[:, column] = (cone({**values, name: value + step}) - own) / step
+    half_angle, b = own.tolist()
+    return half_angle, b, slopes @ calibration.covariance @ slopes.T
 
 
 def workspace_of(rig: Rig, geometry: Geometry) -> WorkspaceKeys:

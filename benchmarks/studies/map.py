@@ -7,13 +7,12 @@ import math
 from collections.abc import Iterator
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-from cyclopts import Parameter
 from cyclopts.types import PositiveFloat
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -36,7 +35,7 @@ from eyespot.benchmarks.study import (
     geometry_of,
 )
 from eyespot.benchmarks.workspace import azimuths_deg, calibrated_cone
-from eyespot.formats.calibration import Calibration, read_calibration
+from eyespot.formats.calibration import read_calibration
 from eyespot.formats.rig import Rig
 from eyespot.formats.rig_keys import WorkspaceKeys
 
@@ -50,7 +49,7 @@ def mapped(
     geometry: Geometry,
     space: WorkspaceKeys,
     rig: Rig,
-    calibration: Calibration | None,
+    cone: np.ndarray | None,
     *,
     quick: bool,
 ) -> pd.DataFrame:
@@ -64,7 +63,7 @@ def mapped(
         for azimuth in azimuths_deg(space)[:: 3 if quick else 2] if tilt else (0.0,):
             lean = {"incidence": math.radians(tilt), "incidence_azimuth": math.radians(azimuth)}
             own = geometry._replace(**lean)
-            tables.append(errors_at(own, rig, calibration, c=c, d=d))
+            tables.append(errors_at(own, rig, cone, c=c, d=d))
     found = pd.concat(tables, ignore_index=True)
     found = found.assign(sigma_mm=np.sqrt((found[causes_of(found)] ** 2).sum(axis=1)))
     return found.assign(at_95_mm=np.quantile(np.abs(drawn(found)), 0.95, axis=1))
@@ -208,7 +207,8 @@ def _report(
         lead="Exact contours of a cone in a spherical eye, read with what the rig states and its "
         f"standard uncertainties, which are taken as independent; c to {end} mm, d from "
         f"{space.distance_mm[0]:g} to {space.distance_mm[1]:g} mm, tilts from {told}°. Nothing is "
-        "rendered: texture, a lens's profile and an eye that is no sphere are not in it.",
+        "rendered: texture, how a lens's light differs from its effective cone, and an eye that "
+        "is no sphere are not in it.",
         first=[
             page.Picture(
                 "map",
@@ -296,7 +296,7 @@ def map(
     *,
     rig: RigFile = None,
     out: OutputFolder,
-    calibration: Annotated[Path | None, Parameter(help="Calibration of a cone.")] = None,
+    calibration: Path | None = None,
     changes: Changes = (),
     quick: Quick = False,
     seed: Seed = None,
@@ -307,6 +307,7 @@ def map(
     Exact contours only; nothing is rendered.
 
     Args:
+        calibration: Calibration file of the beam; a lens counts as its effective cone.
         tolerance: Largest error that is acceptable at 95 %, mm.
     """
     cone, options = ("source.kind=cone",), {"tolerance": tolerance}
@@ -315,11 +316,12 @@ def map(
     study = Study("map", out, scene, changes, quick, seed, cone, **about)
     geometry, own = geometry_of(study.scene), study.rig or Rig()
     geometry = geometry._replace(incidence=0.0, incidence_azimuth=0.0)
-    if calibration is not None and fitted is not None:
-        half_angle, b = calibrated_cone(calibration, fitted)
+    covariance = None
+    if fitted is not None:
+        half_angle, b, covariance = calibrated_cone(fitted)
         geometry = geometry._replace(half_angle=half_angle, apex_offset=b)
     with study.timed("errors"):
-        errors = mapped(geometry, study.space, own, fitted, quick=quick)
+        errors = mapped(geometry, study.space, own, covariance, quick=quick)
     with study.timed("mirrored poses"):
         sigma = math.radians(own.robot.axis_sigma_deg)
         mirrored = ambiguity(geometry, study.space, sigma_rad=sigma, quick=quick)

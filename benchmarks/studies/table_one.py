@@ -99,15 +99,12 @@ class Isophotes:
         incidence = math.radians(scene.spot.incidence_deg)
         return cls(family, light, World(scene).contact_distance, incidence, peak)
 
-    def radius(
-        self, reading: np.ndarray, *, level: np.ndarray, incidence: float | None = None
-    ) -> np.ndarray:
+    def radius(self, reading: np.ndarray, *, level: np.ndarray) -> np.ndarray:
         """Semi-minor axis on the wall, mm, at readings since contact, mm.
 
-        `level` broadcasts against them. An incidence (rad) replaces the scene's; the distance at
-        contact stays.
+        `level` broadcasts against them.
         """
-        level = level * self.peak / math.cos(self.incidence if incidence is None else incidence)
+        level = level * self.peak / math.cos(self.incidence)
         d = reading + self.contact
         return np.asarray(optics.isophote_radius(self.light, distance=d, level=level))
 

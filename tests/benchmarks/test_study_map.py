@@ -1,6 +1,7 @@
 """The map of a rig's workspace: its biases and its standard deviations are those of trials."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,8 +11,11 @@ from eyespot.benchmarks.model_error import exact_spots, readings
 from eyespot.benchmarks.rig_uncertainty import NOISE_PX, UNTOLD, believed, errors_at, turned
 from eyespot.benchmarks.studies import map as of_map
 from eyespot.benchmarks.studies.map import f2554, limits, mapped
-from eyespot.benchmarks.workspace import geometry_of_rig, workspace_of
+from eyespot.benchmarks.workspace import calibrated_cone, geometry_of_rig, workspace_of
 from eyespot.formats.rig import Rig
+from eyespot.scenes import Scene, changed
+from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.world import World
 
 NUMBERS = {
     "microscope.pinhole_height_mm": 175.0,
@@ -82,6 +86,23 @@ def test_a_tighter_rig_has_smaller_errors_and_the_axis_helps(found):
     assert table.at_95_mm["exact"] < table.at_95_mm[UNTOLD] / 2
     reached = limits(better, 0.5).set_index("model").c_mm
     assert not reached["small_plane"] > reached["corrected"]
+
+
+def test_a_lens_counts_as_its_effective_cone_and_is_as_uncertain_as_its_parameters():
+    scene = changed(Scene(), {"source.lens": "dome", "source.medium": "vitreous"})
+    dome = true_calibration(scene)
+    numbers = [*dome.values]
+    aperture, sigma = numbers.index("numerical_aperture"), 0.01 * dome.values["numerical_aperture"]
+    covariance = np.zeros((len(numbers), len(numbers)))
+    covariance[aperture, aperture] = sigma**2
+    half_angle, b, spread = calibrated_cone(replace(dome, covariance=covariance))
+    # The scene's cone is that of a table of the light, which is right to a thousandth.
+    cone = World(scene).cone
+    assert half_angle == pytest.approx(cone.half_angle, rel=2e-3)
+    assert b == pytest.approx(cone.apex_offset, abs=2e-3)
+    # One uncertain number moves both together; a wider aperture makes a wider cone.
+    assert abs(spread[0, 1]) == pytest.approx(math.sqrt(spread[0, 0] * spread[1, 1]), rel=1e-9)
+    assert 0.001 < math.sqrt(spread[0, 0]) / half_angle < 0.02
 
 
 def test_at_10_degrees_a_contour_has_two_poses_and_the_robots_axis_leaves_one():
