@@ -517,6 +517,9 @@ def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame, frame_ms: float) -> It
 
 # The command.
 
+VARIED = ("source.kind", "motion")
+"""Keys of the scene that the study sets itself."""
+
 
 def dynamic(
     scene: StartingScene = None,
@@ -535,14 +538,13 @@ def dynamic(
     Args:
         exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
     """
-    options = {"source": source, "exposure-ms": exposure_ms}
+    own = {"source": source, "exposure-ms": exposure_ms}
     why = "the study's models are those of the eyeball"
     check = partial(Study.demand, needed={"phantom.kind": "eyeball"}, why=why)
     # A robot's stamps jitter; without, they would fall on the frames' own moments.
     jitter = ("clocks.kinematics_jitter_s=0.001",)
-    study = Study(
-        "dynamic", out, scene, changes, quick, seed, jitter, check, options=options, rig=rig
-    )
+    about: dict[str, Any] = {"options": own, "rig": rig, "varies": VARIED}
+    study = Study("dynamic", out, scene, changes, quick, seed, jitter, check, **about)
     sources = ("cone", "lens") if source == "both" else (source,)
     speeds = (0.5, 1.5, 5.0) if quick else (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
     runs = 1 if quick else 2

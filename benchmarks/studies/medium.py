@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -401,6 +401,12 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
 
 # The command.
 
+VARIED = (
+    *("source.medium", "phantom.kind", "microscope.height_px", "motion.kind"),
+    *("motion.start_mm", "motion.travel_mm", "motion.frames", "exposures.kinds"),
+)
+"""Keys of the scene that the study sets itself."""
+
 
 def medium(
     scene: StartingScene = None,
@@ -415,7 +421,8 @@ def medium(
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
     why = "the study compares one lens in two media, and the ideal cone beside it"
     check = partial(Study.demand, needed={"source.kind": "lens"}, why=why)
-    study = Study("medium", out, scene, changes, quick, seed, check=check, rig=rig)
+    about: dict[str, Any] = {"check": check, "rig": rig, "varies": VARIED}
+    study = Study("medium", out, scene, changes, quick, seed, **about)
     base = study.scene
     own = base.source.lens
     lenses = (own,) if quick else tuple(dict.fromkeys((own, *_LENSES)))

@@ -408,6 +408,13 @@ def _beside_the_paper(
 
 # The command.
 
+VARIED = (
+    *("phantom.kind", "phantom.tilt_deg", "phantom.tilt_azimuth_deg"),
+    *("spot.eccentricity_mm", "spot.azimuth_deg", "motion.frames"),
+    *("exposures.kinds", "exposures.keep_linear"),
+)
+"""Keys of the scene that the study sets itself."""
+
 
 def static(
     scene: StartingScene = None,
@@ -420,7 +427,8 @@ def static(
     seed: Seed = None,
 ) -> pd.DataFrame:
     """Repeat the paper's Tables I and II many times, and split their error by cause."""
-    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check, rig=rig)
+    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
+    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check, **about)
     runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
     with study.timed("render"):
         photographers = rendered(study, textures=textures, frames=frames)

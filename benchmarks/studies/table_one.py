@@ -542,6 +542,12 @@ def _claims(
 
 # The command.
 
+VARIED = (
+    *("spot.eccentricity_mm", "spot.azimuth_deg", "motion.frames", "motion.travel_mm"),
+    *("exposures.kinds", "exposures.keep_linear", "exposures.paper_level", "source.lens"),
+)
+"""Keys of the scene that the study sets itself."""
+
 
 def table_one(
     scene: StartingScene = None,
@@ -554,9 +560,9 @@ def table_one(
     seed: Seed = None,
 ) -> list[ConfirmedLens]:
     """Find the lenses that give the paper's Table I, and why its trials differ."""
-    study = Study(
-        "table-one", out, scene, changes, quick, seed, ("phantom.kind=plane",), check, rig=rig
-    )
+    plane = ("phantom.kind=plane",)
+    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
+    study = Study("table-one", out, scene, changes, quick, seed, plane, check, **about)
     base = study.scene
     apertures, sags = [0.05, 0.10, 0.15, 0.20], [0.0, 0.04]
     if not quick:
