@@ -297,7 +297,7 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
 
 SURE = 3.0  # standard deviations from which a value counts as another one: 1 in 400 by chance
 
-_WIDE = 1e6  # of a key that is fitted freely, in its standard uncertainties
+_FREE_KEY_SIGMAS = 1e6  # A prior this wide leaves a key free.
 
 
 class Judgement(NamedTuple):
@@ -405,7 +405,7 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
     rows = []
     for n, (key, (stated, unit)) in enumerate(plan.uncertain.items()):
         free = prior.copy()
-        free[n] = 1 / _WIDE**2
+        free[n] = 1 / _FREE_KEY_SIGMAS**2
         # What no key explains is noise for them all (Birge 1932).
         found, covariance = fit(max(1.0, misfit), free)
         off, error = float(found[n]), math.sqrt(covariance[n, n])

@@ -326,7 +326,7 @@ _PACKAGES = (
     "eyespot mitsuba drjit jax equinox optimistix numpy opencv-python-headless scikit-image "
     "matplotlib"
 ).split()
-_MOST_KEYS = 2  # that a message names
+_MAX_KEYS_IN_MESSAGE = 2
 
 
 def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
@@ -424,9 +424,10 @@ def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
     keys = [key for key in {**there, **here} if there.get(key) != here.get(key)]
     said = [
         f"{shortened(key)}: {shortened(there.get(key))} instead of {shortened(here.get(key))}"
-        for key in keys[:_MOST_KEYS]
+        for key in keys[:_MAX_KEYS_IN_MESSAGE]
     ]
-    return ", ".join(said) + ("" if len(keys) <= _MOST_KEYS else f", and {len(keys)} in all")
+    more = f", and {len(keys)} in all" if len(keys) > _MAX_KEYS_IN_MESSAGE else ""
+    return ", ".join(said) + more
 
 
 def _finite(value: Any) -> Any:

@@ -154,7 +154,7 @@ BEAMS: dict[str, dict[str, Any]] = {
     "candidate, air": {"kind": "lens", "lens": "paper-candidate", "medium": "air"},
 }
 WALLS = ("uniform", "printed paper", "retina", "photograph")
-MM_PER_FRAME = 2.0 / 12  # of a withdrawal
+MM_PER_FRAME = 2.0 / 12  # A withdrawal's step.
 _FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
 _TRIES = 50  # draws of a scene until its spot lies in the window
 

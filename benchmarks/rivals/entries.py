@@ -101,7 +101,7 @@ class OpenCV(Entry):
 
 
 _BLOB_CELL_PX, _BLOB_BLUR_CELLS = 8, 1.5
-_LEAST_CONTRAST_DN = 2.0  # of a blob over the frame's median
+_LEAST_CONTRAST_DN = 2.0  # A blob is brighter than the frame's median by as much.
 _SQUARE_RADII = 1.9  # half a square's side: the spot's surroundings are inside
 _LEAST_HALF_PX = 24
 

@@ -37,7 +37,7 @@ from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
 from eyespot.formats.whole_files import require_space, written_whole
 
-_LEAST_BYTES = 2**20  # of the spots files
+_LEAST_BYTES = 2**20  # The spots files need about as much.
 
 
 Answers = tuple[str, str, list[SpotRecord], list[float]]
@@ -210,7 +210,7 @@ def read_constants(path: Path = CONSTANTS) -> Constants:
 
 _MOST_PX = 10.0
 _ROUNDS = 2
-_KEPT_STACKS = 32  # whose frames a worker keeps in memory: at 20 frames of 640 x 480, 600 MB
+_KEPT_STACKS = 32  # A worker keeps their frames: 600 MB at 20 frames of 640 x 480 px.
 
 
 def tune(

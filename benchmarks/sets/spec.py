@@ -38,7 +38,7 @@ from eyespot.scenes.description.settings import OutsideWindow
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
-_LARGEST = 1e12  # of either end of an interval, so that widths and quotients are finite
+_LARGEST = 1e12  # With ends up to this, an interval's width and quotient are finite.
 
 
 class _SpecTable(BaseModel):

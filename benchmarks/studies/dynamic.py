@@ -131,7 +131,7 @@ def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene
 
 COMPARED = (paper.LITERAL, paper.SUBPIXEL)
 MOTIONS = ("withdrawal", "scan", "hand")  # along the beam, across the wall, in a hand
-LATENCIES_S = (0.0, 0.05, 0.1)  # with which a pose without a time stamp is read
+LATENCIES_S = (0.0, 0.05, 0.1)  # A pose without a time stamp is read so late.
 PARTS = ("rest", "blur", "stamps", "latency")
 
 
@@ -367,7 +367,7 @@ def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
 
 # The page.
 
-_REQUIRED_MM = 0.1  # of the sub-pixel mode with stamped poses, up to the top speed
+_REQUIRED_MM = 0.1  # Sub-pixel mode with stamped poses keeps it up to the top speed.
 _PAPERS_SPEED_MM_S = 1.5  # up to which the paper's error is acceptable (Zhou et al. 2020)
 
 

@@ -33,7 +33,7 @@ NOMINAL_RADIUS_MM = 12.0  # radius of the sphere that models assume where no eye
 
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
-_POINTS = 48  # of a contour: its ellipse is within 1e-6 px of 128 points
+_POINTS = 48  # The ellipse of so many contour points is within 1e-6 px of that of 128.
 PATHS: dict[str, tuple[str, str]] = {
     "flat, phakic": ("flat", "phakic"),
     "flat, pseudophakic": ("flat", "pseudophakic"),

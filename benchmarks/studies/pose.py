@@ -52,11 +52,11 @@ from eyespot.scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.
 
-HALF_WIDTH_MM = 5.0  # of the square around the microscope's axis in which O lies
+HALF_WIDTH_MM = 5.0  # O lies in a square around the microscope's axis.
 NEAREST_MM, FARTHEST_MM = 0.5, 5.5  # distances from tip to wall along the beam
 INCIDENCE_DEG = (10.0, 30.0)
 NOISE_PX = 0.05  # standard deviation across the contour of each of 128 points
-LARGEST_C_MM = 5.0  # of the rendered spots
+LARGEST_C_MM = 5.0  # Rendered spots lie within.
 PRIOR_DEG = 5.0
 """Standard deviation of the direction prior across the axis, as for a rough robot calibration."""
 

@@ -49,7 +49,7 @@ PATHS: dict[str, str | None] = {
 """Viewing lens of each path; behind a lens lies Navarro's phakic eye."""
 
 EYE, WAVELENGTH_NM = "navarro", 550.0
-RADIUS_MM = 12.0  # of Navarro's retina
+RADIUS_MM = 12.0  # Navarro's retina.
 WALL, POLE = optics.Sphere(RADIUS_MM), np.array([0.0, 0.0, -RADIUS_MM])
 PINHOLE_HEIGHT_MM = 200.0
 SCALE_MM_PX = 0.0134  # the shadow of a tip at 6 mm lies 6 mm beside the spot
@@ -63,7 +63,7 @@ TOOL_RADIUS_MM = 0.255
 TROCAR_POLAR_DEG = 48.0
 TOOL_AZIMUTH_DEG, LAMP_AZIMUTH_DEG, SPOT_AZIMUTH_DEG = 30.0, 150.0, 270.0
 """The trocars lie at two and ten o'clock; the spot moves away from both."""
-LAMP_ABOVE_MM = 15.0  # of the light guide's end, from the pole along its trocar
+LAMP_ABOVE_MM = 15.0  # Distance of the light guide's end from the pole, along its trocar.
 
 Numbers = Any
 """NumPy's outside of compiled functions, JAX's inside; several places have a leading axis."""

@@ -27,7 +27,7 @@ from eyespot.formats.stack import Stack, read_stack
 CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)  # eccentricities at which the report gives the model errors
 _ANALYTIC_HEIGHTS_MM = (*paper.PINHOLE_HEIGHTS_MM, 100.0)
 _FEWEST_SPOTS = 6  # fewer do not determine a line and its scatter
-_STEP_MM, _SHORTEST_MM = 0.5, 2.0  # of the parts of the range that are tried
+_STEP_MM, _SHORTEST_MM = 0.5, 2.0  # Parts of the range that are tried begin at steps.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -93,12 +93,13 @@ def groups(images: pd.DataFrame, condition: str) -> pd.Series:
 Against = Literal["half_max", "cone"]
 
 CENTRE = "centre_px"  # distance between the centres, the only quantity without a sign
-ANGLE = "angle_rad"  # of the semi-major axis; scored where the true ellipse is not round
+ANGLE = "angle_rad"  # The semi-major axis's; scored where the true ellipse is not round.
 QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", ANGLE, "distance_mm")
 """Scored quantities; the true distance is d = |SO|."""
 MAIN = "semi_minor_px"  # which determines distances, and by which groups are compared
 
-_NAMES = dict(zip(ELLIPSE, PARAMETERS, strict=True))  # in the covariance of a spot
+_NAMES = dict(zip(ELLIPSE, PARAMETERS, strict=True))
+"""Names in the covariance of a spot."""
 _ROUND_PX = 1.0  # axes that differ less; an error of 0.05 px in them may turn it by 3 degrees
 _RESAMPLED = 1000  # bootstrap samples; the ends of an interval vary by 3 % of its width
 _FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
@@ -332,7 +333,7 @@ def score(
 
 # Standings of estimators on the same images, with intervals by a bootstrap over stacks.
 
-_MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, in sigmas
+_MEDIAN_OF_NORMAL = 0.6745  # Half of all normal errors are smaller, in sigmas.
 _BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
 """Label with the bound of a quantity."""
 _WIDE = 1.96  # sigmas that contain 95 % of normal errors

@@ -36,7 +36,7 @@ from eyespot.formats.whole_files import require_space, written_whole
 
 # Tables on the terminal, as wide as they need to be.
 
-_MOST_ESTIMATORS = 4  # with two columns each
+_MOST_ESTIMATORS = 4  # More would make the last table too wide.
 
 
 def tables(result: Score) -> dict[str, pd.DataFrame]:
@@ -305,7 +305,7 @@ def _drawn(total: pd.DataFrame, unit: str) -> Figure:
 
 
 _SCHEMA = 2
-_LEAST_BYTES = 2**18  # of the figures
+_LEAST_BYTES = 2**18  # The figures need about as much.
 _TRACKING = ("eyespot", "opencv-python-headless", "numpy")  # what the measured spots depend on
 
 

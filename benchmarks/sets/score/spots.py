@@ -39,7 +39,7 @@ from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, folded_angle, read_spots
 from eyespot.formats.stack import FrameLabels
 
-NAME = "sample-v2"  # of the small set that comes with eyespot
+NAME = "sample-v2"  # The small set that comes with eyespot.
 
 
 def sample_folder() -> Path:
