@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -130,8 +131,10 @@ def calibrated_cone(calibration: Calibration) -> tuple[float, float, Float[np.nd
     values = calibration.values
 
     def cone(of: Mapping[str, float]) -> np.ndarray:
-        known = {name: np.asarray(of[name]) for name in LENS_PARAMETERS if name in of}
-        glass = optics.GlueLens(**dict.fromkeys(LENS_PARAMETERS) | known)
+        known: Any = {
+            name: np.asarray(of[name]) if name in of else None for name in LENS_PARAMETERS
+        }
+        glass = optics.GlueLens(**known)
         light = optics.LensField(glass, calibration.medium_index)
         low, high = LENS_RANGE_MM
         found = optics.effective_cone(light, from_distance=low, to_distance=high)

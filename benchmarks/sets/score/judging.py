@@ -198,7 +198,7 @@ def errors_of(judged: pd.DataFrame) -> pd.DataFrame:
         about.assign(quantity=q, error=judged[f"error_{q}"], sigma=judged[f"sigma_{q}"])
         for q in QUANTITIES
     )
-    known = every[np.isfinite(every.error)].astype({"quantity": pd.CategoricalDtype(QUANTITIES)})
+    known = every[np.isfinite(every.error)].astype({"quantity": pd.CategoricalDtype([*QUANTITIES])})
     by_quantity = known.groupby(["estimator", "group", "quantity"], observed=True)
     found = by_quantity[["stack", "error", "sigma"]].apply(error_summary)
     found = found.reindex(columns=_SUMMARY).reset_index()

@@ -86,9 +86,8 @@ def tables(result: Score) -> dict[str, pd.DataFrame]:
 def reasons_of_misses(result: Score) -> dict[str, dict[str, int]]:
     """How many visible spots each estimator missed, by its reason, the most frequent first."""
     missed = where(result.judged, outcome=Outcome.MISSED)
-    return {
-        str(name): of.reason.value_counts().to_dict() for name, of in grouped(missed, "estimator")
-    }
+    reasons = {str(name): of.reason for name, of in grouped(missed, "estimator")}
+    return {name: dict(Counter(own).most_common()) for name, own in reasons.items()}
 
 
 def _number(value: float, form: str, *, none: str = "–") -> str:
@@ -430,7 +429,7 @@ def write(
         "against": result.against,
         "visible_from_fraction": VISIBLE_ENOUGH,
         "outcomes": {name: own.outcome.value_counts().to_dict() for name, own in outcomes},
-        "reasons_of_misses": {name: {} for name in result.left_out} | reasons_of_misses(result),
+        "reasons_of_misses": {n: {} for n in result.left_out} | reasons_of_misses(result),
         "left_out": result.left_out,
         "versions": versions(),
     }
