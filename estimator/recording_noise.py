@@ -18,8 +18,9 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import maximum_filter
 from scipy.optimize import nnls
 
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.image import clip_level
-from eyespot.formats.camera import VIDEO_BLACK, VIDEO_WHITE, CameraNoise, CameraSheet, Response
+from eyespot.formats.camera import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
 from eyespot.formats.inputs import InputError
 
 _CELL_PX = 6

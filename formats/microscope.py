@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 import numpy as np
 from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, model_validator
 
-from eyespot.formats.camera import CameraNoise, CameraSheet, LensDistortion, Response
+from eyespot.formats.camera import CameraSheet, LensDistortion, Response
 from eyespot.formats.camera_files import calibration_in, camera_of
 from eyespot.formats.inputs import (
     InputError,
@@ -124,7 +124,7 @@ class MicroscopeFile:
         retina_tilt_deg: angle of its z from the microscope's axis.
         retina_tilt_azimuth_deg: azimuth of the direction in which its z leans.
         retina_shift_mm: of its centre across the microscope's axis.
-        noise: of the camera; None if it was not measured.
+        noise: data sheet of the camera; None if it was not measured.
         distortion_model: as `LensDistortion.model`; brown in files of ours.
     """
 
@@ -144,7 +144,7 @@ class MicroscopeFile:
     retina_tilt_deg: float = 0.0
     retina_tilt_azimuth_deg: float = 0.0
     retina_shift_mm: Sequence[float] = (0.0, 0.0)
-    noise: CameraNoise | None = None
+    noise: CameraSheet | None = None
     distortion_model: Literal["brown", "equidistant"] = "brown"
 
     def __post_init__(self) -> None:
@@ -386,7 +386,7 @@ def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
         "response": replace(file.response, full_scale=full_scale),
         "plane_normal": None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
         "retina_shift_mm": file.retina_shift_mm or (0.0, 0.0),
-        "noise": None if camera is None else CameraNoise(camera, file.response),
+        "noise": camera,
     }
     microscope = MicroscopeFile(**values)
     _check_agreement(microscope)

@@ -23,7 +23,7 @@ from pydantic import (
 )
 from pydantic.json_schema import SkipJsonSchema
 
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import (
     InputError,
     Strict,
@@ -163,7 +163,7 @@ class Rig(Strict):
             if radius is None or height is None:
                 raise InputError("wall.radius_mm is missing. Add it; the pole lies at -radius_mm.")
             found = _pinhole(own, radius, height)
-        normal = found.plane_normal
+        normal, stated = found.plane_normal, self.camera.noise
         if wall.kind == "eyeball":
             normal = None
         elif wall.kind == "plane" and (normal is None or "normal" in wall.model_fields_set):
@@ -172,7 +172,7 @@ class Rig(Strict):
             found,
             plane_normal=normal,
             response=self._response(found.response),
-            noise=self._noise(found),
+            noise=stated if isinstance(stated, CameraSheet) else None if stated else found.noise,
         )
 
     @property
@@ -187,14 +187,6 @@ class Rig(Strict):
         if full_scale is None and own.bit_depth > 8:
             full_scale = float((1 << own.bit_depth) - 1)
         return replace(response, full_scale=full_scale, limited=own.limited_range)
-
-    def _noise(self, found: MicroscopeFile) -> CameraNoise | None:
-        """As the file states it; None if it is to be measured in the recording."""
-        noise = self.camera.noise
-        if noise is None:
-            return found.noise
-        response = replace(self._response(found.response), full_scale=None)
-        return CameraNoise(noise, response) if isinstance(noise, CameraSheet) else None
 
     @property
     def calibration_file(self) -> Path | None:

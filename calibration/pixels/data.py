@@ -13,9 +13,9 @@ from jaxtyping import Bool, Float
 
 from eyespot import optics
 from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.estimator.camera_noise import CameraNoise, camera_noise
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.recording import Recording
-from eyespot.formats.camera import CameraNoise
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.optics.instrument import BareFibre
@@ -75,7 +75,8 @@ def footage_of(source: Any) -> Footage:
     if recording.rig.view is not None and recording.rig.view.noise is None:
         recording = recording.measured()
     rig, view = recording.rig, recording.rig.view
-    if view is None or view.noise is None or rig.wall.medium is None:
+    noise = None if view is None else camera_noise(view)
+    if view is None or noise is None or rig.wall.medium is None:
         raise InputError(
             f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
             "--rig FILE; `eyespot rig init` writes one."
@@ -88,7 +89,7 @@ def footage_of(source: Any) -> Footage:
             "cone)."
         )
     frames, instrument = list(recording.source), rig.instrument
-    noise = view.noise.for_image(frames[0].image)
+    noise = noise.for_image(frames[0].image)
     times = np.array([frame.time_s for frame in frames])
     exposure_s = np.array([frame.exposure_s for frame in frames])
     known = exposure_s if np.isfinite(exposure_s).all() else None

@@ -14,8 +14,8 @@ from jaxtyping import Bool, Float
 from scipy.fft import dct
 from scipy.special import j1
 
+from eyespot.estimator.camera_noise import USUAL_CUT, camera_noise
 from eyespot.estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
-from eyespot.formats.camera import USUAL_CUT
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.optics.instrument import BareFibre
 from eyespot.optics.wall_light.cells import Lattice, pixels_see, square_lattice
@@ -182,7 +182,8 @@ class BeamLight:
     ) -> None:
         self.source, self.spread, self.sharp = source, spread, sharp
         self.apex_mm, self.within_mm = apex_mm, within_mm
-        cut = microscope.noise.cut if microscope.noise else USUAL_CUT
+        noise = camera_noise(microscope)
+        cut = noise.cut if noise else USUAL_CUT
         self.cut = cut if sharp else _SOFT * cut
         self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)
         self.camera = microscope.ideal_microscope()

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.pixels.beam import BeamLight, Sweep
 from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
 from eyespot.estimator.pixels.frame_fit import (
@@ -37,7 +38,6 @@ from eyespot.estimator.pixels.frame_model import (
 )
 from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
 from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
-from eyespot.formats.camera import CameraNoise
 from eyespot.formats.spots import Outline
 from eyespot.optics.wall_light.pose_light import BeamFrame
 

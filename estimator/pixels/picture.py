@@ -20,10 +20,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.image import clip_level
 from eyespot.estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
 from eyespot.estimator.pixels.solver import PoseSolution
-from eyespot.formats.camera import GREY_WEIGHTS, CameraNoise
+from eyespot.formats.camera import GREY_WEIGHTS
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Outline
 

@@ -13,6 +13,7 @@ import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from eyespot import optics
+from eyespot.estimator.camera_noise import camera_noise
 from eyespot.estimator.distance.cone import calibrated_view
 from eyespot.estimator.distance.range import Range, WallMemory
 from eyespot.estimator.ghost import FRAMES_TO_DENY
@@ -85,7 +86,8 @@ class PixelRanger:
         *,
         shake_px: float = USUAL_SHAKE_PX,
     ) -> None:
-        if microscope.noise is None:
+        noise = camera_noise(microscope)
+        if noise is None:
             raise InputError(
                 "the mode pixels needs the camera's noise, which the microscope file lacks. "
                 "Measure it with `eyespot camera`, or render the stack again."
@@ -113,7 +115,7 @@ class PixelRanger:
             apex_mm=0.0 if lens else -calibration.values["b"],
             within_mm=(_NEAREST_MM, _FARTHEST_MM) if lens else (0.0, math.inf),
         )
-        self._noise, self._shake_px = microscope.noise, shake_px
+        self._noise, self._shake_px = noise, shake_px
         self._reference = None if reference is None else Reference(reference, self._noise)
         self._hypotheses: list[Hypothesis] = []
         self._haunted = False  # whether the last frames show a ghost that pulls the distance

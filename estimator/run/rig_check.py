@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from eyespot.estimator.camera_noise import camera_noise
 from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.ghost import GhostWatch
@@ -204,15 +205,17 @@ def _of_noise(recording: Recording) -> tuple[list[Line], np.ndarray, np.ndarray]
     none: np.ndarray = np.empty(0)
     if recording.view is None:
         return [], none, none
-    stated = recording.view.noise
+    stated = camera_noise(recording.view)
     try:
-        found = recording.measured().view
+        view = recording.measured().view
     except InputError as error:
         return [("camera.noise", "", "not measured", "unknown", f"{error}")], none, none
-    assert found is not None and found.noise is not None
+    assert view is not None
+    found = camera_noise(view)
+    assert found is not None
     levels = np.linspace(0.02, 0.9, 60)
-    sigmas = np.sqrt(found.noise.variance(levels))
-    sheet = found.noise.sheet
+    sigmas = np.sqrt(found.variance(levels))
+    sheet = found.sheet
     said = f"full well {sheet.full_well_e:.0f} e, read noise {sheet.read_noise_e:.1f} e"
     if stated is None:
         return [("camera.noise", "recording", said, "right", "")], levels, sigmas

@@ -20,8 +20,9 @@ from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.pixels.lens_light import LinearLensLight
 from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.distance.withdrawal import withdrawal_of
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack, read_stack

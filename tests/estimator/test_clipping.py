@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.detector.band import hidden_edge
 from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import Levels
@@ -13,7 +14,7 @@ from eyespot.estimator.detector.tuning import RAYS
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.estimator.pixels.picture import FramePixels
 from eyespot.estimator.run.options import Options
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from tests.support.drawn.drawn_spots import spot_image, spot_in

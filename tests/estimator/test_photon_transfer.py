@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
+from eyespot.estimator.camera_noise import camera_noise
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import read_rig
@@ -60,7 +61,7 @@ def test_the_command_writes_the_noise_into_a_microscope_file(tmp_path):
     printed("camera", folder, "--rig", microscope, "--out", out)
     view = read_rig(out).view
     assert view is not None
-    noise = view.noise
+    noise = camera_noise(view)
     assert noise is not None
     # Half a full well: shot noise of 4,000 electrons, 1 % of PRNU, read noise, and a twelfth of the
     # square of a step of 8000/249 electrons.

@@ -4,8 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.recording_noise import noise_of_frames
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response, srgb_of_light
+from eyespot.formats.camera import CameraSheet, Response, srgb_of_light
 from eyespot.formats.inputs import InputError
 
 SHAPE = 360, 480

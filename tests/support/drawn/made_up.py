@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import cv2
 import numpy as np
 
+from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.formats.calibration import Calibration
-from eyespot.formats.camera import CameraNoise, CameraSheet, Response
+from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.spots import Spot
 
