@@ -277,7 +277,8 @@ def scene_of_rig(rig: Rig) -> tuple[dict[str, object], list[str]]:
 
 def _stated(rig: Rig) -> dict[str, object]:
     """The keys that a rig sets, with their values."""
-    tables = ((name, getattr(rig, name)) for name in rig.model_fields_set - {"folder", "seen"})
+    given = rig.model_fields_set - {"folder", "seen", "where"}
+    tables = ((name, getattr(rig, name)) for name in given)
     return {
         f"{name}.{key}": getattr(table, key)
         for name, table in tables

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 _UNIT = 0.01  # tolerance of a unit length: files round
 _UNIT_AXIS = "A pose's axis must be a unit vector"
 _UNIT_QUATERNION = "A rotation must be a unit quaternion (x, y, z, w)"
-_FAR_MM = 1e6
+_FAR_MM = 1e5  # a robot and its eye are in one hall
 _LARGEST_TURN = 1.01 * math.tau
 """Longest rotation vector, rad; controllers report up to a whole turn."""
 

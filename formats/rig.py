@@ -89,6 +89,8 @@ class Rig(Strict):
     viewing: ViewingKeys = ViewingKeys()
     workspace: WorkspaceKeys = WorkspaceKeys()
     folder: SkipJsonSchema[Path] = Field(Path(), exclude=True, repr=False)
+    where: SkipJsonSchema[str] = Field("rig", exclude=True, repr=False)
+    """Name of the file, for messages."""
     seen: SkipJsonSchema[MicroscopeFile | None] = Field(None, exclude=True, repr=False)
     """A microscope that was read before; [microscope] is then empty."""
 
@@ -141,6 +143,10 @@ class Rig(Strict):
             InputError: a number is missing, contradicts another, or is impossible.
             OSError: the calibration file cannot be read.
         """
+        with in_file(self.where):
+            return self._view()
+
+    def _view(self) -> MicroscopeFile | None:
         own, wall = self.microscope, self.wall
         height, radius = own.pinhole_height_mm, wall.radius_mm
         if self.seen is not None:
@@ -226,7 +232,7 @@ class Rig(Strict):
         if whole:
             content["microscope"] = own.get("microscope", {})
         seen = self.seen if whole else base.seen
-        return rig_in(content | {"seen": seen}, where="rig", folder=Path())
+        return rig_in(content | {"seen": seen}, where=self.where, folder=Path())
 
     def _content(self, folder: Path | None = None) -> dict[str, Any]:
         """The keys that were set, with the names of files as seen from the working folder."""
@@ -254,9 +260,9 @@ class Rig(Strict):
         """The rig with a camera of this noise."""
         content = self._content() | {"seen": self.seen}
         content["camera"] = content.get("camera", {}) | {"noise": sheet.model_dump()}
-        return rig_in(content, where="rig", folder=self.folder)
+        return rig_in(content, where=self.where, folder=self.folder)
 
-    def changed(self, changes: Sequence[str] | Mapping[str, Any], *, where: str = "rig") -> "Rig":
+    def changed(self, changes: Sequence[str] | Mapping[str, Any]) -> "Rig":
         """The rig with other values: "table.key=value", or {"table.key": value}.
 
         Raises:
@@ -269,7 +275,7 @@ class Rig(Strict):
             changes = [change_of(*item) for item in changes.items()]
         for change in changes:
             content = merged(content, parsed_change(change))
-        return rig_in(content | {"seen": self.seen}, where=where, folder=self.folder)
+        return rig_in(content | {"seen": self.seen}, where=self.where, folder=self.folder)
 
 
 def _pinhole(own: MicroscopeKeys, radius_mm: float, height_mm: float) -> MicroscopeFile:
@@ -309,7 +315,7 @@ def rig_in(content: Mapping[str, Any], *, where: str, folder: Path = Path()) -> 
     with in_file(where):
         check_schema(content.get("schema", SCHEMA), HISTORY, remedy=f"Write {SCHEMA}.")
     try:
-        return Rig.model_validate({**content, "folder": folder})
+        return Rig.model_validate({**content, "folder": folder, "where": where})
     except ValidationError as error:
         raise InputError(problems_of(error, where, Rig)) from error
 
@@ -335,8 +341,7 @@ def read_rig(path: str | Path, changes: Sequence[str] = ()) -> Rig:
         content = read_toml(path)
         if content and content.keys() <= Stated.model_fields.keys():
             content = _of_stated(content)
-    rig = rig_in(content, where=f"{path}", folder=path.parent)
-    return rig.changed(changes, where=f"{path}")
+    return rig_in(content, where=f"{path}", folder=path.parent).changed(changes)
 
 
 def _is_written_by_eyespot(path: Path) -> bool:

@@ -215,7 +215,7 @@ class FrameLabels(Strict):
                     f"{kind}_semi_minor_px must not exceed {kind}_semi_major_px; got {minor:g} and "
                     f"{major:g} px"
                 )
-        if abs(math.hypot(*self.axis) - 1) > _UNIT:
+        if not abs(math.hypot(*self.axis) - 1) <= _UNIT:  # NaN is none, either
             raise InputError(f"axis must be a unit vector; got {list(self.axis)}")
         if self.nearest_mm > self.d_mm * (1 + _ROUNDING) + _ROUNDING:
             raise InputError(

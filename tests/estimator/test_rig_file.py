@@ -126,7 +126,9 @@ def test_numbers_a_camera_file_and_a_microscope_file_are_one_microscope(tmp_path
         assert view.scale_mm_px == pytest.approx(0.0134, rel=1e-9)
         assert view.principal_point_px == pytest.approx((159.5, 119.5))
         np.testing.assert_allclose(np.asarray(view.camera_matrix, float), matrix, rtol=1e-9)
-    with pytest.raises(InputError, match=r"microscope\.scale_mm_px is that of camera\.yaml"):
+    with pytest.raises(
+        InputError, match=r"rig\.toml: microscope\.scale_mm_px is that of camera\.yaml"
+    ):
         _ = read_rig(rig, ["microscope.scale_mm_px=0.0134"]).view
 
 

@@ -80,6 +80,7 @@ def relabelled(stack: Path, **labels: object) -> Path:
         ({"half_max_semi_minor_px": 1e6}, "half_max_semi_minor_px must lie from"),
         ({"half_max_semi_minor_px": 50.0}, "must not exceed half_max_semi_major_px"),
         ({"axis": [5.0, 5.0, 5.0]}, "axis must be a unit vector"),
+        ({"axis": [math.nan, 0.5, -0.866]}, "axis must be a unit vector"),
         ({"visible_fraction": 7.0}, "visible_fraction must lie from 0 to 1"),
         ({"exposure_s": -1.0}, "exposure_s must lie from 0"),
         ({"incidence_rad": 2.0}, "incidence_rad must lie from 0"),
