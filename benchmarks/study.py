@@ -1,6 +1,8 @@
 """One run of a study: its request, its scene, its stacks, its folder."""
 
+import functools
 import importlib.metadata
+import inspect
 import json
 import math
 import os
@@ -12,7 +14,6 @@ import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from functools import partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, ParamSpec, TypeVar
@@ -201,7 +202,7 @@ class Study:
                 found = {}
                 for name, scene in trials.items():
                     stack = finished_stack(
-                        scene, folder / name, progress=partial(advance, note=name)
+                        scene, folder / name, progress=functools.partial(advance, note=name)
                     )
                     found[name] = beside.submit(measure, name, stack)
                 return {name: future.result() for name, future in found.items()}
@@ -261,6 +262,52 @@ class Study:
             write_page(folder, made, command=self.command, versions=used, **run)
         self._let_go()
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
+
+
+def command(
+    *,
+    defaults: Sequence[str] = (),
+    check: Callable[[Scene], None] = lambda scene: None,
+    varies: Sequence[str] = (),
+    in_workspace: bool = False,
+) -> Callable[[Callable[..., T]], Callable[..., T]]:
+    """Make a function of a study its command, which takes what every study takes and opens it.
+
+    The function's own parameters follow those of every study, and are its options. The arguments
+    are as of `Study`.
+    """
+
+    def made(function: Callable[..., T]) -> Callable[..., T]:
+        own = [*inspect.signature(function).parameters.values()][1:]
+        name = function.__name__.replace("_", "-")
+
+        def run(
+            scene: StartingScene = None,
+            /,
+            *,
+            rig: RigFile = None,
+            out: OutputFolder,
+            changes: Changes = (),
+            quick: Quick = False,
+            seed: Seed = None,
+            **given: Any,
+        ) -> T:
+            given = {option.name: option.default for option in own} | given
+            about: dict[str, Any] = {
+                "options": {key.replace("_", "-"): value for key, value in given.items()},
+                "rig": rig,
+                "varies": varies,
+                "in_workspace": in_workspace,
+            }
+            study = Study(name, out, scene, changes, quick, seed, defaults, check, **about)
+            return function(study, **given)
+
+        shared = [*inspect.signature(run).parameters.values()][:-1]
+        functools.update_wrapper(run, function)
+        run.__signature__ = inspect.Signature([*shared, *own])  # type: ignore[attr-defined]
+        return run
+
+    return made
 
 
 def geometry_of(scene: Scene) -> Geometry:

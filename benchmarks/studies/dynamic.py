@@ -20,16 +20,7 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, number, rows_of, where
 from eyespot.benchmarks.statistics import first_reached, largest, rms
-from eyespot.benchmarks.study import (
-    Changes,
-    LightSource,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import LightSource, Study, command
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger, Reading, open_source
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
@@ -517,19 +508,21 @@ def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame, frame_ms: float) -> It
 
 # The command.
 
+_JITTER = ("clocks.kinematics_jitter_s=0.001",)
+"""A robot's stamps jitter; without, they would fall on the frames' own moments."""
+check = partial(
+    Study.demand,
+    needed={"phantom.kind": "eyeball"},
+    why="the study's models are those of the eyeball",
+)
 VARIED = ("source.kind", "motion")
 """Keys of the scene that the study sets itself."""
 
 
+@command(defaults=_JITTER, check=check, varies=VARIED)
 def dynamic(
-    scene: StartingScene = None,
-    /,
+    study: Study,
     *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
     source: LightSource = "both",
     exposure_ms: Annotated[float, Parameter(validator=Number(gte=0.1, lte=100))] = 20.0,
 ) -> pd.DataFrame:
@@ -538,16 +531,9 @@ def dynamic(
     Args:
         exposure_ms: Exposure time of a frame at the mean distance, 0.1 to 100.
     """
-    own = {"source": source, "exposure-ms": exposure_ms}
-    why = "the study's models are those of the eyeball"
-    check = partial(Study.demand, needed={"phantom.kind": "eyeball"}, why=why)
-    # A robot's stamps jitter; without, they would fall on the frames' own moments.
-    jitter = ("clocks.kinematics_jitter_s=0.001",)
-    about: dict[str, Any] = {"options": own, "rig": rig, "varies": VARIED}
-    study = Study("dynamic", out, scene, changes, quick, seed, jitter, check, **about)
     sources = ("cone", "lens") if source == "both" else (source,)
-    speeds = (0.5, 1.5, 5.0) if quick else (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
-    runs = 1 if quick else 2
+    speeds = (0.5, 1.5, 5.0) if study.quick else (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
+    runs = 1 if study.quick else 2
     rows = [row for source in sources for row in _rows(study, source, speeds=speeds, runs=runs)]
     errors = pd.DataFrame(rows)
     sizes, camera_hz = spreads(errors, speeds), study.scene.clocks.camera_hz

@@ -16,16 +16,7 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.studies import error_causes
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-    geometry_of,
-)
+from eyespot.benchmarks.study import Study, command, geometry_of
 from eyespot.calibration import fit_eccentricity
 from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.scenes import Scene
@@ -454,21 +445,10 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-def eccentricity(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> dict[str, pd.DataFrame]:
+@command(defaults=("source.kind=cone",), varies=VARIED, in_workspace=True)
+def eccentricity(study: Study) -> dict[str, pd.DataFrame]:
     """Measure how wrong each model is, at which eccentricity, and by which cause."""
-    cone = ("source.kind=cone",)
-    about: dict[str, Any] = {"rig": rig, "varies": VARIED, "in_workspace": True}
-    study = Study("eccentricity", out, scene, changes, quick, seed, cone, **about)
-    base, medium = study.scene, study.scene.source.medium
+    base, medium, quick = study.scene, study.scene.source.medium, study.quick
     distances = np.linspace(*study.space.distance_mm, len(DISTANCES_MM)).tolist()
     least, most = study.space.eccentricity_mm or (0.0, 0.0)
     c = np.linspace(least, most, 17 if quick else 81)

@@ -29,15 +29,7 @@ from eyespot.benchmarks.reporting import (
     small_multiples,
 )
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.estimator import Frame
 from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.overlay import annotated, overlay_writer
@@ -307,26 +299,16 @@ def _report(errors: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray) -> Repor
 # The command.
 
 
-def loop(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> pd.DataFrame:
+@command(defaults=("source.kind=cone", "source.power_mw=5"))
+def loop(study: Study) -> pd.DataFrame:
     """Keep a distance from the wall with a simulated robot, by frames rendered in the loop.
 
     To continue a run that was stopped, start it again with the same folder.
     """
-    defaults = "source.kind=cone", "source.power_mw=5"
-    study = Study("loop", out, scene, changes, quick, seed, defaults, rig=rig)
     errors, every, eye, film = [], [], LoopCamera(study), study.folder / "film.mp4"
     with study.timed("runs"):
-        for name, run in runs(quick=quick).items():
-            seconds = min(1.5 if quick else 4.0, WAY_MM / run.speed_mm_s)
+        for name, run in runs(quick=study.quick).items():
+            seconds = min(1.5 if study.quick else 4.0, WAY_MM / run.speed_mm_s)
             course = Course.of(study.scene, run, seconds)
             seed = study.seed
             read = perfect(course, run, seed) if run.sensor == "perfect" else eye.reads(run)

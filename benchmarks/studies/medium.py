@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,15 +18,7 @@ from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, withdrawal
 from eyespot.benchmarks.reporting import number, rows_of, where
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger
 from eyespot.formats.calibration import Calibration
@@ -401,6 +393,11 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
 
 # The command.
 
+check = partial(
+    Study.demand,
+    needed={"source.kind": "lens"},
+    why="the study compares one lens in two media, and the ideal cone beside it",
+)
 VARIED = (
     *("source.medium", "phantom.kind", "microscope.height_px", "motion.kind"),
     *("motion.start_mm", "motion.travel_mm", "motion.frames", "exposures.kinds"),
@@ -408,22 +405,10 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-def medium(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> pd.DataFrame:
+@command(check=check, varies=VARIED)
+def medium(study: Study) -> pd.DataFrame:
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
-    why = "the study compares one lens in two media, and the ideal cone beside it"
-    check = partial(Study.demand, needed={"source.kind": "lens"}, why=why)
-    about: dict[str, Any] = {"check": check, "rig": rig, "varies": VARIED}
-    study = Study("medium", out, scene, changes, quick, seed, **about)
-    base = study.scene
+    base, quick = study.scene, study.quick
     own = base.source.lens
     lenses = (own,) if quick else tuple(dict.fromkeys((own, *_LENSES)))
     with study.timed("light of the lenses"):

@@ -21,15 +21,7 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball, write_results
 from eyespot.benchmarks.reporting import listed, number, where
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -612,20 +604,9 @@ VARIED = (
 """Keys of the scene that the study sets itself, or that what it sets switches off."""
 
 
-def pose(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> pd.DataFrame:
+@command(defaults=("source.kind=cone",), check=check, varies=VARIED)
+def pose(study: Study) -> pd.DataFrame:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
-    cone = ("source.kind=cone",)
-    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
-    study = Study("pose", out, scene, changes, quick, seed, cone, check, **about)
     wall, rows = optics.Sphere(study.scene.phantom.radius_mm), []
     with study.timed("noise on exact contours"):
         own, tools = study.scene.microscope, tools_of(*World(study.scene).cone)
@@ -633,12 +614,12 @@ def pose(
             view = optics.microscope(
                 scale=own.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
             )
-            for tool, count in zip(tools, (64, 32) if quick else (1024, 128), strict=True):
+            for tool, count in zip(tools, (64, 32) if study.quick else (1024, 128), strict=True):
                 every = places(wall, count=count, seed=study.seed)
                 rows += errors(tool, every, wall, view, seed=study.seed)
     with study.timed("render and measure"):
-        c = np.linspace(0.0, LARGEST_C_MM, 2 if quick else 6).tolist()
-        rows += measure(study, eccentricities=c, poses=3 if quick else 6)
+        c = np.linspace(0.0, LARGEST_C_MM, 2 if study.quick else 6).tolist()
+        rows += measure(study, eccentricities=c, poses=3 if study.quick else 6)
     found = pd.DataFrame(rows)
     study.publish(_report, found)
     return found

@@ -18,15 +18,7 @@ from eyespot import scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import listed, number, rows_of, where
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.calibration import Lines, fit_eccentricity, fit_lines
 from eyespot.scenes import Scene, SceneError
 
@@ -416,20 +408,10 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-def static(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> pd.DataFrame:
+@command(defaults=_DEFAULTS, check=check, varies=VARIED)
+def static(study: Study) -> pd.DataFrame:
     """Repeat the paper's Tables I and II many times, and split their error by cause."""
-    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
-    study = Study("static", out, scene, changes, quick, seed, _DEFAULTS, check, **about)
-    runs, textures, frames = (4, 1, 5) if quick else (20, 4, 21)
+    runs, textures, frames = (4, 1, 5) if study.quick else (20, 4, 21)
     with study.timed("render"):
         photographers = rendered(study, textures=textures, frames=frames)
     draws = drawn((runs, len(paper.TABLE_II)), textures=textures, seed=study.seed)

@@ -21,15 +21,7 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import MEASURED, READING
 from eyespot.benchmarks.reporting import listed, rows_of, where
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.calibration import Lines, fit_lines
 from eyespot.estimator import LiteralSettings
 from eyespot.formats.page import PALETTE
@@ -549,21 +541,10 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-def table_one(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-) -> list[ConfirmedLens]:
+@command(defaults=("phantom.kind=plane",), check=check, varies=VARIED)
+def table_one(study: Study) -> list[ConfirmedLens]:
     """Find the lenses that give the paper's Table I, and why its trials differ."""
-    plane = ("phantom.kind=plane",)
-    about: dict[str, Any] = {"rig": rig, "varies": VARIED}
-    study = Study("table-one", out, scene, changes, quick, seed, plane, check, **about)
-    base = study.scene
+    base, quick = study.scene, study.quick
     apertures, sags = [0.05, 0.10, 0.15, 0.20], [0.0, 0.04]
     if not quick:
         apertures = [0.05, 0.08, 0.10, 0.12, 0.15, 0.20]
