@@ -17,7 +17,7 @@ from cyclopts import Parameter
 import eyespot as eyespot  # so that what JAX compiles is kept
 
 FILES = ("fits", "load", "pixels", "promises", "speed")
-LONG = {"branches", "coverage", "adverse_set", "memory", "books"}
+LONG = {"branches", "coverage", "memory", "books"}
 """What `make bench` leaves out, because it takes long."""
 
 

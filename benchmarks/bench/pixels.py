@@ -1,4 +1,4 @@
-"""The mode pixels on drawn stacks: errors, stated errors, an adverse set, memory.
+"""The mode pixels on drawn stacks: errors, stated errors, memory.
 
 The true beam is known. The robot says the beam's axis with an error of 5 degrees, one draw a stack,
 and the tip's relative motion; nothing says the distance. The sub-pixel mode measures the same
@@ -20,7 +20,6 @@ from scipy.stats import chi2
 from eyespot import optics
 from eyespot.benchmarks.bench.load import memory_mb
 from eyespot.benchmarks.sets.read import own_reader, true_beam
-from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
 from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from eyespot.estimator.distance.range import TipPose
@@ -39,8 +38,7 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
     """Errors of the frames of a stack, read in their order: mm, degrees and px, NaN without a pose.
 
     `doubt` is of the pose, or says why there is none; `posed`: there is one without a doubt.
-    `bound_mm` is the Cramér-Rao bound of the distance from the ellipse, where the scene asks for
-    it. `half_maximum_px` is the semi-minor axis of the half-maximum ellipse at the pose,
+    `half_maximum_px` is the semi-minor axis of the half-maximum ellipse at the pose,
     `subpixel_px` the one that sub-pixel mode measures, both less the true one. See `errors_of`.
 
     Args:
@@ -74,7 +72,6 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
                 "half_maximum_px": at_pose,
                 "subpixel_px": spot.semi_minor_px - true_px if spot else math.nan,
                 "doubt": doubt_of_pose(read),
-                "bound_mm": labels.bound_d_mm,
                 "seconds": seconds,
             }
         )
@@ -332,33 +329,6 @@ def coverage(full: bool = False) -> pd.DataFrame:
         }
     )
     return _by(frames, ["wall"]).join(inside.groupby(posed.wall).mean())
-
-
-def adverse_set(full: bool = False) -> pd.DataFrame:
-    """The stacks of the set adverse-v2 with a seed of its own; the mode knows each true beam.
-
-    One stack a condition (full: three).
-    """
-    spec = load_spec("adverse-v2").model_dump(by_alias=True)
-    for split in ("adverse", "unseen"):
-        spec[split]["stacks"] = 3 if full else 1
-    found = []
-    for planned in plan(SetSpec.model_validate(spec | {"seed": 20261211})):
-        rng = np.random.default_rng([20261211, planned.scene.seed])
-        with tempfile.TemporaryDirectory() as folder:
-            stack = render_stack(planned.scene, Path(folder) / planned.name)
-            read = frame_errors(stack, rng)
-        found.append(read.assign(condition=planned.condition or planned.split))
-    frames = pd.concat(found)
-
-    def numbers(some: pd.DataFrame) -> pd.Series:
-        # Frames that sub-pixel mode misses though their ellipse would tell d to 50 um.
-        missed = some[some.subpixel_px.isna() & (some.bound_mm < 0.05)]
-        own = {"missed_though_well_bound": len(missed), "of_those_with_a_pose": missed.posed.sum()}
-        return pd.concat([_of_frames(some), pd.Series(own)])
-
-    every = pd.concat([frames, frames.assign(condition="all")])
-    return _by(every, ["condition"], numbers)
 
 
 def memory(full: bool = False) -> pd.DataFrame:

@@ -236,24 +236,6 @@ def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame)
     return page.small_multiples(draw, columns=_lights(curves), x=DISTANCE, y=y, height=3.4)
 
 
-def _radius_figure(curves: Mapping[tuple[str, str], Curve]) -> Figure:
-    """Half-maximum radius against distance: a panel for each light."""
-
-    def draw(axes: Axes, _: str, light: str) -> None:
-        for medium, colour in ((AIR, page.VERMILION), (VITREOUS, page.BLUE)):
-            curve = curves[light, medium]
-            inside = (curve.distance >= NEAREST_MM) & (curve.distance <= FARTHEST_MM)
-            d, radius = curve.distance[inside], curve.radius[inside]
-            axes.plot(d, radius, color=colour, label=medium)
-            cone = curve.cone
-            axes.plot(d, (d - cone.b_mm) / cone.k, color=colour, lw=0.9, ls="--")
-
-    y = "half-maximum radius (mm)"
-    return page.small_multiples(
-        draw, columns=_lights(curves), x=DISTANCE, y=y, height=3.4, sharey=True
-    )
-
-
 def _lights(curves: Mapping[tuple[str, str], Curve]) -> list[str]:
     """The lenses and the cone, in order."""
     return list(dict.fromkeys(light for light, _ in curves))
@@ -309,13 +291,6 @@ def _report(
             page.Section("Methods", _METHODS),
             page.Section(
                 "Why",
-                page.Picture(
-                    "radius",
-                    _radius_figure(curves),
-                    "Half-maximum radius of each light in each medium, and the cone that a "
-                    "regression makes of it (dashed).",
-                    data="medium_cones.csv",
-                ),
                 page.Table(
                     cones,
                     cones.columns,
