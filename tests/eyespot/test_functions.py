@@ -109,7 +109,7 @@ def test_a_study_has_its_commands_options():
     parameters = inspect.signature(eyespot.studies.eccentricity).parameters
     assert {"out", "quick", "seed", "changes", "progress"} <= {*parameters}
     with pytest.raises(TypeError, match="'out'"):
-        eyespot.studies.eccentricity(quick=True)  # type: ignore[call-arg]
+        eyespot.studies.eccentricity(quick=True)
 
 
 def test_setting_what_the_study_varies_is_refused():
