@@ -59,6 +59,7 @@ class Reason(Enum):
     SATURATED = "saturated"
     OCCLUDED = "occluded"
     AMBIGUOUS = "ambiguous"
+    FIELD_STOP = "field_stop"
     UNREADABLE = "unreadable"
     INTERNAL_ERROR = "internal_error"
     OUT_OF_RANGE = "out_of_range"
@@ -88,6 +89,8 @@ _MEANINGS = {
     "reflection hides it.",
     Reason.AMBIGUOUS: "Two places could be the spot, or two distances explain it. Click the spot "
     "(console), or cover the other light; behind a lens only motion tells distances apart.",
+    Reason.FIELD_STOP: "A large, round disc in the middle of a dark frame may be the camera's own "
+    "field. If it is the spot, click it (console), begin with a smaller one, or light the wall.",
     Reason.UNREADABLE: "The frame could not be decoded; the note says why. Record it again, or in "
     "another encoding.",
     Reason.INTERNAL_ERROR: "The measurement failed. This is a bug; please report the frame.",

@@ -30,10 +30,12 @@ from eyespot.estimator.detector.ellipse import (
     contour_points,
     normals_of,
     refitted,
+    ring_variance,
 )
 from eyespot.estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from eyespot.estimator.detector.pixel_fit import SmallSpot, fit_to_pixels
 from eyespot.estimator.detector.tuning import (
+    RAYS,
     Motion,
     Refine,
     Reflection,
@@ -326,6 +328,13 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     spot = fit_to_pixels(np.where(left_out, np.nan, light), window.x0, window.y0, start)
     if spot is None:
         return NoSpot(Reason.NONE_FOUND)
+    contour = Patch(light.astype(np.float32), window.x0, window.y0)
+    half = spot.background + spot.amplitude / 2
+    along = np.nan_to_num(contour.unwrapped(spot.ellipse, np.ones(1))[:, 0], nan=half) - half
+    corners = max(ring_variance(along, slice(k, k + 1)) for k in range(3, Verdict.CORNERS.stop))
+    cornered = 2 / RAYS * corners > (Small.CORNERED * spot.amplitude) ** 2
+    if cornered or spot.ellipse.axes()[1] > Small.OPENING_PX / 2:
+        return NoSpot(Reason.NONE_FOUND)
     area = math.pi * abs(np.linalg.det(spot.ellipse.shape))
     hidden = np.count_nonzero(left_out) > Saturated.MOST_HIDDEN * area
     return NoSpot(Reason.SATURATED) if hidden else spot
@@ -362,13 +371,13 @@ def measured_in(region: Region) -> MeasuredRegion | NoSpot:
     )
 
 
-def is_coarse(fit: EdgeFit) -> bool:
+def is_coarse(fit: EdgeFit, coarsest: float = Verdict.COARSEST) -> bool:
     """Whether the edges scatter about the ellipse by more than texture and motion explain.
 
     Either moves an edge by less than the edge is wide.
     """
     width = math.hypot(fit.levels.width, 1 / fit.ellipse.axes()[1])  # drawn edges: a whole pixel
-    return fit.scatter > Verdict.COARSEST * width
+    return fit.scatter > coarsest * width
 
 
 def undistorted(

@@ -218,6 +218,12 @@ class Verdict:
     FAINTEST = 8.0  # standard deviations of the background: spots on even walls; optic discs have 5
     ROUGHEST = 0.05  # radii: scatter of the sharp edges of an ellipse, spotless frames
     COARSEST = 0.17  # widths: scatter of the edges; on textured walls 0.12, of hexagons 0.23
+    CORNERS = slice(5, 9)  # harmonics: five to eight corners; fewer are coarser (derived)
+    CORNERED = 0.5  # of the contour's waves: one of them; hexagons 0.7 and more, texture 0.3
+    SOFT = 0.1  # radii: edge width of optic discs and more
+    # Widths: as `COARSEST`, of soft edges of light that is less than twice as bright as needed.
+    # Bells on such walls have up to 0.086, drawn optic discs 0.094 and more.
+    SOFT_COARSEST = 0.09
     STEEPER = 1.2  # single rays over their mean: sharp edges 1.15, words in thick letters 1.6
     VAGUEST = 0.01  # radii: standard error of the size of an ellipse seen in part, shafts
     WHOLE = 0.96  # coverage from which an ellipse is seen as a whole
@@ -251,6 +257,20 @@ class SpotProfile:
     CORE = 0.9  # radii: inner part of the spot that may be saturated
 
 
+class FieldStop:
+    """A camera's round field, a lit disc like a spot (`verdict`).
+
+    Set between 40 photographs of DRIVE and one of skimage, in brackets, and any spots.
+    """
+
+    SMALLEST = 0.25  # radius over the frame's shorter side (0.27 and more)
+    ROUND = 1.015  # longest axis over the shortest (up to 1.005, where its rim is in view)
+    DARK = 0.09  # of the peak: light round it (up to 0.084)
+    DIM = 0.13  # of the peak: the same where it is plain; stray light in drawn, dim fields
+    PLAIN = 0.5  # unevenness of that light over the disc's: a spot's wall goes on (0.55 and more)
+    UNEVEN = 0.03  # standard deviation of the light along its rim, of the mean (0.03 to 0.25)
+
+
 class Faint:
     """Where a spot may be that was not measured (`tracking`)."""
 
@@ -271,4 +291,5 @@ class Small:
     RING = 0.5  # radii: between the corners of the line by which a beam's profile is its own
     SHOWN = 0.1  # of the clearest component of that line: fainter ones look like the fit's own
     VAGUEST = 0.1  # radii: standard error of a size
+    CORNERED = 0.06  # of the peak: a wave of the light along the contour; beams 0.036, boxes 0.13
     ROUGHEST = 0.2  # of the light: standard deviation of what is no such spot's

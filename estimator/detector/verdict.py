@@ -10,10 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from eyespot.estimator.detector.contour import Region
+from eyespot.estimator.detector.edges import EdgeFit
 from eyespot.estimator.detector.ellipse import (
     AffineEllipse,
     contour_points,
     covariance_of_axes,
+    ring_variance,
     shares_of_contour,
 )
 from eyespot.estimator.detector.measuring import (
@@ -26,7 +28,15 @@ from eyespot.estimator.detector.measuring import (
 )
 from eyespot.estimator.detector.pixel_fit import SmallSpot
 from eyespot.estimator.detector.settings import SubpixelSettings
-from eyespot.estimator.detector.tuning import RAYS, HalfLevel, Refine, Saturated, Small, Verdict
+from eyespot.estimator.detector.tuning import (
+    RAYS,
+    FieldStop,
+    HalfLevel,
+    Refine,
+    Saturated,
+    Small,
+    Verdict,
+)
 from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
@@ -37,12 +47,14 @@ class Sighting(NamedTuple):
         ellipse: its contour in the frame as it is.
         half: light on the contour.
         channel: 0, 1, 2 or GREY.
+        like_field: whether a camera's round field would look like it.
     """
 
     spot: Spot
     ellipse: AffineEllipse
     half: float
     channel: int
+    like_field: bool = False
 
     @property
     def place(self) -> tuple[AffineEllipse, float, float, int]:
@@ -88,8 +100,11 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     partial = coverage <= Verdict.WHOLE
     coherent = fit.scatter < Verdict.ROUGHEST * (1 + levels.width / Refine.BROAD)
     # An outline of no ellipse, such as a polygon's or a word's.
-    rough = is_coarse(fit) or fit.steeper > Verdict.STEEPER
+    rough = is_coarse(fit) or fit.steeper > Verdict.STEEPER or _has_corners(fit)
     low = levels.amplitude < settings.min_contrast * levels.background
+    # An optic disc is as bright, but its edge is soft and nowhere the same.
+    discoid = levels.amplitude < 2 * settings.min_contrast * levels.background
+    discoid &= levels.width > Verdict.SOFT and is_coarse(fit, Verdict.SOFT_COARSEST)
     significance = levels.amplitude / levels.scatter
     vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
     # A camera's field stop is a lit disc, too. Beside so large a spot the frame has no room for the
@@ -114,7 +129,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         (coverage < covered, Reason.CLIPPED if in_frame < covered else Reason.OCCLUDED),
         (rough, Reason.OCCLUDED if partial else Reason.NONE_FOUND),
         (measured.ellipse is None, Reason.NONE_FOUND),
-        (significance < Verdict.FAINTEST and low, Reason.TOO_FAINT),
+        (discoid or (low and significance < Verdict.FAINTEST), Reason.TOO_FAINT),
         (vague and partial and levels.width < Refine.BROAD, Reason.OCCLUDED),
         (measured.rim is not None, Reason.AMBIGUOUS),
     ):
@@ -129,7 +144,40 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         saturated=region.saturated[region.channel],
     )
     contour = measured.contour
-    return Sighting(spot, contour.ellipse, contour.levels.half, region.channel)
+    like_field = _is_like_field(contour, region.frame.shape)
+    return Sighting(spot, contour.ellipse, contour.levels.half, region.channel, like_field)
+
+
+def _has_corners(fit: EdgeFit) -> bool:
+    """Whether one wave stands out round the contour, as of a polygon."""
+    offsets = np.where(fit.found, np.clip(fit.offsets, -Refine.FURTHEST, Refine.FURTHEST), 0.0)
+    waves = Verdict.CORNERS
+    strongest = max(ring_variance(offsets, slice(k, k + 1)) for k in range(waves.start, waves.stop))
+    every = slice(3, 2 * waves.stop - 2)  # of an outline that is no ellipse, with overtones
+    all_waves = (every.stop - every.start) * ring_variance(offsets, every)
+    clean = 2 / RAYS * strongest < (Refine.CLEAN * fit.levels.width) ** 2
+    return not clean and strongest > Verdict.CORNERED * all_waves
+
+
+def _is_like_field(fit: EdgeFit, frame: tuple[int, ...]) -> bool:
+    """Whether a lit disc is round and sharp, about the frame's middle, and dark all round.
+
+    A fundus camera's field is such a disc. It shows a wall, so the light in it is uneven; the
+    stray light round it is not.
+    """
+    semi_major, semi_minor, _ = fit.ellipse.axes()
+    middle = (frame[1] - 1) / 2, (frame[0] - 1) / 2
+    levels, uneven = fit.levels, float(np.std(fit.band.gain[fit.bright]))
+    plain = levels.scatter < FieldStop.PLAIN * uneven * levels.background
+    darkest = FieldStop.DIM if plain else FieldStop.DARK
+    return (
+        semi_minor > FieldStop.SMALLEST * min(frame[:2])
+        and semi_major < FieldStop.ROUND * semi_minor
+        and math.dist(fit.ellipse.centre.tolist(), middle) < semi_minor / 2
+        and levels.width < Refine.BROAD
+        and levels.background < darkest * levels.peak
+        and uneven > FieldStop.UNEVEN
+    )
 
 
 def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
@@ -207,13 +255,17 @@ def continues(spot: Spot, last: Spot, settings: SubpixelSettings) -> bool:
 
 
 def one_of(seen: list[Sighting], failures: list[NoSpot]) -> Sighting | NoSpot:
-    """The largest sighting, unless another is much like it; without one, the best reason."""
+    """The largest sighting, unless another is much like it; without one, the best reason.
+
+    One frame does not tell a camera's field from a spot that looks like it. A spot that is tracked
+    or clicked is taken for one.
+    """
     if not seen:
         return max(failures, key=lambda f: _NEARNESS.index(f.reason), default=_NOTHING)
     first, *others = sorted(seen, key=lambda sighting: sighting.area_px, reverse=True)
     if others and others[0].area_px > Verdict.RIVAL * first.area_px:
         return NoSpot(Reason.AMBIGUOUS)
-    return first
+    return NoSpot(Reason.FIELD_STOP) if first.like_field else first
 
 
 def is_part_of(region: Region, sighting: Sighting) -> bool:
@@ -240,6 +292,7 @@ _NEARNESS = (
     Reason.CLIPPED,
     Reason.OCCLUDED,
     Reason.SATURATED,
+    Reason.FIELD_STOP,
     Reason.AMBIGUOUS,
 )
 """Reasons by how near to a spot a region came: the last that occurs in a frame is reported."""

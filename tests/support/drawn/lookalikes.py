@@ -18,6 +18,7 @@ from tests.support.drawn.own_frames import (
     camera_image,
     photographed_wall,
     textured_wall,
+    vessel,
 )
 
 STEP, AMBIENT = Drawing.amplitude, Drawing.ambient
@@ -76,9 +77,9 @@ def ring(rng: np.random.Generator) -> np.ndarray:
 
 
 def field_stop(rng: np.random.Generator) -> np.ndarray:
-    """A fundus camera's round field over a retina: it fills the frame's height or more."""
+    """A fundus camera's round field over a retina, more than half as high as the frame."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    radius = rng.uniform(0.42, 0.6) * SHAPE[0]
+    radius = rng.uniform(0.28, 0.6) * SHAPE[0]
     x, y = SHAPE[1] / 2 + rng.uniform(-30, 30), SHAPE[0] / 2 + rng.uniform(-15, 15)
     outside = np.hypot(u - x, v - y) - radius
     stop = np.clip(0.5 - outside / rng.uniform(1, 4), 0, 1)
@@ -104,6 +105,29 @@ def lattice(rng: np.random.Generator) -> np.ndarray:
     return camera_image(rng, (AMBIENT + light) * textured_wall(rng))
 
 
+def optic_disc(rng: np.random.Generator) -> np.ndarray:
+    """A disc that is brighter by 20 to 90 %, with a cup, where vessels cross it."""
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    radius = rng.uniform(25, 90)
+    away = np.hypot((u - SHAPE[1] / 2) / rng.uniform(0.85, 1), v - SHAPE[0] / 2) / radius
+    light = 1 + rng.uniform(0.2, 0.9) * 0.5 ** (away ** rng.uniform(4, 10))
+    light += rng.uniform(0, 0.4) * 0.5 ** (4 * away**2)
+    wall = textured_wall(rng) * light
+    for _ in range(4):
+        wall *= 1 - rng.uniform(0.1, 0.4) * vessel(rng)
+    return camera_image(rng, rng.uniform(40, 120) * wall[..., None] * (1.0, 0.6, 0.4))
+
+
+def windows(rng: np.random.Generator) -> np.ndarray:
+    """One to three bright rectangles."""
+    light = np.full(SHAPE, rng.uniform(5, 60))
+    for _ in range(int(rng.integers(1, 4))):
+        along, across = _turned(rng, squeezed=1.0)
+        inside = (abs(along) < rng.uniform(10, 60)) & (abs(across) < rng.uniform(10, 60))
+        light += rng.uniform(60, 180) * gaussian_filter(inside.astype(float), rng.uniform(0.8, 3))
+    return camera_image(rng, light)
+
+
 LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "lamps' reflexes": lamps,
     "text": text,
@@ -111,6 +135,8 @@ LOOKALIKES: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "rings": ring,
     "field stops": field_stop,
     "lattices": lattice,
+    "optic discs": optic_disc,
+    "windows": windows,
 }
 
 

@@ -55,11 +55,11 @@ def textured_wall(rng: np.random.Generator) -> np.ndarray:
     texture = clouds(rng)
     wall = 1 + rng.uniform(0.1, 0.2) / 2 * texture
     for _ in range(int(rng.integers(2, 7))):
-        wall = wall * (1 - rng.uniform(0.1, 0.2) * _vessel(rng))
+        wall = wall * (1 - rng.uniform(0.1, 0.2) * vessel(rng))
     return wall
 
 
-def _vessel(rng: np.random.Generator) -> np.ndarray:
+def vessel(rng: np.random.Generator) -> np.ndarray:
     """1 on a winding band that crosses the frame, else 0; its rims are blurred by a pixel."""
     v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
     heading = rng.uniform(0, math.pi)
