@@ -42,6 +42,9 @@ _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
 image of the core (`tests.support.coverage.photon_fits examples`) had a sag ten sigma of the noise
 off."""
+_KEPT = 4
+"""Tables that are kept: a fit goes back to one after a step that went too far, or from a start that
+is no better."""
 _FLAT_MM = 1e-5  # least sag of a table
 ENCLOSED = 1.0 + 1e-4  # least rim of a cap over its core
 CLEAR = 1.003
@@ -67,16 +70,30 @@ class LinearLensLight:
         self._samples: LensSamples | None = None
         self._coarse = True
         self._at: dict[str, float] = {}
+        self._kept: dict[tuple[float, ...], tuple[LensSamples, LensTable]] = {}
         self._halvings: int | None = None
-        self.tables = 0  # that were computed
 
     def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
-        """Compute the table at these values of all parameters, unless it is the last one."""
+        """Compute the table at these values of all parameters, unless it is one of the last."""
         at = {name: values[name] for name in (*LENS, "touch")}
         at["sag"], at["rim_height"] = max(at["sag"], _FLAT_MM), max(at["rim_height"], 0.0)
         at["aperture_radius"] = max(at["aperture_radius"], ENCLOSED * at["core_radius"])
-        if (at, coarse) == (self._at, self._coarse):
-            return
+        where = (coarse, *at.values())
+        if where not in self._kept:
+            self._kept = dict([*self._kept.items()][1 - _KEPT :])
+            self._kept[where] = self._computed(values, at, coarse=coarse)
+        self._samples, self._table = self._kept[where]
+        self._at, self._coarse = at, coarse
+
+    @property
+    def where(self) -> tuple[float, ...]:
+        """Tells the table from every other one."""
+        return (self._coarse, *self._at.values())
+
+    def _computed(
+        self, values: Mapping[str, float], at: Mapping[str, float], *, coarse: bool
+    ) -> tuple[LensSamples, LensTable]:
+        """The table at some parameters, from the last one if that is near by."""
         anew = coarse or self._coarse or self._is_beyond(_NEAR_BY, values)
         lens = {name: at[name] for name in LENS}
         farthest = float(self.footage.readings.max() + values["touch"]) + _MARGIN_MM
@@ -87,7 +104,7 @@ class LinearLensLight:
             # The same for the whole fit: tables of one shape need one compilation.
             needed = halvings_for(lens, medium_index=medium, farthest=farthest, finest=finest)
             self._halvings = max(_HALVINGS, needed)
-        self._samples = lens_samples(
+        samples = lens_samples(
             lens,
             self._by,
             medium_index=medium,
@@ -99,9 +116,7 @@ class LinearLensLight:
             coarse=coarse,
             near=None if anew else self._samples,
         )
-        self._table = self._samples.table()
-        self._at, self._coarse = at, coarse
-        self.tables += 1
+        return samples, samples.table()
 
     def at(self, values: Mapping[str, float]) -> LensTable:
         """The light of a lens near the table's."""

@@ -197,8 +197,8 @@ class Light:
             slopes: whether to compute the derivatives, which may be empty otherwise.
         """
         # Fits choose cells, learn the noise and start anew where they were.
-        tables = 0 if self.lens is None else self.lens.tables
-        place = tuple(values.items()), states[list(numbers)].tobytes(), tuple(numbers), tables
+        table = () if self.lens is None else self.lens.where
+        place = tuple(values.items()), states[list(numbers)].tobytes(), tuple(numbers), table
         if place == self._last[0]:
             return self._last[1]
         found = self._frames({**values, **self._looked}, states, numbers, slopes)
