@@ -4,6 +4,7 @@ Spots come from the estimator, readings and axis from the robot, everything else
 """
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,6 +29,8 @@ from eyespot.formats.poses import Quaternion, RobotKeys, turned
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord
 
+NO_LAYER = Prior(0.0, 0.0)
+
 
 def touch_of(
     kind: str,
@@ -37,6 +40,7 @@ def touch_of(
     *,
     rim_radius: float,
     tilt: tuple[float, float] = (0.0, 0.0),
+    layer: Prior = NO_LAYER,
     sigma: float,
 ) -> Prior:
     """Distance along the beam, mm, at which the tip's rim touches the wall, before its centre does.
@@ -44,13 +48,15 @@ def touch_of(
     Args:
         spot: where the beam meets the wall, undistorted px.
         axis: unit vector along the tool towards the wall.
+        layer: thickness of a clear layer over the wall, which the rim touches first, mm.
         sigma: accuracy with which the contact was found, mm.
     """
     wall = phantom_wall(kind, eye_radius=microscope.eye_radius_mm, tilt=tilt)
     normal = wall.intersect(*microscope.ideal_microscope().ray(spot)).normal
     incidence = jnp.arccos(-normal @ axis)
     contact = optics.contact_distance(wall, incidence=incidence, rim_radius=rim_radius)
-    return Prior(float(contact), sigma)
+    longer = 1.0 / float(jnp.cos(incidence))  # the layer's refraction is 3 um at 30 degrees
+    return Prior(float(contact) + longer * layer.mean, math.hypot(sigma, longer * layer.sigma))
 
 
 _FEWEST_SPOTS = 3
@@ -175,8 +181,9 @@ def recorded_trial(
         touch = _stated_touch(rig.robot)
     if touch is None:
         where = ellipses.centre[0], axis
-        sigma = rig.robot.touch_sigma_mm
-        touch = touch_of(kind, view, *where, rim_radius=rim, tilt=tilt, sigma=sigma)
+        stated, sigma = rig.stated, rig.robot.touch_sigma_mm
+        layer = Prior(stated.clear_layer_mm, stated.clear_layer_sigma_mm)
+        touch = touch_of(kind, view, *where, rim_radius=rim, tilt=tilt, layer=layer, sigma=sigma)
     return RecordedTrial(
         name=recording.name,
         recording=recording,

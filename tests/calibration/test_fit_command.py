@@ -175,7 +175,8 @@ def test_a_recording_that_is_no_stack_needs_its_rig(rig, tmp_path):
 def recorded(tmp_path, spots, poses, **changes):
     """The recording of a rig that is known, but for some keys."""
     rig = {"wall.kind": "plane", "wall.medium": "air", "robot.eye_from_robot": [0.0, 0.0, 0.0, 1.0]}
-    changed = rig | {f"robot.{key}": value for key, value in changes.items()}
+    keys = (key if "." in key else f"robot.{key}" for key in changes)
+    changed = rig | dict(zip(keys, changes.values(), strict=True))
     return Recording.open(spots, rig=tmp_path / "microscope.json", changes=changed, poses=poses)
 
 
@@ -277,6 +278,16 @@ def test_the_rim_of_a_tilted_tip_touches_first(rig, tmp_path):
     spots, poses = rig()
     recording = recorded_trial(recorded(tmp_path, spots, poses))
     assert recording.trial.touch.mean == pytest.approx(RIM, rel=1e-9)
+
+
+def test_a_tip_at_contact_rests_on_the_clear_layer(rig, tmp_path):
+    spots, poses = rig()
+    keys = {"wall.clear_layer_mm": 0.25, "wall.clear_layer_sigma_mm": 0.06}
+    recording = recorded_trial(recorded(tmp_path, spots, poses, **keys))
+    # At 30 degrees the layer is longer along the beam.
+    touch, longer = recording.trial.touch, 2 / np.sqrt(3)
+    assert touch.mean == pytest.approx(RIM + 0.25 * longer, rel=1e-9)
+    assert touch.sigma == pytest.approx(np.hypot(0.02, 0.06 * longer), rel=1e-9)
 
 
 def test_poses_of_the_robot_are_turned_into_the_eyes_frame(rig, tmp_path):
