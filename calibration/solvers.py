@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import lineax  # type: ignore[import-untyped]
 import numpy as np
 import optimistix as optx
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import stats
 from scipy.fft import dct
 
@@ -182,15 +182,20 @@ class Solution(NamedTuple):
     Attributes:
         parameters: best point found, in the order of the start.
         covariance: s^2 (J^T J)^-1 with s^2 = sum of squares / (n - p).
-        information: J^T J, whose inverse is the covariance if residuals are over their sigma.
+        jacobian: J, the derivatives of the residuals.
         residuals: at the solution, in the residual function's unit.
     """
 
     parameters: Float[Array, "p"]
     covariance: Float[Array, "p p"]
-    information: Float[Array, "p p"]
+    jacobian: Float[Array, "n p"]
     residuals: Float[Array, "n"]
     converged: bool | Array
+
+    @property
+    def information(self) -> Float[Array, "p p"]:
+        """J^T J, whose inverse is the covariance if residuals are over their sigma."""
+        return self.jacobian.T @ self.jacobian
 
 
 def least_squares(
@@ -216,12 +221,11 @@ def least_squares(
     )
     value = residual(result.value)
     jacobian = jax.jacfwd(residual)(result.value)
-    information = jacobian.T @ jacobian
     variance = jnp.sum(value**2) / (count - jacobian.shape[1])
     return Solution(
         parameters=result.value,
-        covariance=variance * jnp.linalg.inv(information),
-        information=information,
+        covariance=variance * jnp.linalg.inv(jacobian.T @ jacobian),
+        jacobian=jacobian,
         residuals=value,
         converged=result.result == optx.RESULTS.successful,
     )
@@ -285,7 +289,6 @@ def huber(
     )
     left = residual(found.value)
     jacobian = jax.jacfwd(residual)(found.value)
-    information = jacobian.T @ jacobian
     spread, limit = scale(left), _TUNING * scale(left)
     within = jnp.sum(real & (jnp.abs(left) <= limit)) / count
     parameters = jacobian.shape[1]
@@ -293,12 +296,39 @@ def huber(
     variance = jnp.sum(jnp.clip(left, -limit, limit) ** 2) / (count - parameters)
     solution = Solution(
         parameters=found.value,
-        covariance=correction**2 * variance / within**2 * jnp.linalg.inv(information),
-        information=information,
+        covariance=correction**2 * variance / within**2 * jnp.linalg.inv(jacobian.T @ jacobian),
+        jacobian=jacobian,
         residuals=left,
         converged=(found.result == optx.RESULTS.successful) & plain.converged,
     )
     return solution, (jnp.abs(left) > _OUTLIER * spread) & (spread > 0)
+
+
+def chance_alike(
+    residuals: Float[np.ndarray, "n"],
+    jacobian: Float[np.ndarray, "n p"],
+    *,
+    rows: Int[np.ndarray, "m"],
+    columns: Sequence[int],
+    degrees_of_freedom: int,
+) -> float:
+    """Probability of residuals as these if some parameters are the same in all of the data.
+
+    Rao's score test (1948) of a model in which the parameters have other values in the `rows`: how
+    much these would lower the sum of squares, and no other fit is needed. Beside what would then be
+    left (F test), since residuals may be larger than their noise.
+
+    Args:
+        residuals: at the solution, over their standard deviations.
+        columns: of the parameters.
+    """
+    other = np.zeros((len(residuals), len(columns)))
+    other[rows] = jacobian[np.ix_(rows, columns)]
+    own = other - jacobian @ np.linalg.lstsq(jacobian, other)[0]
+    step, _, count, _ = np.linalg.lstsq(own, residuals, rcond=1e-9)
+    lower, left = (float(np.sum(np.square(part))) for part in (own @ step, residuals - own @ step))
+    degrees = degrees_of_freedom - count
+    return float(stats.f.sf((lower / count) / (left / degrees), count, degrees))
 
 
 _PART = 0.1  # least component of a unit direction at which a parameter counts as part of it

@@ -244,6 +244,17 @@ class Fit:
         about = {"model": self.model, "good": self.good, "verdict": self.verdict}
         return {**about, "parameters": parameters}
 
+    @property
+    def residuals(self) -> pd.DataFrame:
+        """Of each spot, or of each frame the mean over its pixels, over standard deviations."""
+        used = self.fitted.recordings
+        if pixels := self.fitted.pixels:
+            return pd.DataFrame({"frame": pixels.frames, "mean of the pixels": pixels.of_frames})
+        named = {
+            "recording": np.repeat([r.name for r in used], [r.trial.readings.size for r in used])
+        }
+        return pd.DataFrame(named | dict(self.fitted.residuals))
+
     def plot(self) -> Figure:
         """The residuals over their standard deviations."""
         return fit_report.residuals_figure(self.fitted)

@@ -383,6 +383,10 @@ def _fitted(
             for recording in recordings
             if calibration_model == "exact" and core is None
         ]
+        + [
+            f"The {halves} spots, each with a cone of their own: p = {chance:.2g} that it is one."
+            for halves, chance in fit.halves.items()
+        ]
         + [f"b rests on the core's radius, {c.mean:.4g} ± {c.sigma:.2g} mm." for c in (core,) if c]
         + said_of_priors(known),
     )

@@ -1,17 +1,18 @@
 """Fit of the exact geometry to measured ellipses, with nuisances per trial (see `cone_trials`)."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from eyespot import optics
 from eyespot.calibration.solvers import (
     Solution,
+    chance_alike,
     covariance_and_lost,
     excess_variance,
     least_squares,
@@ -57,6 +58,11 @@ _SIZES = {"inverse_working_distance": 0.01, "tilt_x": 0.1, "tilt_y": 0.1, "clock
 """Scales of parameters that may be zero; the scale of the others is their value."""
 MISMATCHES = ("position right", "position down", "size", "elongation right", "elongation oblique")
 """The components of `ConeFit.residuals` in words."""
+HALVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "near and far": lambda readings: readings > np.median(readings),
+    "even and odd": lambda readings: np.arange(readings.size) % 2 == 1,
+}
+"""Which spots of a trial are the second half, by the name of both."""
 _HAS_PRIOR = np.array([name not in ("u", "v") for name in NUISANCES], float)
 
 
@@ -84,6 +90,8 @@ class ConeFit(NamedTuple):
         stated: by prior, how far each of its standard deviations moves the fitted parameters,
             (m, p): a row for a parameter, one per trial for `touch`. The squares' sum is the
             prior's part of the variances.
+        halves: by the name of two halves of the spots, the probability that one cone's differ as
+            much.
     """
 
     values: dict[str, float]
@@ -102,6 +110,7 @@ class ConeFit(NamedTuple):
     degrees_of_freedom: int
     undetermined: tuple[str, ...]
     stated: dict[str, Float[np.ndarray, "m p"]]
+    halves: dict[str, float]
     converged: bool
 
     @property
@@ -172,29 +181,38 @@ def fit_cone(
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.concatenate(
-        [jnp.zeros(len(free)), *(jnp.ravel(first_nuisances(g, microscope, fixed)) for g in groups)]
+        [
+            jnp.zeros(len(PARAMETERS)),
+            *(jnp.ravel(first_nuisances(g, microscope, fixed)) for g in groups),
+        ]
     )
     priors_held = int(np.sum(prior_weights.any(axis=1)))
     count = sum(group.data for group in groups) + priors_held + HELD * len(trials)
-    # Arrays replace names here, so that one compilation is valid for all choices of equal number.
+    # Arrays replace names here, and a step for each parameter that is not free moves nothing, so
+    # that one compilation serves all choices.
+    stepped = np.array([[name == own for own in free] for name in PARAMETERS]) * sizes
     solution, spot, spot_slopes = _solve(
         begin,
         groups,
         microscope,
         jnp.array([fixed[name] for name in PARAMETERS]),
-        jnp.array([[name == own for own in free] for name in PARAMETERS]) * sizes,
+        jnp.asarray(np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))])),
         jnp.asarray(prior_means),
         jnp.asarray(prior_weights),
         jnp.asarray(count),
     )
-    information = np.asarray(solution.information)
-    found = np.asarray(solution.parameters)
+    moving = np.delete(np.arange(begin.size), np.arange(len(free), len(PARAMETERS)))
+    jacobian = np.asarray(solution.jacobian)[:, moving]
+    information = jacobian.T @ jacobian
+    found = np.asarray(solution.parameters)[moving]
     moved = sizes * found[: len(free)]
     values = fixed | {
         name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
     }
-    residuals = _by_trial(np.asarray(solution.residuals)[len(PARAMETERS) :], groups, trials)
-    chi_squared = float(np.sum(np.square(solution.residuals)))
+    left = np.asarray(solution.residuals)
+    rows = _rows(groups, trials)
+    residuals = _along_image(left, rows, trials)
+    chi_squared = float(np.sum(np.square(left)))
     degrees = count - found.size
     kinds = dict(zip(MISMATCHES, np.concatenate(residuals).T, strict=True))
     growth = max(
@@ -205,6 +223,17 @@ def fit_cone(
     of_priors = np.diag(np.concatenate([np.zeros(len(free)), *[_HAS_PRIOR] * len(trials)]))
     of_free = prior_weights[:, [PARAMETERS.index(name) for name in free]] * sizes
     of_priors[: len(free), : len(free)] = of_free.T @ of_free
+    cone = [list(free).index(name) for name in ("half_angle", "b") if name in free]
+    halves = {}
+    for name, in_half in HALVES.items():
+        chosen = [own[in_half(trial.readings)] for own, trial in zip(rows, trials, strict=True)]
+        halves[name] = chance_alike(
+            left,
+            jacobian,
+            rows=np.concatenate(chosen, axis=None),
+            columns=cone,
+            degrees_of_freedom=degrees,
+        )
     numbers = [number for group in groups for number in group.numbers]
     nuisances = [f"{name} of trial {number + 1}" for number in numbers for name in NUISANCES]
     covariance, undetermined = covariance_and_lost(
@@ -225,7 +254,7 @@ def fit_cone(
         name: covariance[[free.index(name)], shared] * sizes[free.index(name)] / prior.sigma
         for name, prior in own.items()
     } | {"touch": covariance[at_touch, shared]}
-    slopes = np.asarray(spot_slopes)[in_order]
+    slopes = np.asarray(spot_slopes)[in_order][..., moving]
     return ConeFit(
         values=values,
         free=tuple(free),
@@ -242,31 +271,39 @@ def fit_cone(
         chi_squared=chi_squared,
         degrees_of_freedom=degrees,
         undetermined=undetermined,
-        stated={name: rows * sizes for name, rows in stated.items()},
+        stated={name: moves * sizes for name, moves in stated.items()},
+        halves=halves,
         converged=bool(solution.converged),
     )
 
 
-def _by_trial(
-    residuals: Float[np.ndarray, "n"], groups: list[TrialGroup], trials: Sequence[ConeTrial]
+def _rows(groups: list[TrialGroup], trials: Sequence[ConeTrial]) -> list[Int[np.ndarray, "n 5"]]:
+    """Where the residuals of each trial's frames are in those of `_solve`."""
+    found: dict[int, np.ndarray] = {}
+    at = len(PARAMETERS)
+    for group in groups:
+        for number in group.numbers:
+            frames = trials[number].readings.size
+            found[number] = at + np.arange(5 * frames).reshape(frames, 5)
+            at += 5 * group.readings.shape[1] + HELD
+    return [found[number] for number in range(len(trials))]
+
+
+def _along_image(
+    left: Float[np.ndarray, "m"], rows: Sequence[np.ndarray], trials: Sequence[ConeTrial]
 ) -> tuple[Float[np.ndarray, "n 5"], ...]:
-    """Residuals of each trial's frames, sorted from the order of `_solve`, along the image.
+    """Residuals of each trial's frames along the image.
 
     Noise makes every measured circle an ellipse, and along its own axis that ellipse is always too
     long, so that residuals there have one sign and look as if they had structure.
     """
-    found = {}
-    for group in groups:
-        longest = group.readings.shape[1]
-        mine = residuals[: group.size * (5 * longest + HELD)].reshape(group.size, -1)
-        residuals = residuals[mine.size :]
-        for number, row in zip(group.numbers, mine, strict=True):
-            frames = trials[number].readings.size
-            u, v, size, long, oblique = row[: 5 * frames].reshape(frames, 5).T
-            turn = np.exp(1j * np.asarray(trials[number].ellipses.angle))
-            place, shape = turn * (u + 1j * v), turn**2 * (long + 1j * oblique)
-            found[number] = np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1)
-    return tuple(found[number] for number in range(len(trials)))
+    found = []
+    for trial, own in zip(trials, rows, strict=True):
+        u, v, size, long, oblique = left[own].T
+        turn = np.exp(1j * np.asarray(trial.ellipses.angle))
+        place, shape = turn * (u + 1j * v), turn**2 * (long + 1j * oblique)
+        found.append(np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1))
+    return tuple(found)
 
 
 @eqx.filter_jit
@@ -282,7 +319,8 @@ def _solve(
 ) -> tuple[Solution, Float[Array, "trials 2"], Float[Array, "trials 2 x"]]:
     """The solution, and the spots of all trials with their derivatives, in the groups' order.
 
-    Free parameters come first, then the nuisances by group; the residuals have the same order.
+    Steps of the parameters come first, then the nuisances by group; the residuals have the same
+    order.
     """
 
     def unpacked(x: Array) -> tuple[Array, dict[str, Array], optics.Microscope, list[Array]]:

@@ -10,6 +10,7 @@ from scipy import stats
 from skimage.measure import EllipseModel
 
 from eyespot import calibration, optics
+from eyespot.calibration.spots.cone_fit import HALVES
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -117,6 +118,36 @@ def test_a_robot_whose_scale_is_off_is_contained_in_the_errors_if_it_is_said():
     sigma = np.sqrt(fit.covariance[0, 0]) / TRUE["half_angle"]
     assert sigma == pytest.approx(0.02, rel=0.1)
     assert fit.values["half_angle"] / TRUE["half_angle"] - 1.0 == pytest.approx(off, abs=0.002)
+
+
+def test_the_halves_of_a_recording_agree_unless_the_robot_is_bent():
+    rng = np.random.default_rng(8)
+    chances = {}
+    for bend in (0.0, 0.03):
+        one = trial("eyeball", 1.0, azimuth=1.0, noise=rng)
+        # From the middle on, the robot reports 3 % less than it goes.
+        late = np.maximum(one.readings - 3.0, 0.0)
+        one.readings[:] -= bend * late
+        fit = calibration.fit_cone([one], EYE, start=TRUE | {"tilt_x": 0.0, "tilt_y": 0.0})
+        chances[bend] = fit.halves
+    # Of four numbers the least is below 0.01 once in 25 seeds.
+    assert min(chances[0.0].values()) > 0.01
+    # 0.09 mm at the end, fifty times what a radius known to 0.012 px leaves unknown.
+    assert chances[0.03]["near and far"] < 1e-6
+    assert chances[0.03]["even and odd"] > 1e-3
+
+
+@pytest.mark.slow
+def test_the_halves_chances_are_those_of_noise():
+    rng = np.random.default_rng(9)
+    start = TRUE | {"tilt_x": 0.0, "tilt_y": 0.0}
+    found = [
+        calibration.fit_cone([trial("eyeball", 1.0, noise=rng)], EYE, start=start).halves
+        for _ in range(100)
+    ]
+    for halves in HALVES:
+        # Of right programs two in 1,000 fail.
+        assert stats.kstest([one[halves] for one in found], "uniform").pvalue > 1e-3
 
 
 def test_exact_contours_give_every_parameter_back():
