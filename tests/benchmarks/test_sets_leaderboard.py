@@ -80,6 +80,7 @@ def test_an_interval_is_that_of_independent_stacks_and_not_of_images():
     assert 0.44 / 1.5 < width < 0.44 * 1.5
 
 
+@pytest.mark.slow
 def test_the_interval_of_a_median_covers_the_true_median():
     # Laplace distribution: the absolute error is exponential, with the median ln 2.
     rng = np.random.default_rng(2)

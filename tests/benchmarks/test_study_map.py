@@ -51,6 +51,7 @@ def test_the_biases_are_the_errors_that_eyespot_error_shows(found):
     assert found.bias_mm[found.model == "exact"].abs().max() < 1e-9
 
 
+@pytest.mark.slow
 def test_standard_deviations_are_those_of_trials_with_drawn_rigs():
     """Each trial draws what the rig states to a tolerance, and reads the spot of the true one."""
     c, d = np.array([3.0]), np.array([4.0])

@@ -81,6 +81,7 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     assert table_one.even_span(row) == pytest.approx(span, rel=1.1 / n)
 
 
+@pytest.mark.slow
 def test_on_the_minor_axis_a_tilted_plane_has_the_cosines_part_of_a_square_ones_light():
     isophotes = flat(0.10)
     tilt, d = math.radians(30.0), 3.0

@@ -201,6 +201,7 @@ def test_table_is_exact_for_cubic_fields():
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_samples_from_those_of_a_near_lens_are_as_good_as_new_ones():
     # In vitreous this drop makes a sharp image of its core, whose edge moves with the lens.
     values = {"core_radius": 0.25, "aperture_radius": 0.30, "rim_height": 0.04, "sag": 0.07}
@@ -321,6 +322,7 @@ def test_slopes_of_a_lens_beside_its_table_are_those_of_central_differences():
         assert np.abs(slope - difference).max() < 1e-6 * np.abs(difference).max(), name
 
 
+@pytest.mark.slow
 def test_a_rim_that_no_light_reaches_changes_nothing_at_equal_curvature():
     lens = LinearLensLight(one_frame(), ("aperture_radius", "sag"))
     lens.tabulate(LENS_BESIDE_ITS_TABLE, coarse=False)
@@ -631,6 +633,7 @@ def fit_of_seed(
     return fit_image(noisy, source="cone", start=START, priors=priors, joint_prior=joint_prior)
 
 
+@pytest.mark.slow
 def test_a_second_recording_adds_its_information_to_a_calibration(tmp_path):
     """Two recordings with noise of their own know as much together as the sum of both."""
     footage, light, truth = ideal_withdrawal(tmp_path)

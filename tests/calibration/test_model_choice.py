@@ -81,9 +81,8 @@ ANY |= {"rim_height": 0.0, "glue_index": 1.49, "numerical_aperture": 0.05}
 
 
 # A known fibre goes the same way with fewer unknowns.
-@pytest.mark.parametrize(
-    ("kind", "priors"), [(ANY, ANY_PRIORS), pytest.param(DOME, {}, marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("kind", "priors"), [(ANY, ANY_PRIORS), (DOME, {})])
 def test_a_lens_to_start_from_is_guessed_within_the_steps_of_the_grid(stack, kind, priors):
     shown = stack("lens", LENS)
     footage = footage_of(shown)

@@ -93,6 +93,7 @@ def test_the_image_of_a_cone_is_a_spread_disc(length):
     assert np.sqrt(np.mean((found[row] - expected) ** 2)) < 0.004 * even.max()
 
 
+@pytest.mark.slow
 def test_the_image_of_a_lens_is_its_light_averaged_over_the_wall():
     x = np.linspace(0.0, 1.0, 65)
     bell = 1 / (1 + np.exp((x - 0.5) / 0.06))

@@ -124,7 +124,7 @@ def test_the_pose_of_an_image_is_the_last_of_its_run_that_came_before(received_s
     assert float(details["pose_age_s"]) == pytest.approx(age_s, abs=1e-9, nan_ok=True)
 
 
-@pytest.mark.parametrize("robot_scale", [1.0, 1.3])
+@pytest.mark.parametrize("robot_scale", [pytest.param(1.0, marks=pytest.mark.slow), 1.3])
 def test_a_robot_whose_travel_is_not_that_of_the_distances_is_said(tmp_path, robot_scale):
     parameters = Parameters(rig=microscope_in(tmp_path), calibration=calibrated(tmp_path, "planar"))
     rig = ImageReader(parameters)

@@ -101,6 +101,7 @@ def test_the_lens_s_gradient_is_traced_too():
     np.testing.assert_allclose(ray[0][:2], 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_pencils_can_be_differentiated_by_the_eye():
     eye = viewing.load_eye("navarro", wavelength_nm=555.0)
 

@@ -83,7 +83,8 @@ def expected(path, camera):
     return radiance.mean(axis=(2, 3)), np.hypot(points[..., 0], points[..., 1]).max(axis=(2, 3))
 
 
-@pytest.mark.parametrize("form", ["phakic", pytest.param("aphakic", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["phakic", "aphakic"])
 def test_mitsuba_sees_the_same_retina_through_real_surfaces(glass, form):
     import mitsuba as mi
 

@@ -253,6 +253,7 @@ def test_mitsuba_behind_the_bridge_comes_back_from_every_call(calls, tmp_path):
     np.testing.assert_allclose(gradient, image.vjp(last, 2 * value), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_lens_is_found_in_another_seed_s_image(tmp_path):
     free = ("sag", "numerical_aperture", "tip_z")
     still = scene(DEEP_DOME, tmp_path)

@@ -53,6 +53,7 @@ def compare(folder: Path, variant: str, **environment: str) -> None:
         assert expected.max() > 150  # there is a spot
 
 
+@pytest.mark.slow
 def test_without_llvm_a_cone_is_rendered_in_scalar_mode(tmp_path):
     nowhere = {ENVIRONMENT_VARIABLE: str(tmp_path / "libLLVM-15.so.1")}
     compare(tmp_path, "scalar_rgb", **nowhere)

@@ -231,6 +231,7 @@ def blurred(viewing, **changes):
     return *images, soft
 
 
+@pytest.mark.slow
 def test_a_pupil_behind_an_eye_without_refraction_is_the_pinhole_scene_s(tmp_path):
     eye = {"eye": eye_file(tmp_path, index=1.0), "pupil_mm": 50.0}
     _, through, scene = blurred(eye)
@@ -239,6 +240,7 @@ def test_a_pupil_behind_an_eye_without_refraction_is_the_pinhole_scene_s(tmp_pat
     np.testing.assert_allclose(through, bare, atol=0.01 * bare.max())
 
 
+@pytest.mark.slow
 def test_a_spot_out_of_focus_is_spread_over_the_pupil_s_disc_behind_an_eye():
     sharp, soft, scene = blurred({"eye": "navarro", "lens": "flat"})
     (_, *before), (_, *after) = moments(sharp), moments(soft)
