@@ -323,7 +323,7 @@ def chance_alike(
         columns: of the parameters.
     """
     other = np.zeros((len(residuals), len(columns)))
-    other[rows] = jacobian[np.ix_(rows, columns)]
+    other[rows] = jacobian[rows][:, columns]
     own = other - jacobian @ np.linalg.lstsq(jacobian, other)[0]
     step, _, count, _ = np.linalg.lstsq(own, residuals, rcond=1e-9)
     lower, left = (float(np.sum(np.square(part))) for part in (own @ step, residuals - own @ step))
