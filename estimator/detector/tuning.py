@@ -266,8 +266,10 @@ class FieldStop:
     SMALLEST = 0.25  # radius over the frame's shorter side (0.27 and more)
     ROUND = 1.015  # longest axis over the shortest (up to 1.005, where its rim is in view)
     DARK = 0.09  # of the peak: light round it (up to 0.084)
-    DIM = 0.13  # of the peak: the same where it is plain; stray light in drawn, dim fields
-    PLAIN = 0.5  # unevenness of that light over the disc's: a spot's wall goes on (0.55 and more)
+    DIM = 0.2  # of the peak: the same where it is plain; stray light, or a curve that lifts black
+    # Unevenness of that light over the disc's. A spot's wall goes on round it: 0.48 and more on
+    # rendered walls. Fields have 0.43 and less.
+    PLAIN = 0.45
     UNEVEN = 0.03  # standard deviation of the light along its rim, of the mean (0.03 to 0.25)
 
 
