@@ -88,7 +88,7 @@ VARIED = {
     "pose": VARIED_BY_POSE,
     "loop": (),
     "static": VARIED_BY_STATIC,
-    "table_one": VARIED_BY_TABLE_ONE,
+    "table_one": (*VARIED_BY_TABLE_ONE, "phantom.stretch"),  # an eyeball's; its wall is a plane
     "medium": VARIED_BY_MEDIUM,
     "dynamic": VARIED_BY_DYNAMIC,
     "map": (*VARIED_BY_MAP, "source.medium"),  # of a rig it decides the cone
