@@ -7,12 +7,10 @@ import pytest
 
 from eyespot import studies
 from eyespot.benchmarks import study as of_studies
-from eyespot.benchmarks.studies.dynamic import VARIED as VARIED_BY_DYNAMIC
 from eyespot.benchmarks.studies.eccentricity import VARIED as VARIED_BY_ECCENTRICITY
 from eyespot.benchmarks.studies.map import VARIED as VARIED_BY_MAP
 from eyespot.benchmarks.studies.medium import VARIED as VARIED_BY_MEDIUM
 from eyespot.benchmarks.studies.pose import VARIED as VARIED_BY_POSE
-from eyespot.benchmarks.studies.static import VARIED as VARIED_BY_STATIC
 from eyespot.benchmarks.studies.table_one import VARIED as VARIED_BY_TABLE_ONE
 from eyespot.scenes import Scene
 from eyespot.scenes.description import scene_file
@@ -87,10 +85,8 @@ VARIED = {
     "eccentricity": VARIED_BY_ECCENTRICITY,
     "pose": VARIED_BY_POSE,
     "loop": (),
-    "static": VARIED_BY_STATIC,
     "table_one": (*VARIED_BY_TABLE_ONE, "phantom.stretch"),  # an eyeball's; its wall is a plane
     "medium": VARIED_BY_MEDIUM,
-    "dynamic": VARIED_BY_DYNAMIC,
     "map": (*VARIED_BY_MAP, "source.medium"),  # of a rig it decides the cone
 }
 """Not `design`, whose quick run renders nothing, so that it reads fewer keys than a full one."""
