@@ -125,6 +125,14 @@ _KNOWN_CORE = 0.005
 """Relative standard error of a core up to which one fit is enough."""
 _SAME_COST = 4.0
 """Difference of two fits' chi squared that says nothing: two standard errors of one parameter."""
+_CONSIDERED = (*VIEW, "robot_scale")
+"""What a fit of a lens takes as it is stated, while the covariance contains the errors of it.
+
+All lengths can grow alike without a change of the light, and nearly so those along and across the
+beam. That a table's derivatives, known to some thousandths, do not show this exactly, looks like
+knowledge: errors of numerical aperture and scale were stated at half to two thirds of what they
+are. How parameters follow what was stated does not suffer from it."""
+_HOLDING = 1e-3  # of the stated standard deviation: by which it is held
 _GHOST_FRAMES = 6  # evenly over the withdrawal, in which a ghost is looked for
 _DARK = 1e-6  # of a frame's peak, where there may be no light at all
 _NAMED = 10  # frames that an error message names
@@ -200,7 +208,9 @@ def fit_image(
     starts = itertools.chain([at_start], ({**at_start, **other} for other in others or ()))
     names = (*free, *(name for name in NUISANCES if name not in free))
     lens = LinearLensLight(footage, names) if source == "lens" else None
-    run = _FitRun(footage, names, known, joint_prior, lens, radius, progress)
+    considered = {n: known[n] for n in _CONSIDERED if lens and n in known and n in names}
+    known |= {n: Prior(prior.mean, _HOLDING * prior.sigma) for n, prior in considered.items()}
+    run = _FitRun(footage, names, known, considered, joint_prior, lens, radius, progress)
     return run.whole_fit(run.first_fit(starts))
 
 
@@ -237,6 +247,7 @@ class _FitRun(NamedTuple):
     footage: Footage
     names: tuple[str, ...]
     priors: dict[str, Prior]
+    considered: dict[str, Prior]
     joint_prior: JointPrior | None
     lens: LinearLensLight | None
     radius_px: float
@@ -315,7 +326,7 @@ class _FitRun(NamedTuple):
                 f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
                 f"{100 * _HOPELESS:g} % are allowed"
             )
-            return _result(some, ("FIRST_ROUND", why))
+            return _result(some, self.considered, ("FIRST_ROUND", why))
         solver = self.solver(some.point, first=False, every=True)
         solver.spread, solver.error = some.spread, some.error
         if self.lens is not None:
@@ -331,7 +342,10 @@ class _FitRun(NamedTuple):
             of_table = self._from_wider_core(solver, of_table)
         if failed is None:
             of_table = self._with_cut_light(solver, of_table)
-        return _result(solver, failed, of_table)
+        if solver.light.of_view:  # its derivatives are to be those of the end, as all others are
+            solver.look()
+            solver.evaluate()
+        return _result(solver, self.considered, failed, of_table)
 
     def _tabulate(self, solver: BeamSolver, *, coarse: bool) -> None:
         if self.lens is not None:
@@ -400,7 +414,7 @@ class _FitRun(NamedTuple):
         values, at = solver.point.values, self.names.index("core_radius")
         core = values["core_radius"]
         # As the images tell it: with the scale of robot or microscope it is all lengths that err.
-        own = [k for k, name in enumerate(self.names) if name not in (*VIEW, "robot_scale")]
+        own = [k for k, name in enumerate(self.names) if name not in _CONSIDERED]
         covariance = np.linalg.pinv(solver.effective()[0][np.ix_(own, own)])
         sigma = math.sqrt(covariance[own.index(at), own.index(at)]) * solver.sizes[at]
         if sigma < _KNOWN_CORE * core:
@@ -441,14 +455,45 @@ class _FitRun(NamedTuple):
         return of_table
 
 
+def _covariance(
+    solver: BeamSolver, considered: Mapping[str, Prior]
+) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p p"], tuple[str, ...]]:
+    """Covariance by noise, with infinite variances of what is considered; that of the considered.
+
+    And what the data do not determine. All of parameters over their sizes. See Schmidt (1966) for
+    parameters whose errors are considered, though they are not estimated.
+    """
+    names, values = solver.names, solver.point.values
+    information, _ = solver.effective()
+    held = [names.index(name) for name in considered]
+    fitted = np.delete(np.arange(len(names)), held)
+    own, lost = covariance_and_lost(
+        information[np.ix_(fitted, fitted)],
+        [names[k] for k in fitted],
+        [values[names[k]] for k in fitted],
+    )
+    by_noise = np.zeros_like(information)
+    by_noise[np.ix_(fitted, fitted)] = own
+    by_noise[held, held] = np.inf
+    known = np.isfinite(np.diag(own))
+    follows = np.zeros((len(names), len(held)))
+    follows[fitted[known]] = -own[np.ix_(known, known)] @ information[np.ix_(fitted[known], held)]
+    follows[held, range(len(held))] = 1.0
+    sigmas = [prior.sigma / solver.sizes[names.index(name)] for name, prior in considered.items()]
+    root = follows * sigmas
+    return by_noise, root @ root.T, lost
+
+
 def _result(
     solver: BeamSolver,
+    considered: Mapping[str, Prior],
     failed: Failure | None,
     of_table: np.ndarray | None = None,
 ) -> ImageFit:
     values, names = solver.point.values, solver.names
-    information, slopes_of = solver.effective()
-    covariance, lost = covariance_and_lost(information, names, [values[name] for name in names])
+    _, slopes_of = solver.effective()
+    covariance, of_considered, lost = _covariance(solver, considered)
+    held = [names.index(name) for name in considered]
     frames = solver.now.frames
     places = solver.cells.centres()
 
@@ -475,8 +520,9 @@ def _result(
         grown = np.diag(of_table)[known] / np.diag(covariance)[known]
         inflation = float(np.sqrt(1 + np.max(grown)))
         covariance = covariance + of_table
+    covariance[held, held] = 0.0
     sizes = np.diag(solver.sizes)
-    covariance = propagated(sizes, covariance)
+    covariance = propagated(sizes, covariance + of_considered)
     errors = np.sqrt(np.diag(covariance)).tolist()
     residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
     cells = solver.cells
@@ -494,14 +540,18 @@ def _result(
         residuals[solver.numbers[k]] = whole[rows, columns]
     ghost = _ghost_of(solver)
     solver.weigh_by_noise()
-    least, _ = covariance_and_lost(solver.effective()[0], names)
+    least, of_considered, _ = _covariance(solver, considered)
+    least[held, held] = 0.0
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined
-        over = np.array(errors)[beam] / np.sqrt(np.diag(propagated(sizes, least)))[beam]
+        over = (
+            np.array(errors)[beam]
+            / np.sqrt(np.diag(propagated(sizes, least + of_considered)))[beam]
+        )
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
-        priors={name: prior for name, prior in solver.priors.items() if name in names},
+        priors={n: prior for n, prior in (solver.priors | considered).items() if n in names},
         covariance=covariance,
         chi_squared=solver.chi_squared,
         degrees_of_freedom=degrees,
