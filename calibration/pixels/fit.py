@@ -465,7 +465,7 @@ def _covariance(
     """
     names, values = solver.names, solver.point.values
     information, _ = solver.effective()
-    held = [names.index(name) for name in considered]
+    held = np.array([names.index(name) for name in considered], int)
     fitted = np.delete(np.arange(len(names)), held)
     own, lost = covariance_and_lost(
         information[np.ix_(fitted, fitted)],
@@ -551,7 +551,7 @@ def _result(
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
-        priors={n: prior for n, prior in (solver.priors | considered).items() if n in names},
+        priors={n: prior for n, prior in {**solver.priors, **considered}.items() if n in names},
         covariance=covariance,
         chi_squared=solver.chi_squared,
         degrees_of_freedom=degrees,
