@@ -455,7 +455,7 @@ class _FitRun(NamedTuple):
         return of_table
 
 
-def _covariance(
+def covariance_with(
     solver: BeamSolver, considered: Mapping[str, Prior]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p p"], tuple[str, ...]]:
     """Covariance by noise, with infinite variances of what is considered; that of the considered.
@@ -492,7 +492,7 @@ def _result(
 ) -> ImageFit:
     values, names = solver.point.values, solver.names
     _, slopes_of = solver.effective()
-    covariance, of_considered, lost = _covariance(solver, considered)
+    covariance, of_considered, lost = covariance_with(solver, considered)
     held = [names.index(name) for name in considered]
     frames = solver.now.frames
     places = solver.cells.centres()
@@ -540,7 +540,7 @@ def _result(
         residuals[solver.numbers[k]] = whole[rows, columns]
     ghost = _ghost_of(solver)
     solver.weigh_by_noise()
-    least, of_considered, _ = _covariance(solver, considered)
+    least, of_considered, _ = covariance_with(solver, considered)
     least[held, held] = 0.0
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined

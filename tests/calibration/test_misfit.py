@@ -1,11 +1,16 @@
 """Misfit of a fit to pixels: found where it is, and contained in the standard errors."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from scipy import ndimage, optimize, stats
 
+from eyespot.calibration.pixels.fit import covariance_with
 from eyespot.calibration.pixels.misfit import Pixels, found_misfit
 from eyespot.calibration.solvers import accepted_range, excess_variance
+from eyespot.calibration.spots.cone_trials import Prior
 
 FRAMES, SIDE = 8, 40
 V, U = (x.ravel() - 19.5 for x in np.mgrid[:SIDE, :SIDE].astype(float))
@@ -129,6 +134,24 @@ def test_undetermined_parameters_stay_so():
     _, enlarged = found_misfit(frames, covariance, share=0.0)
     assert np.isinf(enlarged[1]).all() and np.isinf(enlarged[:, 1]).all()
     assert np.isfinite(np.delete(np.delete(enlarged, 1, 0), 1, 1)).all()
+
+
+def test_a_scale_that_is_considered_is_not_known_by_rounding():
+    # What is measured is the product of an aperture and a scale, to 1e-6; a second number does not
+    # depend on the scale, but its derivative errs by 1e-3.
+    jacobian = np.array([[1.0, 1.0], [0.0, 1e-3]]) / 1e-6
+    solver: Any = SimpleNamespace(
+        names=("numerical_aperture", "scale"),
+        sizes=np.ones(2),
+        point=SimpleNamespace(values={"numerical_aperture": 1.0, "scale": 1.0}),
+        effective=lambda: (jacobian.T @ jacobian, None),
+    )
+    by_noise, of_considered, lost = covariance_with(solver, {"scale": Prior(1.0, 0.01)})
+    assert lost == ()
+    by_noise[1, 1] = 0.0
+    # The aperture is off by as much as the scale, and in the other sense.
+    expected = 1e-4 * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    np.testing.assert_allclose(by_noise + of_considered, expected, rtol=1e-6)
 
 
 def test_chi_squared_is_accepted_as_often_as_its_distribution_says():
