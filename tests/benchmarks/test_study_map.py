@@ -89,6 +89,7 @@ def test_a_tighter_rig_has_smaller_errors_and_the_axis_helps(found):
     assert not reached["small_plane"] > reached["corrected"]
 
 
+@pytest.mark.slow
 def test_a_lens_counts_as_its_effective_cone_and_is_as_uncertain_as_its_parameters():
     scene = changed(Scene(), {"source.lens": "dome", "source.medium": "vitreous"})
     dome = true_calibration(scene)
