@@ -456,15 +456,15 @@ class _FitRun(NamedTuple):
 
 
 def covariance_with(
-    solver: BeamSolver, considered: Mapping[str, Prior]
+    solver: BeamSolver, information: Float[np.ndarray, "p p"], considered: Mapping[str, Prior]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p p"], tuple[str, ...]]:
     """Covariance by noise, with infinite variances of what is considered; that of the considered.
 
-    And what the data do not determine. All of parameters over their sizes. See Schmidt (1966) for
-    parameters whose errors are considered, though they are not estimated.
+    And what the data do not determine. All are of parameters over their sizes, as the solver's
+    effective information is. See Schmidt (1966) for parameters whose errors are considered, though
+    they are not estimated.
     """
     names, values = solver.names, solver.point.values
-    information, _ = solver.effective()
     held = np.array([names.index(name) for name in considered], int)
     fitted = np.delete(np.arange(len(names)), held)
     own, lost = covariance_and_lost(
@@ -491,8 +491,8 @@ def _result(
     of_table: np.ndarray | None = None,
 ) -> ImageFit:
     values, names = solver.point.values, solver.names
-    _, slopes_of = solver.effective()
-    covariance, of_considered, lost = covariance_with(solver, considered)
+    information, slopes_of = solver.effective()
+    covariance, of_considered, lost = covariance_with(solver, information, considered)
     held = [names.index(name) for name in considered]
     frames = solver.now.frames
     places = solver.cells.centres()
@@ -540,7 +540,7 @@ def _result(
         residuals[solver.numbers[k]] = whole[rows, columns]
     ghost = _ghost_of(solver)
     solver.weigh_by_noise()
-    least, of_considered, _ = covariance_with(solver, considered)
+    least, of_considered, _ = covariance_with(solver, solver.effective()[0], considered)
     least[held, held] = 0.0
     beam = [number for number, name in enumerate(names) if name in solver.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined

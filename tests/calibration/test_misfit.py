@@ -144,9 +144,10 @@ def test_a_scale_that_is_considered_is_not_known_by_rounding():
         names=("numerical_aperture", "scale"),
         sizes=np.ones(2),
         point=SimpleNamespace(values={"numerical_aperture": 1.0, "scale": 1.0}),
-        effective=lambda: (jacobian.T @ jacobian, None),
     )
-    by_noise, of_considered, lost = covariance_with(solver, {"scale": Prior(1.0, 0.01)})
+    by_noise, of_considered, lost = covariance_with(
+        solver, jacobian.T @ jacobian, {"scale": Prior(1.0, 0.01)}
+    )
     assert lost == ()
     by_noise[1, 1] = 0.0
     # The aperture is off by as much as the scale, and in the other sense.
