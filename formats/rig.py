@@ -387,13 +387,16 @@ def rig_of_stack(folder: Path, description: Mapping[str, Any], *, medium: str) -
         return rig.with_noise(validated(CameraSheet, sheet, remedy="Render the stack again."))
 
 
-def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
+def rig_of_scene(
+    scene: Mapping[str, Any], *, touch: tuple[float, float] | None = None
+) -> dict[str, Any]:
     """The content of the rig file of a rendered scene, which knows everything exactly.
 
     A lens of somebody's own is as little known as a drop on a rig: its rim may be above the core.
 
     Args:
         scene: the scene's tables, as stack.toml has them; those of eyespot 0.1 may lack keys.
+        touch: stated first distance and its standard uncertainty, mm; None: as the scene says.
     """
 
     def some(table: str, **names: str) -> dict[str, Any]:
@@ -410,8 +413,13 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
         instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
     return {
         "schema": SCHEMA,
-        "microscope": EXACT["microscope"] | {"calibration": "microscope.json"},
-        "wall": EXACT["wall"] | some("phantom", kind="kind") | some("source", medium="medium"),
+        "microscope": EXACT["microscope"]
+        | some("rig_errors", scale_sigma="scale", pinhole_height_sigma_mm="pinhole_height_mm")
+        | {"calibration": "microscope.json"},
+        "wall": EXACT["wall"]
+        | some("phantom", kind="kind", clear_layer_mm="clear_layer_mm")
+        | some("source", medium="medium")
+        | some("rig_errors", radius_sigma_mm="eye_radius_mm"),
         "instrument": ({} if own_lens else EXACT["instrument"])
         | {
             name: instrument[name]
@@ -419,9 +427,10 @@ def rig_of_scene(scene: Mapping[str, Any]) -> dict[str, Any]:
             if name in instrument
         },
         "robot": EXACT["robot"]
+        | some("rig_errors", scale_sigma="robot_scale", clock_sigma_s="clock_s")
         | {
             "eye_from_robot": [0.0, 0.0, 0.0, 1.0],
-            "touch": "contact" if at_contact else "free",
+            "touch": list(touch) if touch else "contact" if at_contact else "free",
         },
     }
 

@@ -116,7 +116,7 @@ _LARGEST_PX = 1e5
 _LARGEST_MM = 1e4
 _RIGHT = math.pi / 2 + 1e-9
 _LIMITS: dict[str, tuple[float, float]] = {
-    **dict.fromkeys(("d_mm", "nearest_mm", "c_mm"), (0.0, _LARGEST_MM)),
+    **dict.fromkeys(("d_mm", "nearest_mm", "c_mm", "surface_mm"), (0.0, _LARGEST_MM)),
     **dict.fromkeys(("exposure_s", "speed_mm_s", "relative_power"), (0.0, _LARGEST)),
     **dict.fromkeys(("visible_fraction", "saturated_fraction"), (0.0, 1.0)),
     **dict.fromkeys(("azimuth_rad", "incidence_azimuth_rad"), (-2 * math.pi, 2 * math.pi)),
@@ -194,6 +194,9 @@ class FrameLabels(Strict):
     eye_turn_y_deg: float = _rare(_TURN)
     eye_turn_z_deg: float = _rare(_TURN)
     relative_power: float = _rare("Power of the light source, relative to its mean.")
+    surface_mm: float = _rare(
+        "Distance from the tip to the surface of the wall's clear layer along the beam, mm."
+    )
     bound_x_px: float = _rare(_BOUND)
     bound_y_px: float = _rare(_BOUND)
     bound_semi_major_px: float = _rare(_BOUND)
@@ -470,19 +473,21 @@ class StackWriter:
         stack: dict[str, Any],
         microscope: dict[str, Any],
         kinematics: np.ndarray | None = None,
+        touch: tuple[float, float] | None = None,
     ) -> None:
         """Write stack.toml, microscope.json, rig.toml and kinematics.csv; keep their frames.
 
         Args:
             stack: everything that determines images and labels: the scene, versions.
             kinematics: n x 7, time (s), tip (mm) and axis that the robot reported.
+            touch: first distance and its standard uncertainty, as the rig file states them, mm.
         """
         texts = {
             "stack.toml": tomli_w.dumps({"schema": SCHEMA, **stack}),
             "microscope.json": json.dumps({"schema": SCHEMA, **microscope}, indent=1) + "\n",
         }
         if "scene" in stack:
-            texts[RIG] = tomli_w.dumps(rig_of_scene(stack["scene"]))
+            texts[RIG] = tomli_w.dumps(rig_of_scene(stack["scene"], touch=touch))
         if kinematics is not None:
             # To 1 us, 1 nm and 1 nrad: far below a robot's accuracy.
             rows, formats = io.StringIO(), ["%.6f"] * 4 + ["%.9f"] * 3

@@ -13,6 +13,7 @@ import tomli_w
 from pydantic import Field, ValidationError, model_validator
 
 from eyespot.formats.inputs import InputError
+from eyespot.scenes.description.rig_errors import RigErrors
 from eyespot.scenes.description.settings import (
     CONE_AT_THE_TIP,
     REAL_PINHOLE_HEIGHT_MM,
@@ -112,6 +113,7 @@ class Scene(SceneTable):
     viewing: Viewing = Viewing()
     camera: CameraSettings = CameraSettings()
     exposures: Exposures = Exposures()
+    rig_errors: RigErrors = RigErrors()
 
     def _repr_html_(self) -> str:
         """Its file, for notebooks."""
@@ -306,6 +308,16 @@ class Scene(SceneTable):
                 "phantom.tilt_deg and shift_mm apply to a plane or a stretched eyeball; got "
                 f"{phantom.tilt_deg:g} deg and {list(phantom.shift_mm)} mm with a sphere. Set them "
                 "to 0, or choose kind = 'plane'."
+            )
+        if self.viewing.through_an_eye and (wrong := self.rig_errors.of_the_view):
+            raise InputError(
+                f"rig_errors.{wrong[0]} is that of a pinhole without [viewing]; got viewing.eye "
+                f"{self.viewing.eye!r}. Set it to 0."
+            )
+        if phantom.clear_layer_mm >= narrowest:
+            raise InputError(
+                f"phantom.clear_layer_mm must be smaller than the eyeball's radius; got "
+                f"{phantom.clear_layer_mm:g} mm with radius {narrowest:g} mm. Lower it."
             )
         if phantom.stretched and phantom.spread != "none":
             raise InputError(

@@ -380,6 +380,11 @@ class Phantom(SceneTable):
     tilt_azimuth_deg: Angle = Field(
         0.0, description="Direction in which the plane's normal or the eyeball's Z leans; 0: +X."
     )
+    clear_layer_mm: Length = Field(
+        0.0,
+        description="Thickness of a clear layer over the wall, as a retina's: a tip at contact "
+        "touches its surface. Its refraction, 3 um at 30 degrees, is left out.",
+    )
     pupil_radius_mm: Length = Field(
         0.0, description="Radius of the opening of the eyeball; 0: closed eyeball."
     )

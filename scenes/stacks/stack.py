@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -93,6 +94,7 @@ def render_stack(
             },
             microscope=microscope_file(world, paper_s),
             kinematics=kinematics(scene, world.motion),
+            touch=_stated_touch(world),
         )
         _render_frames(renderer, paper_s, writer, progress)
     return read_stack(out)
@@ -167,10 +169,27 @@ def _files(scene: Scene) -> dict[str, dict[str, Any]]:
     return {name: fingerprint(Path(name)) for name in (image, *own, poses) if name}
 
 
+def _stated_touch(world: World) -> tuple[float, float] | None:
+    """First distance that the rig states, and its standard uncertainty, mm, if [rig_errors] has it.
+
+    A distance below 0, where no tip can be, is stated as 0.
+    """
+    errors = world.scene.rig_errors
+    if not errors.touch_mm:
+        return None
+    first = float(world.truth.distance[0])
+    return max(first + errors.drawn().touch_mm, 0.0), errors.touch_mm
+
+
 def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
-    """Content of microscope.json; a telecentric microscope has no camera matrix."""
+    """Content of microscope.json, with the errors of [rig_errors].
+
+    A telecentric microscope has no camera matrix.
+    """
     scene, camera, wall = world.scene, world.microscope, world.wall
-    settings, phantom = scene.microscope, scene.phantom
+    settings, phantom, wrong = scene.microscope, scene.phantom, scene.rig_errors.drawn()
+    scale_mm_px = settings.scale_mm_px * (1 + wrong.scale)
+    radius_mm = phantom.radius_mm + wrong.eye_radius_mm
     # What the estimator may know of the camera: its data sheet.
     sheet = scene.camera.model_dump(include={*CameraSheet.model_fields})
     sheet |= {"bayer": scene.camera.bayer != "none", "jpeg": scene.camera.jpeg_quality > 0}
@@ -179,17 +198,20 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
     if isinstance(camera, PathCamera):  # the paraxial pinhole
         height = float(1.0 / camera.inverse_working_distance) - phantom.radius_mm
     elif math.isfinite(settings.pinhole_height_mm):
-        height = settings.pinhole_height_mm
-        matrix = np.asarray(camera.camera_matrix()).tolist()
+        height = settings.pinhole_height_mm + wrong.pinhole_height_mm
+        pinhole = {"scale": scale_mm_px, "pinhole_height": height, "eye_radius": radius_mm}
+        stated = optics.microscope(**pinhole, distortion=settings.distortion)
+        stated = replace(stated, principal_point=camera.principal_point)
+        matrix = np.asarray(stated.camera_matrix()).tolist()
     content: dict[str, object] = {
         "width_px": settings.width_px,
         "height_px": settings.height_px,
         "camera_matrix": matrix,
         "distortion": list(settings.distortion),
-        "scale_mm_px": settings.scale_mm_px,
+        "scale_mm_px": scale_mm_px,
         "principal_point_px": np.asarray(camera.principal_point).tolist(),
         "pinhole_height_mm": height,
-        "eye_radius_mm": phantom.radius_mm,
+        "eye_radius_mm": radius_mm,
         "response": scene.camera.response,
         "camera": sheet,
         "paper_exposure_s": fixed_exposure_s,

@@ -189,19 +189,29 @@ class SceneGeometry:
 
     @cached_property
     def wall(self) -> optics.Surface:
-        """The phantom's wall."""
+        """The phantom's wall, which sends the light back."""
+        return self._wall(0.0)
+
+    @cached_property
+    def surface(self) -> optics.Surface:
+        """What a tip touches: the surface of the clear layer over the wall, or the wall itself."""
+        return self._wall(self.scene.phantom.clear_layer_mm)
+
+    def _wall(self, layer: float) -> optics.Surface:
+        """The surface of a layer over the wall (mm); of an ellipsoid with as much off each axis."""
         phantom = self.scene.phantom
         radius = phantom.radius_mm
         tilt, towards = math.radians(phantom.tilt_deg), math.radians(phantom.tilt_azimuth_deg)
         if phantom.kind == "plane":
-            return optics.pole_plane(eye_radius=radius, tilt=tilt, tilt_azimuth=towards)
+            pole = radius - layer / math.cos(tilt)
+            return optics.pole_plane(eye_radius=pole, tilt=tilt, tilt_azimuth=towards)
         if phantom.stretched:
             x, y = phantom.stretch
-            semi_axes = radius * np.array([x, y, 1.0])
+            semi_axes = radius * np.array([x, y, 1.0]) - layer
             return optics.Ellipsoid(
                 semi_axes, shift=phantom.shift_mm, tilt=tilt, tilt_azimuth=towards
             )
-        return optics.Sphere(radius)
+        return optics.Sphere(radius - layer)
 
     @cached_property
     def spot_frame(self) -> optics.WallFrame:
@@ -241,14 +251,14 @@ class SceneGeometry:
 
     @cached_property
     def contact_distance(self) -> float:
-        """d = |SO| at which the rim of the tip touches the wall at [spot], mm."""
-        rim = self.tip_radius
-        if isinstance(self.wall, optics.Ellipsoid):
+        """d = |SO| at which the rim of the tip touches the wall or its layer at [spot], mm."""
+        rim, layer = self.tip_radius, self.scene.phantom.clear_layer_mm
+        if layer or isinstance(self.wall, optics.Ellipsoid):
             # The first point of the rim that meets the wall when it moves along the axis.
             spot, axis = self.aim
             radius = self.scene.phantom.radius_mm
             behind = spot + rim * circle_across(axis) - radius * axis
-            hit = self.wall.intersect(behind, np.broadcast_to(axis, behind.shape))
+            hit = self.surface.intersect(behind, np.broadcast_to(axis, behind.shape))
             return radius - float(hit.distance.min())
         incidence = math.radians(self.scene.spot.incidence_deg)
         return float(optics.contact_distance(self.wall, incidence=incidence, rim_radius=rim))

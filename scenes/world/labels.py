@@ -55,6 +55,9 @@ def spot_labels(world: World, frame: int) -> dict[str, Any]:
         for colour, shift in zip(("red", "blue"), shifts[:, frame], strict=True):
             x, y = shift.tolist()
             labels |= {f"{colour}_shift_x_px": x, f"{colour}_shift_y_px": y}
+    if scene.phantom.clear_layer_mm:
+        pose = np.asarray(at(spots.beam.tip)), np.asarray(at(spots.beam.axis))
+        labels["surface_mm"] = float(world.surface.intersect(*pose).distance)
     unrest = scene.unrest
     moment = world.unrest.at(frame, at(world.times))
     if unrest.shifts:

@@ -132,7 +132,7 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
     """Poses that the robot reports: rows of time stamp, tip and axis.
 
     The time stamps are those of the robot's clock, which is ahead of the camera's by the offset,
-    plus jitter. They never decrease.
+    plus jitter. They never decrease. Distances from the first place are wrong as [rig_errors] says.
 
     Returns:
         n x 7: s, mm, unit vector; from 0.1 s before the first frame to 0.1 s after the last.
@@ -141,9 +141,12 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
     count = _pose_count(scene, motion.moments[-1])
     times = np.arange(count) / clocks.kinematics_hz - _MARGIN_S
     jitter = np.random.default_rng([scene.clocks.seed, 2]).standard_normal(count)
-    stamps = times + clocks.kinematics_offset_s + clocks.kinematics_jitter_s * jitter
+    wrong = scene.rig_errors.drawn()
+    offset_s = clocks.kinematics_offset_s + wrong.clock_s
+    stamps = times + offset_s + clocks.kinematics_jitter_s * jitter
     poses = motion.at(times)
-    return np.column_stack([np.maximum.accumulate(stamps), poses.tip, poses.axis])
+    tip = poses.tip + wrong.robot_scale * (poses.tip - poses.tip[0])
+    return np.column_stack([np.maximum.accumulate(stamps), tip, poses.axis])
 
 
 def _pose_count(scene: Scene, last_s: float) -> int:

@@ -278,7 +278,7 @@ _CONTACT_MM = 1e-6
 
 def _check_poses(geometry: SceneGeometry, times: np.ndarray, poses: Poses) -> None:
     """Refuse a motion in which the tip, or a visible fibre's rim, enters the wall."""
-    instrument, wall, (tip, axis) = geometry.scene.instrument, geometry.wall, poses
+    instrument, wall, (tip, axis) = geometry.scene.instrument, geometry.surface, poses
     rim = instrument.fibre_diameter_mm / 2 if instrument.visible else 0.0
     if isinstance(wall, optics.Sphere):
         ahead = np.sum(tip * axis, axis=1)
