@@ -199,8 +199,12 @@ def microscope_file(world: World, fixed_exposure_s: float) -> dict[str, object]:
         height = float(1.0 / camera.inverse_working_distance) - phantom.radius_mm
     elif math.isfinite(settings.pinhole_height_mm):
         height = settings.pinhole_height_mm + wrong.pinhole_height_mm
-        pinhole = {"scale": scale_mm_px, "pinhole_height": height, "eye_radius": radius_mm}
-        stated = optics.microscope(**pinhole, distortion=settings.distortion)
+        stated = optics.microscope(
+            scale=scale_mm_px,
+            pinhole_height=height,
+            eye_radius=radius_mm,
+            distortion=settings.distortion,
+        )
         stated = replace(stated, principal_point=camera.principal_point)
         matrix = np.asarray(stated.camera_matrix()).tolist()
     content: dict[str, object] = {
