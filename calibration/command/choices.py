@@ -34,7 +34,7 @@ class Choices(Given):
     """Model to fit; auto chooses cone or lens by how sharp the spots' edges are. Fitted to spots:
     cone, the exact geometry; eye, how an unknown eye and its viewing lens show a cone that is known
     (--calibration); plane, the paper's line through planes; sphere, the paper's eccentricity of one
-    eyeball, beside planes. Fitted to all pixels of one recording: image, a cone; lens, a lens."""
+    eyeball, beside planes. Fitted to all pixels: image, a cone; lens, a lens."""
     exposure: Exposure = None
     free: Annotated[str | None, Parameter(metavar="NAME,…")] = None
     """Parameters to fit (default: half_angle,b; of a lens sag,numerical_aperture, without --lens

@@ -3,7 +3,7 @@
 A covariance is valid only if the model is. Two recordings of the same beam that are fitted apart
 show errors of the model that no covariance contains (mrcal's cross-validation). What both share,
 such as the scales of microscope and robot, moves both fits alike; so it is held as stated in the
-fits apart, and says nothing for their agreement.
+fits of cones apart, and in fits of lenses the shared part of the errors is left out (`apart`).
 """
 
 import math
@@ -16,24 +16,43 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy import stats
 
+from eyespot.calibration.command.apart import compared
 from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
+from eyespot.estimator import Ranger
 from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.estimator.distance.tilted_cone import ConeView, distance_of
 from eyespot.estimator.recording import Recording
-from eyespot.formats.calibration import BEAM
+from eyespot.formats.calibration import BEAM, Calibration
 from eyespot.formats.page import PALETTE
+from eyespot.formats.spots import Spot
 
-_SHARED = (
-    "microscope.scale_sigma",
-    "microscope.pinhole_height_sigma_mm",
-    "wall.radius_sigma_mm",
-    "robot.scale_sigma",
-)
-"""Keys of the rig file by which the errors of recordings hang together."""
 _CHANCE = 2.0 * stats.norm.sf(CONTRADICTION_SIGMAS)
 """Probability below which recordings disagree, as of any other comparison."""
-_COMPARED = ("half_angle", "b")
+
+
+class Read(NamedTuple):
+    """Distances of one recording by the calibration of another, mm, (n,).
+
+    Attributes:
+        robot: distances by the robot and the recording's own first distance.
+        off: what was read less them; NaN where nothing was.
+        sigma: standard deviation of that difference.
+    """
+
+    robot: Float[np.ndarray, "n"]
+    off: Float[np.ndarray, "n"]
+    sigma: Float[np.ndarray, "n"]
+
+    @property
+    def summary(self) -> tuple[float, float, float]:
+        """Root mean square, mean, and root mean square in standard deviations."""
+        off, deviations = self.off, self.off / self.sigma
+        return (
+            float(np.sqrt(np.nanmean(off**2))),
+            float(np.nanmean(off)),
+            float(np.sqrt(np.nanmean(deviations**2))),
+        )
 
 
 class Crossed(NamedTuple):
@@ -45,14 +64,14 @@ class Crossed(NamedTuple):
         distances: a row for each recording and each other one's calibration: root mean square and
             mean of the distances read less those of the robot, mm, and the root mean square over
             the standard deviations.
-        read: of each of these rows, the robot's distances and what was read less them, mm.
+        read: what each of these rows summarises.
         chance: probability that recordings of one beam differ as much.
         foreign: the recording that the others disagree with, if they agree without it; or empty.
     """
 
     parameters: pd.DataFrame
     distances: pd.DataFrame
-    read: list[tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]]
+    read: list[Read]
     chance: float
     foreign: str = ""
 
@@ -64,7 +83,7 @@ class Crossed(NamedTuple):
     @property
     def verdict(self) -> str:
         """Whether the recordings agree, in a sentence."""
-        count = len(self.parameters) // len(_COMPARED)
+        count = self.parameters["recording"].nunique()
         who = "the two recordings" if count == 2 else f"the {count} recordings"
         if self.agree:
             return f"{who} agree: p = {self.chance:.2g}"
@@ -82,9 +101,10 @@ class Crossed(NamedTuple):
         figure = Figure(figsize=(10.0, 3.2), layout="constrained")
         axes = figure.subplots()
         rows = zip(self.distances.itertuples(), self.read, strict=True)
-        for number, (row, (robot, off)) in enumerate(rows):
+        for number, (row, one) in enumerate(rows):
             label = f"{row.recording} by {row.calibration}"
-            axes.plot(robot, 1e3 * off, "o-", ms=3, lw=0.8, color=PALETTE[number % len(PALETTE)])
+            colour = PALETTE[number % len(PALETTE)]
+            axes.plot(one.robot, 1e3 * one.off, "o-", ms=3, lw=0.8, color=colour)
             axes.lines[-1].set_label(label)
         axes.axhline(0.0, color="#999999", lw=0.8)
         axes.set(xlabel="distance by the robot (mm)", ylabel="read less robot (µm)")
@@ -92,43 +112,33 @@ class Crossed(NamedTuple):
         return figure
 
 
-def crossed(
-    recordings: Sequence[RecordedTrial], fit: Callable[[Sequence[RecordedTrial]], Fitted]
-) -> Crossed | None:
-    """Fit recordings of a cone apart and compare; None if one of them does not determine it.
+def crossed(apart: Sequence[Fitted], read: Callable[[Fitted, Fitted], Read]) -> Crossed | None:
+    """Compare fits of one recording each; None if one of them is not determined.
 
     Args:
-        fit: of recordings.
+        read: distances of the first fit's recording, by the second one's calibration.
     """
-    apart = [fit([_as_stated(one)]) for one in recordings]
-    names = [one.name for one in recordings]
+    names = [one.recordings[0].name for one in apart]
     if len(set(names)) < len(names):  # folders of images are often called alike
         names = [f"{name} ({number})" for number, name in enumerate(names, 1)]
     if not all(one.converged and not one.undetermined for one in apart):
         return None
-    values = np.array([[one.values[name] for name in _COMPARED] for one in apart])
-    covariances = np.array([_covariance(one) for one in apart])
-    chance = _chance(values, covariances)
-    mean, known = _mean(values, covariances)
-    rows = []
-    for name, value, covariance in zip(names, values, covariances, strict=True):
-        # The mean contains the recording, so the difference has less variance than it.
-        sigmas = (value - mean) / np.sqrt(np.maximum(np.diag(covariance - known), 1e-300))
-        columns = zip(_COMPARED, value, np.sqrt(np.diag(covariance)), sigmas, strict=True)
-        rows += [(name, *row) for row in columns]
+    known = compared(apart)
+    mean, rows = known.mean, []
+    for one, (name, value) in enumerate(zip(names, known.values, strict=True)):
+        sigma = np.sqrt(np.diag(known.covariances[one]))
+        spread = np.sqrt(np.maximum(np.diag(known.of_difference(one)), 0.0))
+        sigmas = np.divide(value - mean, spread, out=np.zeros_like(mean), where=spread > 0)
+        rows += [(name, *row) for row in zip(known.names, value, sigma, sigmas, strict=True)]
     foreign = ""
-    if chance < _CHANCE and len(recordings) > 2:
-        without = [
-            _chance(np.delete(values, k, axis=0), np.delete(covariances, k, axis=0))
-            for k in range(len(recordings))
-        ]
+    if known.chance < _CHANCE and len(apart) > 2:
+        without = [known.without(one).chance for one in range(len(apart))]
         best = int(np.argmax(without))
         foreign = names[best] if without[best] >= _CHANCE else ""
-    pairs = [(at, by) for at in range(len(recordings)) for by in range(len(recordings)) if at != by]
-    read = [_read(recordings[at], apart[at], apart[by]) for at, by in pairs]
+    pairs = [(at, by) for at in range(len(apart)) for by in range(len(apart)) if at != by]
+    found = [read(apart[at], apart[by]) for at, by in pairs]
     table = [
-        (names[at], names[by], *_summary(off, sigma))
-        for (at, by), (_, off, sigma) in zip(pairs, read, strict=True)
+        (names[at], names[by], *one.summary) for (at, by), one in zip(pairs, found, strict=True)
     ]
     return Crossed(
         parameters=pd.DataFrame(
@@ -137,46 +147,41 @@ def crossed(
         distances=pd.DataFrame(
             table, columns=["recording", "calibration", "rms_mm", "mean_mm", "rms_sigmas"]
         ),
-        read=[(robot, off) for robot, off, _ in read],
-        chance=chance,
+        read=found,
+        chance=known.chance,
         foreign=foreign,
     )
 
 
-def _as_stated(one: RecordedTrial) -> RecordedTrial:
+_SHARED = (
+    "microscope.scale_sigma",
+    "microscope.pinhole_height_sigma_mm",
+    "wall.radius_sigma_mm",
+    "robot.scale_sigma",
+)
+"""Keys of the rig file by which the errors of recordings hang together."""
+
+
+def as_stated(one: RecordedTrial) -> RecordedTrial:
     """A recording whose rig is exact in what it shares with the others."""
     own = one.recording
     rig = own.rig.changed(dict.fromkeys(_SHARED, 0.0))
     return one._replace(recording=Recording(own.source, poses=own.poses(), rig=rig))
 
 
-def _covariance(fitted: Fitted) -> Float[np.ndarray, "2 2"]:
-    at = [list(fitted.values).index(name) for name in _COMPARED]
-    return fitted.covariance[np.ix_(at, at)]
+def _first_distance(one: RecordedTrial, own: Fitted) -> tuple[float, float]:
+    """Distance of a recording's first frame and its standard deviation, mm, as its fit has it."""
+    found = {name: (value, sigma) for name, value, sigma, _ in own.others}
+    stated = one.trial.touch.mean, one.trial.touch.sigma
+    return found.get(f"touch of {one.name}", found.get("touch", stated))
 
 
-def _mean(
-    values: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"]
-) -> tuple[Float[np.ndarray, "p"], Float[np.ndarray, "p p"]]:
-    """The weighted mean and its covariance."""
-    information = np.linalg.inv(covariances)
-    known = np.linalg.inv(information.sum(axis=0))
-    return known @ np.einsum("kij,kj->i", information, values), known
-
-
-def _chance(values: Float[np.ndarray, "n p"], covariances: Float[np.ndarray, "n p p"]) -> float:
-    """Probability that values of one beam differ as much."""
-    off = values - _mean(values, covariances)[0]
-    chi_squared = np.einsum("ki,kij,kj->", off, np.linalg.inv(covariances), off)
-    return float(stats.chi2.sf(chi_squared, (len(values) - 1) * values.shape[1]))
-
-
-def _read(
-    one: RecordedTrial, own: Fitted, other: Fitted
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
-    """Distances by the robot; those read by another calibration less them; its deviations, mm."""
+def read_by_cone(own: Fitted, other: Fitted) -> Read:
+    """Distances of a recording's spots by another one's cone, along the recording's own beam."""
+    (one,) = own.recordings
     trial, view = one.trial, one.microscope
-    angle, b = (other.values[name] for name in _COMPARED)
+    names = ("half_angle", "b")
+    angle, b = (other.values[name] for name in names)
     beam = trial.axis + one.across.T @ [own.values.get(name, 0.0) for name in BEAM]
     eye = ConeView(
         k=np.array([1.0 / math.tan(angle)]),
@@ -195,22 +200,26 @@ def _read(
         axis=np.tile(beam / np.linalg.norm(beam), (len(trial.readings), 1)),
         by_area=True,
     )
-    touches = {name: (value, sigma) for name, value, sigma, _ in own.others}
-    touch, touch_sigma = touches[f"touch of {one.name}"]
+    touch, touch_sigma = _first_distance(one, own)
     # d = k R + b to first order, and a relative error of k is one of the angle's sine and cosine.
     slopes = np.stack([-2.0 * (found - b) / math.sin(2.0 * angle), np.ones_like(found)], axis=1)
-    variance = np.einsum("ni,ij,nj->n", slopes, _covariance(other), slopes)
-    return (
-        touch + trial.readings,
-        found - touch - trial.readings,
-        np.sqrt(variance + touch_sigma**2),
-    )
+    at = [list(other.values).index(name) for name in names]
+    variance = np.einsum("ni,ij,nj->n", slopes, other.covariance[np.ix_(at, at)], slopes)
+    robot = touch + trial.readings
+    return Read(robot, found - robot, np.sqrt(variance + touch_sigma**2))
 
 
-def _summary(off: np.ndarray, sigma: np.ndarray) -> tuple[float, float, float]:
-    """Root mean square, mean, and root mean square in standard deviations."""
-    return (
-        float(np.sqrt(np.nanmean(off**2))),
-        float(np.nanmean(off)),
-        float(np.sqrt(np.nanmean((off / sigma) ** 2))),
-    )
+def read_by_lens(own: Fitted, calibration: Calibration) -> Read:
+    """Distances of a recording's outlines by another one's lens."""
+    (one,) = own.recordings
+    trial, ranger = one.trial, Ranger(calibration, one.microscope)
+    spots = {record.frame: record.result for record in one.records}
+    found = {}
+    for frame in one.recording.source:
+        if isinstance(spot := spots.get(frame.index), Spot):
+            ranged = ranger.distance(spot, axis=trial.axis, frame=frame.image)
+            found[frame.index] = ranged.distance_mm, ranged.sigma_mm
+    distance, sigma = np.array([found[number] for number in spots]).T
+    touch, touch_sigma = _first_distance(one, own)
+    robot = touch + trial.readings
+    return Read(robot, distance - robot, np.hypot(sigma, touch_sigma))

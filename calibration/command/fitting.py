@@ -22,8 +22,16 @@ from rich.table import Table
 
 from eyespot import optics
 from eyespot.calibration.command import report as fit_report
+from eyespot.calibration.command.apart import together
 from eyespot.calibration.command.choices import Choices, one_each
-from eyespot.calibration.command.crossed import Crossed, crossed
+from eyespot.calibration.command.crossed import (
+    Crossed,
+    Read,
+    as_stated,
+    crossed,
+    read_by_cone,
+    read_by_lens,
+)
 from eyespot.calibration.command.models import (
     EYE,
     fit_cone_to_spots,
@@ -115,7 +123,7 @@ class FitModel(NamedTuple):
     free: tuple[str, ...] = ()
     """Default of --free."""
     of_pixels: bool = False
-    """Whether it is fitted to all pixels of one stack instead of to spots."""
+    """Whether it is fitted to all pixels, of one recording at a time, instead of to spots."""
 
 
 MODELS = {
@@ -136,7 +144,7 @@ def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
     a sharp edge at the distance where it images its core.
 
     Raises:
-        InputError: the spots need a lens, but there are several recordings or no images.
+        InputError: the spots need a lens, but there are no images.
     """
     width = _edge_width(recordings)
     if math.isnan(width):
@@ -146,11 +154,11 @@ def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
     )
     if width <= SOFT_EDGE:
         return ("cone", seen.format("sharp"))
-    if len(recordings) > 1 or recordings[0].recording.spots is not None:
+    if any(one.recording.spots is not None for one in recordings):
         raise InputError(
             f"{seen.format('soft')}, so the light comes from a lens.\n"
-            "A lens is fitted to the pixels of one recording: give one with its images. To fit a "
-            "cone instead, add --model cone."
+            "A lens is fitted to pixels: give recordings with their images. To fit a cone instead, "
+            "add --model cone."
         )
     return ("lens", seen.format("soft"))
 
@@ -213,29 +221,7 @@ class Fit:
     @property
     def calibration(self) -> Calibration:
         """The calibration, with which spots become distances."""
-        names = ", ".join(recording.name for recording in self.recordings)
-        medium = self.recordings[0].medium
-        return Calibration(
-            model=self.fitted.calibration_model,
-            values=self.fitted.values,
-            covariance=self.fitted.covariance,
-            medium=medium,
-            medium_index=optics.MEDIA[medium],
-            fitted_on=f"{self.fitted.used} {self.fitted.unit} of {names}",
-            sigma_inflation=self.fitted.inflation,
-            microscope=self.fitted.microscope,
-            stated=self.fitted.stated,
-            **self._origin,
-        )
-
-    @property
-    def _origin(self) -> dict[str, Any]:
-        checksums = json.dumps([recording.sha256 for recording in self.recordings])
-        packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
-        return {
-            "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
-            "software": ", ".join(packages),
-        }
+        return calibration_of(self.fitted, self.recordings)
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -247,9 +233,13 @@ class Fit:
     @property
     def residuals(self) -> pd.DataFrame:
         """Of each spot, or of each frame the mean over its pixels, over standard deviations."""
-        used = self.fitted.recordings
-        if pixels := self.fitted.pixels:
-            return pd.DataFrame({"frame": pixels.frames, "mean of the pixels": pixels.of_frames})
+        used, tables = self.fitted.recordings, []
+        for part in self.fitted.parts or [self.fitted]:
+            if pixels := part.pixels:
+                of_frames = {"frame": pixels.frames, "mean of the pixels": pixels.of_frames}
+                tables.append(pd.DataFrame({"recording": part.recordings[0].name} | of_frames))
+        if tables:
+            return pd.concat(tables, ignore_index=True)
         named = {
             "recording": np.repeat([r.name for r in used], [r.trial.readings.size for r in used])
         }
@@ -272,7 +262,34 @@ class Fit:
 
     def page(self) -> str:
         """The report as an HTML page."""
-        return fit_report.render(**vars(self), **self._origin)
+        return fit_report.render(**vars(self), **_origin(self.recordings))
+
+
+def calibration_of(fitted: Fitted, recordings: Sequence[RecordedTrial]) -> Calibration:
+    """The calibration of a fit, whether it is good or not."""
+    names = ", ".join(recording.name for recording in recordings)
+    medium = recordings[0].medium
+    return Calibration(
+        model=fitted.calibration_model,
+        values=fitted.values,
+        covariance=fitted.covariance,
+        medium=medium,
+        medium_index=optics.MEDIA[medium],
+        fitted_on=f"{fitted.used} {fitted.unit} of {names}",
+        sigma_inflation=fitted.inflation,
+        microscope=fitted.microscope,
+        stated=fitted.stated,
+        **_origin(recordings),
+    )
+
+
+def _origin(recordings: Sequence[RecordedTrial]) -> dict[str, Any]:
+    checksums = json.dumps([recording.sha256 for recording in recordings])
+    packages = [f"{name} {importlib.metadata.version(name)}" for name in _PACKAGES]
+    return {
+        "data_sha256": hashlib.sha256(checksums.encode()).hexdigest(),
+        "software": ", ".join(packages),
+    }
 
 
 def opened_recordings(
@@ -357,9 +374,16 @@ def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
                 f"--model {model} sees planes and spheres through a pinhole. Fit a recording of a "
                 "phantom; `track` then looks through what the microscope file describes."
             )
-    fitted = MODELS[model].fit(recordings, choices)
+
+    def fit(some: Sequence[RecordedTrial]) -> Fitted:
+        return MODELS[model].fit(some, choices)
+
+    apart: Sequence[Fitted] = ()
+    if MODELS[model].of_pixels and len(recordings) > 1:
+        apart = [fit([one]) for one in recordings]
+    fitted = together(apart) if apart else fit(recordings)
     if model == "cone":
-        fitted = without_foreign(fitted, lambda some: MODELS[model].fit(some, choices))
+        fitted = without_foreign(fitted, fit)
         recordings = list(fitted.recordings)
     if choices.known and model != "eye":
         for name, value, sigma, unit in fitted.rows:
@@ -375,10 +399,16 @@ def _fit(model: str, recordings: list[RecordedTrial], choices: Choices) -> Fit:
                 say(change)
     found, others = doubts(fitted), None
     if model == "cone" and len(recordings) > 1 and choices.known is None:
-        others = crossed(recordings, lambda one: MODELS[model].fit(one, choices))
+        apart = [fit([as_stated(one)]) for one in recordings]
+    if apart:
+        others = crossed(apart, _read_by_lens if model == "lens" else read_by_cone)
         if others is not None and not others.agree:
             found.insert(0, Doubt(Fault.DISAGREEMENT, others.verdict))
     return Fit(model=model, fitted=fitted, recordings=recordings, doubts=found, crossed=others)
+
+
+def _read_by_lens(own: Fitted, other: Fitted) -> Read:
+    return read_by_lens(own, calibration_of(other, other.recordings))
 
 
 _MOST_FOREIGN, _FOREIGN = 3, 10.0
@@ -459,11 +489,15 @@ def _check(model: str, choices: Choices, *, sources: int, without_images: int) -
             "--calibration does not work with --lens, nor with the models plane and sphere. "
             "Leave it out."
         )
-    if chosen.of_pixels and (without_images or sources != 1):
+    if chosen.of_pixels and without_images:
         raise InputError(
-            f"--model {model} fits the pixels of one recording; got {sources} sources, of which "
-            f"{without_images} have no images. Fit each by itself, or fit the spots of all sources "
-            "together with --model cone."
+            f"--model {model} fits pixels; got {sources} sources, of which {without_images} have "
+            "no images. Leave those out, or fit the spots of all sources with --model cone."
+        )
+    if chosen.of_pixels and choices.known and sources > 1:
+        raise InputError(
+            "--calibration counts once, and pixels are fitted in one recording at a time; got "
+            f"{sources} recordings. Fit one with it, and the next with the result."
         )
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike
 from scipy import ndimage
 
 from eyespot import optics
+from eyespot.calibration.command.apart import OF_ONE
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import pixels_against_rig
 from eyespot.calibration.command.lens_guess import guessed_lenses
@@ -263,16 +264,17 @@ def _fitted(
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     pixels = pixel_residuals(fit)
     own = list(fit.parameters)
-    stated = {
+    by_prior = {
         name: (follows @ fit.covariance[own.index(name)] / prior.sigma)[None]
         for name, prior in fit.priors.items()
-        if name in _STATED_APART and math.isfinite(fit.parameters[name][1])
+        if math.isfinite(fit.parameters[name][1])
     }
     return Fitted(
         calibration_model="exact" if source == "cone" else "lens",
         values=values,
         covariance=propagated(follows, fit.covariance),
-        stated=stated,
+        stated={name: rows for name, rows in by_prior.items() if name in _STATED_APART},
+        shared={name: rows for name, rows in by_prior.items() if name not in OF_ONE},
         microscope=microscope if {*OF_MICROSCOPE} & {*values} - {*choices.names} else "",
         converged=fit.converged,
         failed=fit.failed,

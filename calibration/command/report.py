@@ -27,7 +27,8 @@ def render(
 ) -> str:
     """The HTML page of a fit; `about` has the template's other variables."""
     with matplotlib.rc_context(STYLE):
-        figures = {"residuals": _svg(residuals_figure(fitted))}
+        each = fitted.parts or [fitted]
+        figures: dict[str, Any] = {"residuals": [_svg(residuals_figure(one)) for one in each]}
         if fitted.lines:
             figures["lines"] = _svg(_lines(fitted))
         if crossed is not None:

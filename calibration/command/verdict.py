@@ -60,6 +60,8 @@ class Fitted:
     """Number of data and priors minus number of parameters."""
     stated: Mapping[str, Float[np.ndarray, "m p"]] = field(default_factory=dict)
     """As of `Calibration`."""
+    shared: Mapping[str, Float[np.ndarray, "m p"]] = field(default_factory=dict)
+    """By prior, how far `values` follow it, where other recordings of this lens have it, too."""
     microscope: str = ""
     """As of `Calibration`."""
     growth: float = 1.0
@@ -82,7 +84,9 @@ class Fitted:
     """By the recording's name: e1' of its spots, ascending, px; the model's distances and the
     half-widths of their 95 % confidence band, mm."""
     pixels: PixelResiduals | None = None
-    """None for a fit to spots."""
+    """None for a fit to spots, and where it has `parts`."""
+    parts: "Sequence[Fitted]" = ()
+    """Fits to the pixels of one recording each, of which this is the mean; empty for one fit."""
 
     @property
     def rows(self) -> list[tuple[str, float, float, str]]:
@@ -110,7 +114,7 @@ class Fitted:
     @property
     def unit(self) -> str:
         """What `used` counts: spots or frames."""
-        return "spots" if self.pixels is None else "frames"
+        return "frames" if self.pixels or self.parts else "spots"
 
     @property
     def chi_squared_per_degree(self) -> float | None:
@@ -120,6 +124,8 @@ class Fitted:
     @property
     def inflation(self) -> float:
         """Largest factor by which a misfit enlarges a standard error; 1 without."""
+        if self.parts:
+            return max(part.inflation for part in self.parts)
         return self.pixels.misfit.inflation if self.pixels else math.sqrt(self.growth)
 
 
@@ -245,6 +251,11 @@ class Doubt(NamedTuple):
 
 def doubts(fitted: Fitted) -> list[Doubt]:
     """Reasons why a fit is not good; empty for a good fit."""
+    if fitted.parts:
+        named = [
+            (part.recordings[0].name, doubt) for part in fitted.parts for doubt in doubts(part)
+        ]
+        return [Doubt(doubt.fault, f"{name}: {doubt.reason}") for name, doubt in named]
     # First, because they are the causes of others.
     found = [Doubt(Fault.DISAGREEMENT, f"disagree: {said}") for said in fitted.disagreements]
     if not fitted.converged:

@@ -14,7 +14,7 @@ from scipy import stats
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import cone_against_rig
-from eyespot.calibration.command.crossed import crossed
+from eyespot.calibration.command.crossed import as_stated, crossed, read_by_cone
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
 from eyespot.calibration.command.verdict import Fitted
@@ -107,7 +107,8 @@ def drawn_fit(rng, angles):
 
 def test_recordings_of_one_beam_agree_as_chance_has_it():
     rng, pair = np.random.default_rng(1), [square("A"), square("B")]
-    found = [crossed(pair, drawn_fit(rng, {"A": ANGLE, "B": ANGLE})) for _ in range(300)]
+    fit = drawn_fit(rng, {"A": ANGLE, "B": ANGLE})
+    found = [crossed([fit([one]) for one in pair], read_by_cone) for _ in range(300)]
     chances = [one.chance for one in found if one]
     # The level is that of one test: of right programs one in 1,000 fails.
     assert stats.kstest(chances, "uniform").pvalue > 1e-3
@@ -120,7 +121,8 @@ def test_recordings_of_one_beam_agree_as_chance_has_it():
 def test_the_one_recording_of_another_beam_is_named():
     rng, three = np.random.default_rng(2), [square(name) for name in "ABC"]
     other = ANGLE + 12 * SIGMAS[0]
-    found = crossed(three, drawn_fit(rng, {"A": ANGLE, "B": other, "C": ANGLE}))
+    fit = drawn_fit(rng, {"A": ANGLE, "B": other, "C": ANGLE})
+    found = crossed([fit([one]) for one in three], read_by_cone)
     assert found is not None
     assert not found.agree
     assert found.foreign == "B"
@@ -231,7 +233,8 @@ def test_pairs_of_withdrawals_agree_and_of_two_beams_2_percent_apart_do_not():
                 drawn(rng, name, half_angle * (1.0 + more), b, robot)
                 for name, more in (("A", 0.0), ("B", other))
             ]
-            found = crossed(pair, lambda one: fit_cone_to_spots(one, Choices()))
+            apart = [fit_cone_to_spots([as_stated(one)], Choices()) for one in pair]
+            found = crossed(apart, read_by_cone)
             assert found is not None
             if other:
                 told += not found.agree

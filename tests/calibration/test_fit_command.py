@@ -146,8 +146,8 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--free", "half_angle,b,sag"], "--free accepts half_angle, .*got 'sag'"),
         (["--prior", "touch=0.1"], "NAME=MEAN,SIGMA.*got 'touch=0.1'"),
         (["--prior", "touch=0.1,-0.2"], "positive sigma"),
-        (["--model", "image"], "pixels of one recording; got 1 sources, of which 1 have no images"),
-        (["--lens", "dome"], "--model lens fits the pixels of one recording"),
+        (["--model", "image"], "fits pixels; got 1 sources, of which 1 have no images"),
+        (["--lens", "dome"], "--model lens fits pixels; got"),
         (["--lens", "dome", "--model", "cone"], "--lens works with --model lens only"),
         (["--model", "image", "--free", "half_angle,b,sag"], "--free accepts .*blur.*got 'sag'"),
         (["--model", "eye", "--free", "scale,b"], "half_angle and b; half_angle is missing"),
@@ -424,7 +424,7 @@ def test_a_cone_is_not_fitted_through_a_viewing_lens_as_if_there_were_none(rig, 
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ((), "fits the pixels of one recording"),
+        ((), "fits pixels"),
         (("--lens", "dome"), "core_radius is not in --free"),
     ],
 )
