@@ -21,7 +21,6 @@ from eyespot.benchmarks.model_error import (
 )
 from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.workspace import geometry_of_rig, workspace_of
-from eyespot.estimator.distance.tilted_cone import spot_edge
 from eyespot.formats.rig import Rig
 
 KNOBS = {
@@ -113,7 +112,7 @@ def drawing(state: State) -> dict[str, str]:
     errors = pd.DataFrame(found, index=c) - state["d"]
     here = pd.DataFrame({"reads_mm": errors.iloc[-1] + state["d"], "error_mm": errors.iloc[-1]})
     spot, axis = places(geometry, c[-1:])
-    edge, contour = spot_edge(cone_view(geometry), spot=spot, axis=axis, distance=d)
+    edge, contour = cone_view(geometry).spot_edge(spot=spot, axis=axis, distance=d)
     axes = seen.semi_major[-1], seen.semi_minor[-1]
     return {
         "section": _section(geometry, spot[0], axis[0], state["d"], edge[0]),

@@ -12,7 +12,6 @@ import pandas as pd
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.statistics import first_reached, largest
-from eyespot.estimator.distance.tilted_cone import ConeView, SpotImage, spot_image
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""
@@ -129,10 +128,10 @@ def exact_distance(geometry: Geometry, *, c: np.ndarray, semi_minor_px: np.ndarr
     return view.b + apart
 
 
-def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> SpotImage:
+def exact_spots(geometry: Geometry, *, c: np.ndarray, d: np.ndarray) -> optics.Ellipse:
     """Ellipses of the spots of beams at eccentricities and distances, mm, at azimuth 0."""
     spot, axis = places(geometry, c)
-    return spot_image(cone_view(geometry), spot=spot, axis=axis, distance=d)
+    return cone_view(geometry).spot_ellipse(spot=spot, axis=axis, distance=d)
 
 
 def places(geometry: Geometry, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -147,9 +146,9 @@ def places(geometry: Geometry, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return geometry.eye_radius * outward, axis
 
 
-def cone_view(geometry: Geometry) -> ConeView:
-    """The geometry as `estimator.distance.tilted_cone` takes it."""
-    return ConeView(
+def cone_view(geometry: Geometry) -> optics.ConeView:
+    """Cone, eye and pinhole in NumPy."""
+    return optics.ConeView(
         k=1.0 / math.tan(geometry.half_angle),
         b=geometry.apex_offset,
         scale=geometry.scale,

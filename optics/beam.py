@@ -4,10 +4,10 @@ import math
 
 import equinox as eqx
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from eyespot.optics.surface import Intersection, Sphere, Surface, components
+from eyespot.optics.lines import cone_generators
+from eyespot.optics.surface import Intersection, Sphere, Surface
 
 
 class Beam(eqx.Module):
@@ -47,8 +47,7 @@ class Beam(eqx.Module):
 
     def generators(self, angles: Float[Array, "n"]) -> Float[Array, "n 3"]:
         """Unit directions of the cone's generators at angles (rad) around the axis."""
-        across = directions_across(self.axis, angles)
-        return jnp.cos(self.half_angle) * self.axis + jnp.sin(self.half_angle) * across
+        return cone_generators(self.axis, self.half_angle, angles)
 
     def spot(self, surface: Surface) -> Intersection:
         """O, where the axis meets the wall; `distance` is d = |SO|, mm."""
@@ -137,30 +136,3 @@ def contact_distance(
         r = surface.radius
         return r * jnp.cos(incidence) - jnp.sqrt(r**2 - (r * jnp.sin(incidence) + rim_radius) ** 2)
     return jnp.asarray(rim_radius) * jnp.tan(jnp.asarray(incidence, float))
-
-
-def generator_angles(count: int) -> np.ndarray:
-    """Angles of `count` generators uniform around the axis, rad."""
-    return np.arange(count) * (2.0 * np.pi / count)
-
-
-def directions_across(
-    axis: Float[ArrayLike, "*batch 3"], angle: Float[ArrayLike, "*batch"]
-) -> Float[Array, "*batch 3"]:
-    """Unit vectors across an axis, at angles (rad) around it from its `perpendicular_frame`."""
-    first, second = perpendicular_frame(axis)
-    return jnp.cos(angle)[..., None] * first + jnp.sin(angle)[..., None] * second
-
-
-def perpendicular_frame(
-    axis: Float[ArrayLike, "*batch 3"],
-) -> tuple[Float[Array, "*batch 3"], Float[Array, "*batch 3"]]:
-    """Two unit vectors that complete `axis` to a right-handed frame (Duff et al. 2017)."""
-    x, y, z = components(jnp.asarray(axis))
-    sign = jnp.where(z >= 0, 1.0, -1.0)
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return (
-        jnp.stack([1.0 + sign * x * x * a, sign * b, -sign * x], axis=-1),
-        jnp.stack([b, sign + y * y * a, -y], axis=-1),
-    )

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from eyespot.formats.inputs import InputError
-from eyespot.optics.surface import components, dot
+from eyespot.optics.lines import dot, pinhole_image
 
 _UNDISTORT_STEPS = 12
 
@@ -122,10 +122,12 @@ class Microscope(Camera):
 
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
         """Image of points in front of the pinhole (`depth` > 0), as `Camera.project` describes."""
-        points = jnp.asarray(points)
-        x, y, _ = components(points)
-        per_mm = 1.0 / (self.scale * self.depth(points))
-        offset = jnp.stack([x * per_mm, -y * per_mm], axis=-1)
+        offset = pinhole_image(
+            jnp.asarray(points),
+            scale=self.scale,
+            inverse_working_distance=self.inverse_working_distance,
+            pole_height=self.pole_height,
+        )
         return self.principal_point + _distort(offset, self.distortion, self.inverse_focal)
 
     def ray(

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from eyespot.optics.beam import Beam, generator_angles
+from eyespot.optics.beam import Beam
 from eyespot.optics.camera import Camera
 from eyespot.optics.ellipse import (
     Ellipse,
@@ -16,6 +16,7 @@ from eyespot.optics.ellipse import (
     in_unit_circle,
     steps_of_eccentric_angle,
 )
+from eyespot.optics.lines import generator_angles
 from eyespot.optics.surface import Intersection, Surface
 
 CONTOUR_POINTS = 128

@@ -93,7 +93,7 @@ def distance_by_area(
         half_angle: of the cone, rad.
         apex_offset: b, mm.
     """
-    size = jnp.sqrt(ellipse.semi_major * ellipse.semi_minor)
+    size = ellipse.size(by_area=True)
     apex = jnp.asarray(apex_offset, float)
 
     def improved(guess: tuple[Array, Array], _: None) -> tuple[Array, Array]:
@@ -103,7 +103,7 @@ def distance_by_area(
             tip=spot - distance * axis, axis=axis, half_angle=half_angle, apex_offset=apex_offset
         )
         seen = spot_ellipse(beam, surface, camera, points=FEW_POINTS)
-        grown = size / jnp.sqrt(seen.semi_major * seen.semi_minor)
+        grown = size / seen.size(by_area=True)
         return pixel + ellipse.centre - seen.centre, apex + (distance - apex) * grown
 
     start = ellipse.centre, apex + camera.scale * size / jnp.tan(half_angle)

@@ -11,22 +11,15 @@ the closed forms without it. The result is NaN if a model has no such spot.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING
 
 from eyespot.formats.inputs import InputError
+from eyespot.optics.lines import array_namespace
 
 if TYPE_CHECKING:
     from jaxtyping import Array, ArrayLike, Float
 
     Batch = Float[Array, "*batch"]
-
-
-def array_namespace(*values: ArrayLike) -> Any:
-    """`jax.numpy` if one of the values is a JAX array (traced or not), otherwise `numpy`."""
-    spaces = (v.__array_namespace__() for v in values if hasattr(v, "__array_namespace__"))
-    return next((space for space in spaces if space is not np), np)
 
 
 def square_spot_radius(
@@ -45,68 +38,6 @@ def square_spot_radius(
     q = xp.asarray(eye_radius) - distance + b
     k2 = 1.0 + xp.asarray(k) ** 2
     return (xp.sqrt(xp.asarray(eye_radius) ** 2 * k2 - q**2) - k * q) / k2
-
-
-def plane_point(
-    *,
-    right_px: ArrayLike,
-    down_px: ArrayLike,
-    scale: ArrayLike,
-    eye_radius: ArrayLike,
-    inverse_working_distance: ArrayLike,
-    normal: tuple[float, float, float],
-) -> Float[Array, "3 *batch"]:
-    r"""Intersection of an image point's line of sight with a plane through the pole.
-
-    At a height t above the pole the line is at q (1 - kappa t), as for `eyeball_point`. It meets
-    the plane at $t = -\mathbf n\cdot\mathbf q/(n_z - \kappa\,\mathbf n\cdot\mathbf q)$.
-
-    Args: as for `eyeball_point`; `normal` is the plane's, n_z > 0.
-
-    Returns:
-        X, Y, Z on the first axis, mm, eye frame; NaN if the line does not meet the plane.
-    """
-    xp = array_namespace(right_px, down_px, scale, eye_radius, inverse_working_distance)
-    x, y = scale * xp.asarray(right_px), scale * -xp.asarray(down_px)
-    lean = normal[0] * x + normal[1] * y
-    slope = normal[2] - inverse_working_distance * lean
-    height = -lean / xp.where(slope > 0, slope, xp.nan)
-    narrowing = 1.0 - inverse_working_distance * height
-    return xp.stack([x * narrowing, y * narrowing, height - eye_radius])
-
-
-def eyeball_point(
-    *,
-    right_px: ArrayLike,
-    down_px: ArrayLike,
-    scale: ArrayLike,
-    eye_radius: ArrayLike,
-    inverse_working_distance: ArrayLike,
-) -> Float[Array, "3 *batch"]:
-    """Intersection of an image point's line of sight with the retina.
-
-    At the pole's height the line is at q = delta (right, -down). At a height t above the pole it is
-    at q (1 - kappa t). On the sphere q^2 (1 - kappa t)^2 + (t - r)^2 = r^2, whose lower root t is
-    the retina.
-
-    Args:
-        right_px: image point, to the right of the principal point, px.
-        down_px: image point, below the principal point, px.
-        scale: delta, mm/px at the pole.
-        eye_radius: r, mm.
-        inverse_working_distance: kappa = 1/(z_F + r), 1/mm; 0 is telecentric.
-
-    Returns:
-        X, Y, Z on the first axis, mm, eye frame.
-    """
-    xp = array_namespace(right_px, down_px, scale, eye_radius, inverse_working_distance)
-    r, kappa = xp.asarray(eye_radius), inverse_working_distance
-    x, y = scale * xp.asarray(right_px), scale * -xp.asarray(down_px)
-    square = x**2 + y**2
-    p, q = 1.0 + kappa**2 * square, r + kappa * square
-    height = square / (q + xp.sqrt(q**2 - p * square))
-    narrowing = 1.0 - kappa * height
-    return xp.stack([x * narrowing, y * narrowing, height - r])
 
 
 CLOSED_FORMS = ("planar", "small_plane", "corrected", "stereographic")

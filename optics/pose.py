@@ -27,11 +27,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, ScalarLike
 
-from eyespot.optics.beam import Beam, generator_angles, perpendicular_frame
+from eyespot.optics.beam import Beam
 from eyespot.optics.camera import Camera
 from eyespot.optics.contour import FEW_POINTS, ellipse_mismatch, mismatch_covariance, spot_contour
 from eyespot.optics.ellipse import Ellipse, ellipse_of_contour, ellipse_points
-from eyespot.optics.surface import Intersection, Surface, dot
+from eyespot.optics.lines import dot, generator_angles, perpendicular_frame
+from eyespot.optics.surface import Intersection, Surface
 
 _STEPS = 40
 _DAMPING = 1e-3

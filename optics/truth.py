@@ -28,14 +28,15 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int, ScalarLike
 from scipy.special import roots_genlaguerre
 
-from eyespot.optics.beam import Beam, directions_across, generator_angles, perpendicular_frame
+from eyespot.optics.beam import Beam
 from eyespot.optics.camera import Camera
 from eyespot.optics.contour import CONTOUR_POINTS, cone_contour
 from eyespot.optics.ellipse import Ellipse, ellipse_of_contour
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.irradiance_edges import implicit_root
 from eyespot.optics.lens_table import IrradianceTable
-from eyespot.optics.surface import HIT, Intersection, Surface, bisected, dot
+from eyespot.optics.lines import directions_across, dot, generator_angles, perpendicular_frame
+from eyespot.optics.surface import HIT, Intersection, Surface, bisected
 
 _RADII = 256
 _BISECTIONS = 30

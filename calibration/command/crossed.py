@@ -21,7 +21,6 @@ from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.estimator import Ranger
 from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
-from eyespot.estimator.distance.tilted_cone import ConeView, distance_of
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import BEAM, Calibration
 from eyespot.formats.page import PALETTE

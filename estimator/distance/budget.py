@@ -16,7 +16,6 @@ import numpy as np
 from eyespot.estimator.detector import tuning
 from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
-from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, slopes_of
 from eyespot.formats.calibration import BEAM, QUANTITIES
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stated import Stated
@@ -267,6 +266,8 @@ class Budgets:
     """
 
     def __init__(self, ranger: "Ranger | PixelRanger", stated: Stated) -> None:
+        from eyespot.optics.cone_view import ConeView
+
         values, view = ranger.calibration.values, ranger.microscope
         self._stated = stated
         self._calibration, self._view = ranger.calibration, view
@@ -322,8 +323,7 @@ class Budgets:
         size = spot.semi_minor_px
         if self._by_area:
             size = math.sqrt(spot.semi_major_px * size)
-        distances, points = distance_of(
-            self._eye,
+        distances, points = self._eye.distance_of(
             at_px=np.tile(self._at_px(spot), (len(axes), 1)),
             size_px=np.full(len(axes), size),
             axis=axes,
@@ -333,8 +333,7 @@ class Budgets:
         if math.isnan(mean):
             return None
         middle = int(np.argmin(np.abs(distances - mean)))
-        slopes = slopes_of(
-            self._eye,
+        slopes = self._eye.slopes_of(
             axis=axes[middle],
             point=points[middle],
             distance=distances[middle],
@@ -380,8 +379,8 @@ class Budgets:
             point = self._eye.wall_point(self._at_px(spot))[0] if spot else np.full(3, np.nan)
             axis = self._eye.outward(point[None])[0] if axis is None else axis
         if self._is_inexact:
-            slopes = slopes_of(
-                self._eye, axis=axis, point=point, distance=found.distance_mm, by_area=True
+            slopes = self._eye.slopes_of(
+                axis=axis, point=point, distance=found.distance_mm, by_area=True
             )
             parts += self._of_view(found, slopes, point, scale=by_pixels)
         return Budget(

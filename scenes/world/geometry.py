@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from eyespot import optics
-from eyespot.optics.beam import directions_across, generator_angles
+from eyespot.optics.lines import directions_across, generator_angles
 from eyespot.optics.viewing.camera import PathCamera, path_camera
 from eyespot.optics.viewing.eye import load_eye, load_viewing_lens
 from eyespot.optics.viewing.path import ViewingPath, viewing_path

@@ -19,7 +19,6 @@ from eyespot.benchmarks.model_error import Geometry, errors_of
 from eyespot.estimator.distance.budget import Budget, Budgets, Cause, Part, ToolMotion
 from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.estimator.distance.ranger import Ranger
-from eyespot.estimator.distance.tilted_cone import ConeView, distance_of, spot_image
 from eyespot.estimator.run.reader import Reading
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError
@@ -91,7 +90,7 @@ def test_the_contour_in_numpy_is_that_of_optics(height, normal):
     if normal is not None:
         wall = optics.Plane(point=np.array([0.0, 0.0, -R_EYE]), inward=np.array(normal))
     view = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
-    eye = ConeView(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
+    eye = optics.ConeView(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
     for c, incidence, azimuth, distance in [(0.5, 0.0, 0.0, 1.0), (3.0, 0.5, 2.0, 4.0)]:
         beam = optics.beam_at_spot(
             wall,
@@ -105,8 +104,7 @@ def test_the_contour_in_numpy_is_that_of_optics(height, normal):
         )
         exact = optics.spot_ellipse(beam, wall, view)
         axis = np.asarray(beam.axis)[None]
-        seen = spot_image(
-            eye,
+        seen = eye.spot_ellipse(
             spot=np.asarray(beam.tip)[None] + distance * axis,
             axis=axis,
             distance=np.array([distance]),
@@ -117,8 +115,7 @@ def test_the_contour_in_numpy_is_that_of_optics(height, normal):
         np.testing.assert_allclose(seen.semi_minor[0], exact.semi_minor, atol=1e-3)
         for by_area in (False, True):
             size = math.sqrt(exact.semi_major * exact.semi_minor) if by_area else exact.semi_minor
-            found, _ = distance_of(
-                eye,
+            found, _ = eye.distance_of(
                 at_px=np.asarray(exact.centre)[None],
                 size_px=np.array([float(size)]),
                 axis=axis,

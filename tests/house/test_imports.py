@@ -37,10 +37,10 @@ MAY_BE_IMPORTED_BY = {
 
 # Where a spot becomes a distance, and the microscope that the others see the eye through.
 LATE_USERS_OF_OPTICS = {
+    "eyespot.estimator.distance.budget",
     "eyespot.estimator.distance.cone",
     "eyespot.estimator.distance.lens_range",
     "eyespot.estimator.distance.ranger",
-    "eyespot.estimator.distance.tilted_cone",
     "eyespot.formats.microscope",
 }
 
