@@ -5,14 +5,16 @@ As in `lines`, arrays may be NumPy's or JAX's, and JAX is not imported for NumPy
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from eyespot.optics.lines import array_namespace
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, Float
+    from jaxtyping import Float
+
+    Array = Any  # NumPy's or JAX's
 
 _CENTRAL_DIFFERENCE = (4 / 5, -1 / 5, 4 / 105, -1 / 280)
 """Eighth order (Fornberg 1988); second order would have an error of 4e-5 px at 128 points."""

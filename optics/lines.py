@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Array, ArrayLike, Bool, Float
+    from jaxtyping import ArrayLike, Bool, Float
+
+    Array = Any  # NumPy's or JAX's
 
 
 def array_namespace(*values: ArrayLike) -> Any:
