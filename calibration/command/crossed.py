@@ -16,6 +16,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from scipy import stats
 
+from eyespot import optics
 from eyespot.calibration.command.apart import compared
 from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
@@ -182,7 +183,7 @@ def read_by_cone(own: Fitted, other: Fitted) -> Read:
     names = ("half_angle", "b")
     angle, b = (other.values[name] for name in names)
     beam = trial.axis + one.across.T @ [own.values.get(name, 0.0) for name in BEAM]
-    eye = ConeView(
+    eye = optics.ConeView(
         k=np.array([1.0 / math.tan(angle)]),
         b=np.array([b]),
         scale=view.scale_mm_px,
@@ -192,8 +193,7 @@ def read_by_cone(own: Fitted, other: Fitted) -> Read:
     )
     ellipses: Any = trial.ellipses
     axes_px = np.asarray(ellipses.semi_major), np.asarray(ellipses.semi_minor)
-    found, _ = distance_of(
-        eye,
+    found, _ = eye.distance_of(
         at_px=np.asarray(ellipses.centre) - trial.principal_point,
         size_px=np.sqrt(axes_px[0] * axes_px[1]),
         axis=np.tile(beam / np.linalg.norm(beam), (len(trial.readings), 1)),
