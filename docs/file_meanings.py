@@ -35,18 +35,7 @@ MEANINGS = {
     },
     "rig": {
         **{name: f"Table [{name}]." for name in named("eyespot.formats.rig:Rig").model_fields},
-        **attributes_of(named("eyespot.formats.camera:CameraSheet")),
         **COMMON,
-    },
-    "microscope": {
-        "full_scale": "Value of the brightest light that the camera measures, such as 4095.",
-        "retina_semi_axes_mm": "Of an ellipsoidal retina: x, y, z. Without it a sphere.",
-        "retina_tilt_deg": "Angle of its z from the microscope's axis.",
-        "retina_tilt_azimuth_deg": "Direction in which its z leans.",
-        "retina_shift_mm": "Of its centre across the axis: x, y.",
-        "camera": "Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
-        **attributes_of(named("eyespot.formats.camera:CameraSheet")),
-        **attributes_of(named("eyespot.formats.microscope:PathSeries")),
     },
     "spots": {
         "status": "Whether there is a spot.",

@@ -73,12 +73,7 @@ KINDS = (
         "The camera over the eye. Stacks have one; `eyespot camera` adds the camera's noise. "
         "Camera calibrations of OpenCV, ROS and Kalibr are read, too."
         " A rig file names one of them.",
-        models=(
-            "eyespot.formats.microscope:_PinholeFile",
-            "eyespot.formats.microscope:_TelecentricFile",
-            "eyespot.formats.microscope:_PathFile",
-        ),
-        meanings=("eyespot.formats.microscope:MicroscopeFile",),
+        models=("eyespot.formats.microscope:MicroscopeFile",),
     ),
     FileKind(
         "calibration",

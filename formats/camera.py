@@ -256,29 +256,29 @@ _NonNegative = Annotated[float, Field(ge=0, le=1e15)]
 
 
 class CameraSheet(Strict):
-    """A camera's temporal noise and fixed pattern.
+    """A camera's temporal noise and fixed pattern."""
 
-    Attributes:
-        full_well_e: electrons at full scale.
-        read_noise_e: temporal standard deviation of a dark pixel, electrons.
-        dark_signal_e: mean thermal electrons.
-        black_level_dn: mean of a dark image before the response curve, DN.
-        bit_depth: bits per channel.
-        prnu: standard deviation of the pixels' gain, relative.
-        dsnu_e: standard deviation of the pixels' dark signal, electrons.
-        bayer: whether colours are interpolated between the pixels of a Bayer filter.
-        jpeg: whether the images were compressed, which leaves their colours coarse.
-    """
-
-    full_well_e: Annotated[float, Field(gt=0, le=1e15)]
-    read_noise_e: _NonNegative
-    dark_signal_e: _NonNegative = 0.0
-    black_level_dn: _NonNegative
-    bit_depth: Annotated[int, Field(ge=8, le=16)]
-    prnu: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    dsnu_e: _NonNegative = 0.0
-    bayer: bool = False
-    jpeg: bool = False
+    full_well_e: float = Field(gt=0, le=1e15, description="Electrons at full scale.")
+    read_noise_e: _NonNegative = Field(
+        description="Temporal standard deviation of a dark pixel, electrons."
+    )
+    dark_signal_e: _NonNegative = Field(0.0, description="Mean thermal electrons.")
+    black_level_dn: _NonNegative = Field(
+        description="Mean of a dark image before the response curve, DN."
+    )
+    bit_depth: int = Field(ge=8, le=16, description="Bits per channel.")
+    prnu: float = Field(
+        0.0, ge=0, lt=1, description="Standard deviation of the pixels' gain, relative."
+    )
+    dsnu_e: _NonNegative = Field(
+        0.0, description="Standard deviation of the pixels' dark signal, electrons."
+    )
+    bayer: bool = Field(
+        False, description="Whether colours are interpolated between pixels of a Bayer filter."
+    )
+    jpeg: bool = Field(
+        False, description="Whether the images were compressed, which leaves their colours coarse."
+    )
 
     @property
     def full_scale(self) -> int:

@@ -241,6 +241,8 @@ _RULES = {
     "finite_number": "must be a finite number",
     "int_type": "must be a whole number",
     "int_parsing_size": "must be a whole number of at most 64 bits",
+    "too_long": "must have at most {max_length} values",
+    "too_short": "must have at least {min_length} values",
     "greater_than_equal": "must be at least {ge:g}",
     "greater_than": "must be above {gt:g}",
     "less_than_equal": "must be at most {le:g}",

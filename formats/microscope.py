@@ -5,14 +5,23 @@ pinhole's height and the eye's radius come with the call.
 """
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, ConfigDict, Field, PlainValidator, model_validator
+from pydantic import (
+    AfterValidator,
+    AllowInfNan,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
+from pydantic import Strict as StrictType
 
 from eyespot.formats.camera import CameraSheet, LensDistortion, Response
 from eyespot.formats.camera_files import calibration_in, camera_of
@@ -23,15 +32,34 @@ from eyespot.formats.inputs import (
     in_file,
     object_in,
     read_text,
+    shortened,
     validated,
 )
+from eyespot.formats.settings_files import PairKey, VectorKey
 
 if TYPE_CHECKING:
     from eyespot import optics
 
+SCHEMA = 1
+HISTORY = {1: "the format of eyespot 0.1"}
 
-_Series = Annotated[
-    list[Annotated[float, Field(ge=-1e12, le=1e12)]], Field(min_length=1, max_length=1000)
+_BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
+_MOST_PX = 2**20  # sides of a frame, and the place of its principal point
+_MOST_BYTES = 2**20
+_SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
+_UNIT = 1e-3  # deviation of a normal's length from 1 that comes from rounding
+_SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
+
+_Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+_Positive = Annotated[float, Field(gt=0, le=1e12)]
+_Series = Annotated[tuple[_Number, ...], StrictType(False), Field(min_length=1, max_length=1000)]
+_Vector = Annotated[tuple[_Number, _Number, _Number], StrictType(False)]
+_Matrix = Annotated[tuple[_Vector, _Vector, _Vector], StrictType(False)]
+_Place = Annotated[float, Field(ge=-_MOST_PX, le=_MOST_PX)]
+_Pixels = Annotated[
+    int,
+    BeforeValidator(lambda n: int(n) if isinstance(n, float) and n.is_integer() else n),
+    Field(ge=1, le=_MOST_PX),
 ]
 Length = Annotated[float, Field(gt=0, le=1e6)]
 """A positive number of mm."""
@@ -43,24 +71,36 @@ def _sign(value: float) -> float:
     return value
 
 
+def _curve(value: object) -> object:
+    known = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= 100
+    if not known and value not in ("linear", "srgb"):
+        raise InputError("must be linear, srgb or the exponent of a gamma curve, at most 100")
+    return value
+
+
+def response_of(curve: str | float, *, full_scale: float | None, limited_range: bool) -> Response:
+    """The response of a curve as files name it: linear, srgb, or g for x^(1/g)."""
+    if isinstance(curve, str):
+        curves: Any = {"curve": curve}
+    else:
+        curves = {"curve": "gamma", "gamma": float(curve)}
+    return Response(**curves, full_scale=full_scale, limited=limited_range)
+
+
 class PathSeries(Strict):
-    """Lines of sight through a viewing path, as `optics.viewing.camera.PathCamera` describes them.
+    """Lines of sight through a viewing path, as `optics.viewing.camera.PathCamera` has them."""
 
-    Attributes:
-        crossing: Chebyshev coefficients of a.
-        steepness_per_mm: Chebyshev coefficients of b, 1/mm.
-        transmittance: Chebyshev coefficients of the transmittance.
-        widest_mm: largest t of the series.
-        pupil_mm: largest t that passes the iris; None if the iris stops no line of sight.
-        orientation: +1 if the image is upright, -1 if it is inverted.
-    """
-
-    crossing: _Series
-    steepness_per_mm: _Series
-    transmittance: _Series
-    widest_mm: Length
-    pupil_mm: Length | None = None
-    orientation: Annotated[float, AfterValidator(_sign)]
+    crossing: _Series = Field(description="Chebyshev coefficients of a.")
+    steepness_per_mm: _Series = Field(description="Chebyshev coefficients of b, 1/mm.")
+    transmittance: _Series = Field(description="Chebyshev coefficients of the transmittance.")
+    widest_mm: Length = Field(description="Largest t of the series, mm.")
+    pupil_mm: Length | None = Field(
+        None,
+        description="Largest t that passes the iris, mm; null if it stops no line of sight.",
+    )
+    orientation: Annotated[float, AfterValidator(_sign)] = Field(
+        description="1 if the image is upright, -1 if it is inverted."
+    )
 
     @model_validator(mode="after")
     def _is_a_path(self) -> Self:
@@ -80,107 +120,137 @@ class PathSeries(Strict):
         return _on_axis(self.steepness_per_mm) / _on_axis(self.crossing)
 
 
-def _on_axis(series: list[float]) -> float:
+def _on_axis(series: tuple[float, ...]) -> float:
     """A Chebyshev series at t = 0, where its argument is -1 and T_n = (-1)^n."""
     return sum(series[::2]) - sum(series[1::2])
 
 
-SCHEMA = 1
-HISTORY = {1: "the format of eyespot 0.1"}
-
-_BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
-_MOST_PX = 2**20  # sides of a frame, and the place of its principal point
-_LARGEST_MM = 1e6
-_LARGEST = 1e12  # largest number that is no length
-_MOST_BYTES = 2**20
-_STEEPEST = 100  # exponent of a gamma curve
-_SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
-_UNIT = 1e-3  # deviation of a normal's length from 1 that comes from rounding
-_SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MicroscopeFile:
+class MicroscopeFile(Strict):
     """A pinhole on the axis of the eye, looking down at the retinal pole, and the wall there.
 
-    Attributes:
-        width_px: of the frames.
-        height_px: of the frames.
-        camera_matrix: K of OpenCV, 3x3, px; None for a telecentric microscope.
-        distortion: coefficients in OpenCV's order.
-        scale_mm_px: delta at the height of the pole.
-        principal_point_px: (u0, v0); may lie outside the frame.
-        pinhole_height_mm: z_F above the eyeball's centre; infinite if telecentric. Below the pole,
-            magnification grows with depth.
-        eye_radius_mm: r; the pole lies at -r.
-        response: relation of the frames' values to light; linear if the file does not say.
-        paper_exposure_s: exposure time of the stack's frames of fixed exposure; None if unknown.
-        plane_normal: of a plane wall through the pole, a unit vector towards the microscope; None
-            if the wall is the eyeball.
-        viewing_path: what lies between the microscope and the retina; `pinhole_height_mm` is then
-            that of its paraxial pinhole. None for a pinhole.
-        retina_semi_axes_mm: x, y and z of an ellipsoidal retina through the pole, placed as
-            `optics.Ellipsoid` describes it; None for a sphere of `eye_radius_mm`.
-        retina_tilt_deg: angle of its z from the microscope's axis.
-        retina_tilt_azimuth_deg: azimuth of the direction in which its z leans.
-        retina_shift_mm: of its centre across the microscope's axis.
-        noise: data sheet of the camera; None if it was not measured.
-        distortion_model: as `LensDistortion.model`; brown in files of ours.
+    The keys are those of microscope.json; in one of another program, unknown keys are ignored.
     """
 
-    width_px: int
-    height_px: int
-    camera_matrix: np.ndarray | None
-    distortion: np.ndarray
-    scale_mm_px: float
-    principal_point_px: tuple[float, float]
-    pinhole_height_mm: float
-    eye_radius_mm: float
-    response: Response = field(default_factory=Response)
-    paper_exposure_s: float | None = None
-    plane_normal: tuple[float, float, float] | None = None
-    viewing_path: PathSeries | None = None
-    retina_semi_axes_mm: Sequence[float] | None = None
-    retina_tilt_deg: float = 0.0
-    retina_tilt_azimuth_deg: float = 0.0
-    retina_shift_mm: Sequence[float] = (0.0, 0.0)
-    noise: CameraSheet | None = None
-    distortion_model: Literal["brown", "equidistant"] = "brown"
+    model_config = ConfigDict(extra="ignore", populate_by_name=True)
 
-    def __post_init__(self) -> None:
-        """Reject what no microscope can have; four coefficients of distortion are five."""
-        if self.distortion_model == "brown" and self.distortion.size == 4:
-            object.__setattr__(self, "distortion", np.append(self.distortion, 0.0))
+    width_px: _Pixels = Field(description="Width of the images.")
+    height_px: _Pixels = Field(description="Height of the images.")
+    camera_matrix: _Matrix | None = Field(
+        description="K of OpenCV, 3x3, px; null if telecentric or behind a viewing path."
+    )
+    distortion_model: Literal["brown", "equidistant"] = Field(
+        "brown", description="Of `LensDistortion`: that of cv2.calibrateCamera, or of cv2.fisheye."
+    )
+    distortion: Annotated[tuple[_Number, ...], StrictType(False)] = Field(
+        description="Coefficients in OpenCV's order."
+    )
+    scale_mm_px: Length = Field(description="Size of a pixel at the height of the pole, delta.")
+    principal_point_px: Annotated[tuple[_Place, _Place], StrictType(False)] = Field(
+        description="(u0, v0), where the microscope's axis meets the image, in it or outside of it."
+    )
+    pinhole_height_mm: Annotated[
+        float,
+        AllowInfNan(),
+        BeforeValidator(
+            lambda height: math.inf if height is None else height,
+            json_schema_input_type=float | None,
+        ),
+        Field(ge=-1e6),
+    ] = Field(
+        math.inf,
+        description="z_F, height of the pinhole above the eyeball's centre; null if telecentric. "
+        "Below the pole, magnification grows with depth.",
+    )
+    eye_radius_mm: Length = Field(description="r; the pole lies at -r.")
+    curve: Annotated[
+        str | float,
+        PlainValidator(_curve, json_schema_input_type=Literal["linear", "srgb"] | float),
+    ] = Field(
+        alias="response",
+        description="Values of light: linear, srgb, or the exponent g of the curve x^(1/g).",
+    )
+    full_scale: _Positive | None = Field(
+        None, description="Value of the brightest light that the camera measures, such as 4095."
+    )
+    limited_range: bool = Field(
+        False, description="Whether black is at 16 and white at 235 of 255, as in video."
+    )
+    paper_exposure_s: _Positive | None = Field(
+        None, description="Exposure time of the stack's frames of fixed exposure, s."
+    )
+    plane_normal: VectorKey | None = Field(
+        None,
+        description="Of a plane wall through the pole, a unit vector towards the microscope; null "
+        "if the wall is the eyeball.",
+    )
+    viewing_path: PathSeries | None = Field(
+        None,
+        description="What lies between the microscope and the retina; `pinhole_height_mm` is then "
+        "that of its paraxial pinhole.",
+    )
+    retina_semi_axes_mm: Annotated[tuple[Length, Length, Length], StrictType(False)] | None = Field(
+        None,
+        description="x, y and z of an ellipsoidal retina through the pole, placed as "
+        "`optics.Ellipsoid` describes it; without it a sphere.",
+    )
+    retina_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] = Field(
+        0.0, description="Angle of its z from the microscope's axis."
+    )
+    retina_tilt_azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = Field(
+        0.0, description="Azimuth of the direction in which its z leans."
+    )
+    retina_shift_mm: PairKey | None = Field(
+        None, description="Of its centre across the microscope's axis: x, y."
+    )
+    noise: CameraSheet | None = Field(
+        None,
+        alias="camera",
+        description="Noise of the camera by its data sheet (EMVA 1288); the mode pixels needs it.",
+    )
+
+    @field_validator("distortion")
+    @classmethod
+    def _has_five(cls, found: tuple[float, ...], others: ValidationInfo) -> tuple[float, ...]:
+        is_short = len(found) == 4 and others.data.get("distortion_model") == "brown"
+        return (*found, 0.0) if is_short else found
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        shift = self.retina_shift_mm or (0.0, 0.0)
         if self.retina_semi_axes_mm is not None:
             across = min(self.retina_semi_axes_mm[:2])
-            if not math.hypot(*self.retina_shift_mm) < across:
+            if not math.hypot(*shift) < across:
                 raise InputError(
                     f"retina_shift_mm must be less than {across:g} mm, its smaller semi-axis "
-                    f"across; got {list(self.retina_shift_mm)}. Restore the key."
+                    f"across; got {list(shift)}"
                 )
-        for name in ("width_px", "height_px", "scale_mm_px", "eye_radius_mm"):
-            value = getattr(self, name)
-            most = _MOST_PX if name in ("width_px", "height_px") else _LARGEST_MM
-            if not 0 < value <= most:
-                raise InputError(f"{name} must be positive and at most {most:g}; got {value}.")
         reach = self.pinhole_height_mm + self.eye_radius_mm
-        if not (reach > 0 or -math.inf < reach < 0):
+        if reach == 0:
             raise InputError(
                 "pinhole_height_mm must lie above or below the retinal pole, which is at "
                 f"-eye_radius_mm; got {self.pinhole_height_mm} mm with eye_radius_mm = "
-                f"{self.eye_radius_mm}. It counts from the eyeball's centre, up."
+                f"{self.eye_radius_mm}. It counts from the eyeball's centre, up"
             )
         normal = self.plane_normal or (0.0, 0.0, 1.0)
         if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
             raise InputError(
                 f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. "
-                "A plane square to the microscope's axis has (0, 0, 1)."
+                "A plane square to the microscope's axis has (0, 0, 1)"
             )
-        if not (np.abs(self.principal_point_px) <= _MOST_PX).all():
-            raise InputError(
-                f"principal_point_px must lie within {_MOST_PX} px of the frame; got "
-                f"{self.principal_point_px}."
-            )
+        return self
+
+    def changed(self, **values: Any) -> Self:
+        """The microscope with other values.
+
+        Raises:
+            InputError: no microscope has them.
+        """
+        return validated(type(self), dict(self) | values, remedy="Correct the value.")
+
+    @property
+    def response(self) -> Response:
+        """Relation of the frames' values to light."""
+        return response_of(self.curve, full_scale=self.full_scale, limited_range=self.limited_range)
 
     @property
     def inverse_working_distance(self) -> float:
@@ -196,7 +266,7 @@ class MicroscopeFile:
             return optics.Plane(point=pole, inward=np.array(self.plane_normal))
         if self.retina_semi_axes_mm is None:
             return optics.Sphere(self.eye_radius_mm)
-        x, y = self.retina_shift_mm
+        x, y = self.retina_shift_mm or (0.0, 0.0)
         return optics.Ellipsoid(
             np.array(self.retina_semi_axes_mm),
             shift=(x, y),
@@ -206,11 +276,13 @@ class MicroscopeFile:
 
     def camera(self) -> LensDistortion | None:
         """For `SubpixelSettings(camera=...)`; None if there is no distortion."""
-        is_ideal = self.distortion_model == "brown" and not self.distortion.any()
+        is_ideal = self.distortion_model == "brown" and not any(self.distortion)
         if self.camera_matrix is None or is_ideal:
             return None
         return LensDistortion(
-            matrix=self.camera_matrix, distortion=self.distortion, model=self.distortion_model
+            matrix=np.array(self.camera_matrix),
+            distortion=np.array(self.distortion),
+            model=self.distortion_model,
         )
 
     def ideal_microscope(self) -> "optics.Camera":
@@ -293,72 +365,6 @@ def read_microscope(
         return microscope_in(content)
 
 
-def _numbers(*shape: int) -> PlainValidator:
-    """Finite numbers of a shape, or without one a list of any length, as an array."""
-
-    def array(value: object) -> np.ndarray:
-        try:
-            found = np.asarray(value, float)
-        except (TypeError, ValueError, OverflowError):
-            found = np.asarray(math.nan)
-        fits = found.shape == shape if shape else found.ndim == 1
-        if not (fits and (np.abs(found) <= _LARGEST).all()):
-            wanted = "x".join(map(str, shape)) or "a list"
-            raise InputError(f"must be finite numbers ({wanted}), at most {_LARGEST:g}")
-        return found
-
-    return PlainValidator(
-        array, json_schema_input_type=list[list[float]] if shape[1:] else list[float]
-    )
-
-
-def response_of(value: object) -> Response:
-    """The scene file's names: linear, srgb, or g for the curve x^(1/g)."""
-    if value == "linear" or value == "srgb":
-        return Response(curve=value)
-    if isinstance(value, int | float) and not isinstance(value, bool) and 0 < value <= _STEEPEST:
-        return Response(curve="gamma", gamma=float(value))
-    raise InputError("must be linear, srgb or the exponent of a gamma curve, at most 100")
-
-
-_Pixels = Annotated[float, Field(ge=1, le=_MOST_PX)]
-_Millimetres = Annotated[float, Field(ge=-_LARGEST_MM, le=_LARGEST_MM)]
-
-
-class _PinholeFile(Strict):
-    model_config = ConfigDict(extra="ignore", arbitrary_types_allowed=True)
-
-    width_px: _Pixels
-    height_px: _Pixels
-    camera_matrix: Annotated[np.ndarray, _numbers(3, 3)]
-    distortion: Annotated[np.ndarray, _numbers()]
-    scale_mm_px: float
-    principal_point_px: Annotated[np.ndarray, _numbers(2)]
-    pinhole_height_mm: _Millimetres | None = None
-    eye_radius_mm: _Millimetres
-    response: Annotated[
-        Response,
-        PlainValidator(response_of, json_schema_input_type=Literal["linear", "srgb"] | float),
-    ]
-    full_scale: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
-    paper_exposure_s: Annotated[float, Field(gt=0, le=_LARGEST)] | None = None
-    plane_normal: Annotated[np.ndarray, _numbers(3)] | None = None
-    viewing_path: None = None
-    retina_semi_axes_mm: Annotated[list[Length], Field(min_length=3, max_length=3)] | None = None
-    retina_tilt_deg: Annotated[float, Field(gt=-90, lt=90)] = 0.0
-    retina_tilt_azimuth_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    retina_shift_mm: Annotated[list[_Millimetres], Field(min_length=2, max_length=2)] | None = None
-    camera: CameraSheet | None = None
-
-
-class _TelecentricFile(_PinholeFile):
-    camera_matrix: None = None  # type: ignore[assignment]
-
-
-class _PathFile(_TelecentricFile):
-    viewing_path: PathSeries  # type: ignore[assignment]
-
-
 def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
     """The microscope that the content of a microscope.json describes.
 
@@ -366,40 +372,27 @@ def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
         InputError: another schema, or as `read_microscope`.
     """
     check_schema(content.get("schema"), HISTORY, remedy="Restore the file, or render again.")
-    telecentric = content.get("pinhole_height_mm") is None
-    through_path = content.get("viewing_path") is not None
-    file = validated(
-        _PathFile if through_path else _TelecentricFile if telecentric else _PinholeFile,
-        content,
-        remedy="Restore the key. With a viewing_path, or without pinhole_height_mm (a telecentric "
-        "microscope), camera_matrix is null.",
-    )
-    values: dict[str, Any] = dict(file)
-    camera, full_scale = values.pop("camera"), values.pop("full_scale")
-    if full_scale is None and camera is not None and camera.bit_depth > _BYTE:
-        full_scale = camera.full_scale
-    values |= {
-        "width_px": int(file.width_px),
-        "height_px": int(file.height_px),
-        "principal_point_px": tuple(file.principal_point_px.tolist()),
-        "pinhole_height_mm": math.inf if telecentric else file.pinhole_height_mm,
-        "response": replace(file.response, full_scale=full_scale),
-        "plane_normal": None if file.plane_normal is None else tuple(file.plane_normal.tolist()),
-        "retina_shift_mm": file.retina_shift_mm or (0.0, 0.0),
-        "noise": camera,
-    }
-    microscope = MicroscopeFile(**values)
-    _check_agreement(microscope)
-    return microscope
+    found = validated(MicroscopeFile, content, remedy="Restore the key.")
+    _check_agreement(found)
+    if found.full_scale is None and found.noise is not None and found.noise.bit_depth > _BYTE:
+        return found.changed(full_scale=found.noise.full_scale)
+    return found
 
 
 def _check_agreement(microscope: MicroscopeFile) -> None:
     """Refuse a file in which only one of two copies of a number was edited."""
     matrix, path = microscope.camera_matrix, microscope.viewing_path
     retina = microscope.retina_semi_axes_mm
+    has_matrix = path is None and math.isfinite(microscope.pinhole_height_mm)
+    if has_matrix != (matrix is not None):
+        raise InputError(
+            f"camera_matrix must be {'a matrix' if has_matrix else 'null'}; got "
+            f"{shortened(matrix)}. It is null with a viewing_path, and without pinhole_height_mm "
+            "(telecentric)."
+        )
     if matrix is not None:
         focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
-        said = (matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2])
+        said = (matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2])
         implied = (focal, focal, *microscope.principal_point_px)
         if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
             listed = [", ".join(f"{value:.6g}" for value in four) for four in (said, implied)]
@@ -409,10 +402,10 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
                 "both alike."
             )
     if path is not None:
-        if microscope.distortion.any():
+        if any(microscope.distortion):
             raise InputError(
                 "distortion must be 0 with a viewing_path, which contains the lenses' distortion; "
-                f"got {microscope.distortion.tolist()}. Undistort the images first."
+                f"got {list(microscope.distortion)}. Undistort the images first."
             )
         own, of_path = microscope.inverse_working_distance, path.inverse_working_distance
         if not math.isclose(own, of_path, rel_tol=_SAME, abs_tol=_SAME):
@@ -453,16 +446,18 @@ def _from_calibration(
             f"{fx:g} px, fy = {fy:g} px, skew = {skew:g} px. Calibrate with "
             "cv2.CALIB_FIX_ASPECT_RATIO."
         )
-    return MicroscopeFile(
-        width_px=size[0],
-        height_px=size[1],
-        camera_matrix=camera.matrix,
-        distortion=camera.distortion,
-        distortion_model=camera.model,
+    values = {
+        "width_px": size[0],
+        "height_px": size[1],
+        "camera_matrix": camera.matrix.tolist(),
+        "distortion": camera.distortion.tolist(),
+        "distortion_model": camera.model,
         # Below the pole, the pinhole that the eye shows sees a pixel under the same angle.
-        scale_mm_px=abs(height + radius) / math.sqrt(fx * fy),
-        principal_point_px=(u, v),
-        pinhole_height_mm=height,
-        eye_radius_mm=radius,
-        plane_normal=plane_normal,
-    )
+        "scale_mm_px": abs(height + radius) / math.sqrt(fx * fy),
+        "principal_point_px": (u, v),
+        "pinhole_height_mm": height,
+        "eye_radius_mm": radius,
+        "curve": "linear",
+        "plane_normal": plane_normal,
+    }
+    return validated(MicroscopeFile, values, remedy="Calibrate the camera, or correct the value.")

@@ -9,7 +9,6 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -174,25 +173,27 @@ class Rig(Strict):
             normal = None
         elif wall.kind == "plane" and (normal is None or "normal" in wall.model_fields_set):
             normal = wall.normal
-        return replace(
-            found,
+        return found.changed(
             plane_normal=normal,
-            response=self._response(found.response),
+            **self._response(found),
             noise=stated if isinstance(stated, CameraSheet) else None if stated else found.noise,
         )
 
     @property
     def response(self) -> Response:
         """Relation of the images' values to light."""
-        return self._response(Response()) if self.view is None else self.view.response
+        return response_of(**self._response(None)) if self.view is None else self.view.response
 
-    def _response(self, of_file: Response) -> Response:
+    def _response(self, of_file: MicroscopeFile | None) -> dict[str, Any]:
         own = self.camera
-        response = of_file if own.response is None else response_of(own.response)
-        full_scale = own.full_scale or of_file.full_scale
+        full_scale = own.full_scale or (None if of_file is None else of_file.full_scale)
         if full_scale is None and own.bit_depth > 8:
             full_scale = float((1 << own.bit_depth) - 1)
-        return replace(response, full_scale=full_scale, limited=own.limited_range)
+        return {
+            "curve": own.response or ("linear" if of_file is None else of_file.curve),
+            "full_scale": full_scale,
+            "limited_range": own.limited_range,
+        }
 
     @property
     def calibration_file(self) -> Path | None:
@@ -280,8 +281,6 @@ class Rig(Strict):
 
 def _pinhole(own: MicroscopeKeys, radius_mm: float, height_mm: float) -> MicroscopeFile:
     """The microscope of numbers."""
-    import numpy as np
-
     width, height = own.width_px or 0, own.height_px or 0
     scale = own.scale_mm_px or math.nan
     u, v = own.principal_point_px or ((width - 1) / 2, (height - 1) / 2)
@@ -292,18 +291,19 @@ def _pinhole(own: MicroscopeKeys, radius_mm: float, height_mm: float) -> Microsc
             f"microscope.distortion needs a pinhole at a finite height; got {list(own.distortion)} "
             "with pinhole_height_mm = inf. Undistort the images first."
         )
-    return MicroscopeFile(
-        width_px=width,
-        height_px=height,
-        camera_matrix=None
-        if telecentric
-        else np.array([[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]]),
-        distortion=np.array(own.distortion or (0.0,) * 5),
-        scale_mm_px=scale,
-        principal_point_px=(u, v),
-        pinhole_height_mm=height_mm,
-        eye_radius_mm=radius_mm,
-    )
+    matrix = None if telecentric else [[focal, 0.0, u], [0.0, focal, v], [0.0, 0.0, 1.0]]
+    values = {
+        "width_px": width,
+        "height_px": height,
+        "camera_matrix": matrix,
+        "distortion": own.distortion or (0.0,) * 5,
+        "scale_mm_px": scale,
+        "principal_point_px": (u, v),
+        "pinhole_height_mm": height_mm,
+        "eye_radius_mm": radius_mm,
+        "curve": "linear",
+    }
+    return validated(MicroscopeFile, values, remedy="Correct the key of [microscope] or [wall].")
 
 
 def rig_in(content: Mapping[str, Any], *, where: str, folder: Path = Path()) -> Rig:

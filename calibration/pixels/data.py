@@ -81,10 +81,10 @@ def footage_of(source: Any) -> Footage:
             f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
             "--rig FILE; `eyespot rig init` writes one."
         )
-    if view.distortion_model != "brown" or view.distortion.size > _COEFFICIENTS:
+    if view.distortion_model != "brown" or len(view.distortion) > _COEFFICIENTS:
         raise InputError(
             f"{recording.source.name}: a fit of pixels takes out a distortion of OpenCV's first "
-            f"{_COEFFICIENTS} coefficients; this lens has {view.distortion.size} "
+            f"{_COEFFICIENTS} coefficients; this lens has {len(view.distortion)} "
             f"({view.distortion_model}). Undistort the images first, or fit the spots (--model "
             "cone)."
         )

@@ -388,7 +388,7 @@ class _WallView:
             pinhole_height=1.0 / kappa - eye_radius if kappa else math.inf,
             eye_radius=eye_radius,
             principal_point=file.principal_point_px,
-            distortion=tuple(file.distortion),
+            distortion=file.distortion,
         )
         self.wall = phantom_wall(footage.kind, eye_radius=eye_radius)
         self.cells = cells

@@ -3,7 +3,6 @@
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -46,8 +45,7 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     kappa = values.get("inverse_working_distance", own)
     fitted = "inverse_working_distance" in values
     spherical = fitted or "eye_radius" in values
-    return replace(
-        microscope,
+    return microscope.changed(
         scale_mm_px=scale,
         eye_radius_mm=float(radius),
         pinhole_height_mm=float(1.0 / kappa - radius) if kappa else math.inf,

@@ -95,7 +95,7 @@ class PixelRanger:
         if microscope.camera() is not None:
             raise InputError(
                 "the mode pixels takes images without distortion; the microscope file has "
-                f"distortion {microscope.distortion.tolist()}. Undistort the images, or take the "
+                f"distortion {list(microscope.distortion)}. Undistort the images, or take the "
                 "sub-pixel mode."
             )
         self.calibration = calibration

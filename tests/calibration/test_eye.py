@@ -74,7 +74,7 @@ def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
     trials = [withdrawn(eye, c, 2.0 * c) for c in (0.5, 2.0, 3.5, 5.0)]
     fit = eye_fits.fitted(trials, CONE)
     own = eye_fits.calibration(fit.values, fit.covariance, fit.calibration_model)
-    table = replace(eye_fits.MICROSCOPE, scale_mm_px=0.0067, eye_radius_mm=12.0)
+    table = eye_fits.MICROSCOPE.changed(scale_mm_px=0.0067, eye_radius_mm=12.0)
     area = Ranger(own, table, model="area")
     tilts = [(0.0, 0.0), *((math.radians(30.0), towards) for towards in (0.0, 1.57, 3.14))]
     places = [(c, 0.9, *tilt, d) for c in range(1, 6) for tilt in tilts for d in (1.0, 3.0, 5.0)]

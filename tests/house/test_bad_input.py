@@ -5,7 +5,6 @@ import os
 import resource
 import shutil
 import time
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -188,7 +187,7 @@ def bag_of(path):
 
 def ranger_of(path):
     # The file of 0.1 was calibrated under a microscope of this scale.
-    microscope = replace(read_microscope(path.with_name("microscope.json")), scale_mm_px=0.0067)
+    microscope = read_microscope(path.with_name("microscope.json")).changed(scale_mm_px=0.0067)
     Ranger(found := read_calibration(path), microscope)
     return found
 

@@ -61,11 +61,12 @@ def a_microscope(**changed: Any) -> MicroscopeFile:
         "width_px": 640,
         "height_px": 480,
         "camera_matrix": None,
-        "distortion": np.zeros(5),
+        "distortion": (0.0,) * 5,
         "scale_mm_px": 0.0067,
         "principal_point_px": (320.0, 240.0),
         "pinhole_height_mm": 11.5,
         "eye_radius_mm": 11.5,
+        "curve": "linear",
     }
     return MicroscopeFile(**given | changed)
 
