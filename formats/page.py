@@ -33,3 +33,13 @@ def templates(package: str) -> jinja2.Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+
+
+def in_figure(name: str) -> str:
+    """A name as Matplotlib draws it.
+
+    Between two dollar signs it would read mathematics, and a label that begins with an underscore
+    would not be in the legend; a space before it cannot be seen.
+    """
+    literal = name.replace("$", r"\$")
+    return f" {literal}" if literal.startswith("_") else literal

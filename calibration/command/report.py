@@ -15,8 +15,7 @@ from matplotlib.figure import Figure
 from eyespot.calibration.command.crossed import Crossed
 from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
 from eyespot.calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
-from eyespot.formats.inputs import in_figure
-from eyespot.formats.page import PALETTE, STYLE, templates
+from eyespot.formats.page import PALETTE, STYLE, in_figure, templates
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale

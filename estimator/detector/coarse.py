@@ -12,8 +12,9 @@ import numpy as np
 
 from eyespot.estimator.detector.ellipse import AffineEllipse
 from eyespot.estimator.detector.tuning import Channel, Search, Small, Verdict
+from eyespot.estimator.frame_window import Window
 from eyespot.estimator.image import clip_level
-from eyespot.formats.camera import GREY, GREY_WEIGHTS, Window
+from eyespot.formats.camera import GREY, GREY_WEIGHTS
 
 
 def channel_for(

@@ -44,7 +44,8 @@ from eyespot.estimator.detector.tuning import (
     Small,
     Texture,
 )
-from eyespot.formats.camera import GREY, Window
+from eyespot.estimator.frame_window import Window
+from eyespot.formats.camera import GREY
 from eyespot.formats.spots import NoSpot, Reason
 
 

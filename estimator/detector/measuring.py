@@ -43,7 +43,8 @@ from eyespot.estimator.detector.tuning import (
     Small,
     Verdict,
 )
-from eyespot.formats.camera import GREY, LensDistortion, Window
+from eyespot.estimator.frame_window import Window
+from eyespot.formats.camera import GREY, LensDistortion
 from eyespot.formats.spots import NoSpot, Reason
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)

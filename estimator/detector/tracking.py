@@ -29,7 +29,7 @@ from eyespot.estimator.detector.measuring import rim_on
 from eyespot.estimator.detector.settings import SubpixelSettings
 from eyespot.estimator.detector.tuning import Faint, Refine, Small, Verdict
 from eyespot.estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
-from eyespot.formats.camera import Window, checked_frame, without_repeats
+from eyespot.estimator.frame_window import Window, checked_frame, without_repeats
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Outline, Reason, Spot
 

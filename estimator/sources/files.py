@@ -13,9 +13,9 @@ from typing import Any
 import cv2
 import numpy as np
 
+from eyespot.estimator.sources.edit_list import shown_share
 from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn, notes_of_aspect
 from eyespot.estimator.sources.times import times_of
-from eyespot.formats.edit_list import shown_share
 from eyespot.formats.foreign import what_it_is
 from eyespot.formats.images import (
     check_pixels,

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eyespot.estimator.frame_window import checked_frame
 from eyespot.estimator.sources.arrays import ARRAYS, open_array
 from eyespot.estimator.sources.dicom import is_dicom, open_dicom
 from eyespot.estimator.sources.files import (
@@ -20,7 +21,6 @@ from eyespot.estimator.sources.files import (
 from eyespot.estimator.sources.genicam import GENICAM, open_genicam
 from eyespot.estimator.sources.ros import open_bag
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.camera import checked_frame
 from eyespot.formats.foreign import what_it_is
 from eyespot.formats.inputs import InputError, shortened
 from eyespot.formats.rig import rig_of_stack

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import cv2
 import numpy as np
 
+from eyespot.estimator.frame_window import checked_frame
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.camera import checked_frame
 from eyespot.formats.images import decoded_image
 from eyespot.formats.inputs import InputError, in_file, shortened
 from eyespot.formats.poses import POSE_MESSAGES, POSE_TOPIC, Pose

@@ -17,9 +17,9 @@ from PIL import Image
 from eyespot.estimator import SubpixelSettings, track, track_whole_source
 from eyespot.estimator.run.offline import Ended
 from eyespot.estimator.run.options import Options
+from eyespot.estimator.sources.edit_list import shown_share
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.edit_list import shown_share
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, Truth, frame_of

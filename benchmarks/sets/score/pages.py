@@ -29,8 +29,9 @@ from eyespot.benchmarks.study import versions, write_json
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import read_calibration
-from eyespot.formats.inputs import InputError, in_figure, in_utf8
+from eyespot.formats.inputs import InputError, in_utf8
 from eyespot.formats.manifest import fingerprint
+from eyespot.formats.page import in_figure
 from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.formats.whole_files import require_space, written_whole
 
