@@ -2,11 +2,8 @@
 
 import importlib
 import inspect
-import itertools
 import re
 from typing import Any
-
-from eyespot.formats.spots import PARAMETERS
 
 
 def named(place: str) -> Any:
@@ -37,24 +34,6 @@ MEANINGS = {
         **{name: f"Table [{name}]." for name in named("eyespot.formats.rig:Rig").model_fields},
         **COMMON,
     },
-    "spots": {
-        "status": "Whether there is a spot.",
-        "reason": "Why there is no spot, no distance or a doubtful one: [reasons](messages.md).",
-        "sigma_semi_minor_px": "Standard deviation of the semi-minor axis.",
-        "schema_version": "Version of the format.",
-        "measured_with": "Versions of eyespot and OpenCV; two of OpenCV may differ by 0.004 px.",
-        "significance": "Of a spot that is `too_faint`: its peak above the background over the "
-        "scatter of noise and texture round it.",
-        "chi_squared": "Mode pixels: per cell; 1 where beam, wall and camera explain the light.",
-        **{f"tip_{x}_mm": f"Mode pixels: {x.upper()} of the tip, eye frame." for x in "xyz"},
-        **{f"axis_{x}": f"Mode pixels: {x.upper()} of the beam's unit vector." for x in "xyz"},
-        **{
-            f"pose_cov_{i}_{j}": f"Mode pixels: covariance of the pose's numbers {i} and {j}: tip "
-            "(mm), then the axis's two turns (rad)."
-            for i in range(5)
-            for j in range(i, 5)
-        },
-    },
     "plain-spots": {
         "file_name": "Of the image, from the set's or stack's folder.",
         "x_px": "Centre, to the right; integers are centres of pixels.",
@@ -81,9 +60,3 @@ MEANINGS = {
     },
 }
 """Meanings that no docstring has, by kind of file and key."""
-
-
-MEANINGS["spots"] |= {
-    f"cov_{a}_{b}": f"Covariance of {a} and {b}, px and rad."
-    for a, b in itertools.combinations_with_replacement(PARAMETERS, 2)
-}

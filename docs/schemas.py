@@ -88,6 +88,7 @@ KINDS = (
         "Spots: a row (CSV or Parquet)",
         "What was measured in one frame. `eyespot track` writes it, `eyespot fit` and `eyespot "
         "score` read it.",
+        models=("eyespot.formats.spots:SpotRow",),
         meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spots:Spot"),
     ),
     FileKind(
@@ -173,6 +174,11 @@ def schema_of(kind: FileKind) -> dict[str, Any]:
     schema = made() if made else _of_models(kind)
     if kind.slug in ("eye", "viewing-lens"):
         schema = _with_origin(schema)
+    if kind.slug == "spots":  # empty cells
+        for name in schema["properties"].keys() - schema["required"]:
+            column = schema["properties"][name]
+            said = {key: column.pop(key) for key in ("description", "default") if key in column}
+            schema["properties"][name] = said | _or_null(column)
     explained = dict(COMMON)
     for place in kind.meanings:
         explained |= attributes_of(named(place))
@@ -260,25 +266,6 @@ def _kinematics() -> dict[str, Any]:
     return _object({name: _NUMBER for name in KINEMATICS})
 
 
-def _spots() -> dict[str, Any]:
-    from eyespot.estimator.distance.budget import Cause
-    from eyespot.estimator.distance.range import WallMemory
-    from eyespot.formats import spots
-    from eyespot.formats.spots import Reason
-
-    kinds = {int: _WHOLE, str: _TEXT, float: _NUMBER}
-    columns = {name: _or_null(kinds[spots._KINDS.get(name, float)]) for name in spots.COLUMNS}
-    columns["frame"] = _WHOLE
-    columns["mode"] = {"enum": ["literal", "subpixel", "pixels"]}
-    columns["status"] = {"enum": ["spot", "no_spot"]}
-    columns["reason"] = {"enum": [None, *(reason.value for reason in Reason)]}
-    columns["largest_cause"] = {"enum": [None, *(cause.value for cause in Cause)]}
-    memories = [memory.value for memory in WallMemory if memory.value]
-    columns["wall_memory"] = {"enum": [None, *memories]}
-    columns["schema_version"] = {"const": spots.SCHEMA_VERSION}
-    return _object(columns)
-
-
 def _plain_spots() -> dict[str, Any]:
     from eyespot.benchmarks.sets.score import spots as plain_spots
 
@@ -346,7 +333,6 @@ def _glue_lens() -> dict[str, Any]:
 _BY_HAND = {
     "stack": _stack,
     "kinematics": _kinematics,
-    "spots": _spots,
     "plain-spots": _plain_spots,
     "budget": _budget,
     "glue-lens": _glue_lens,

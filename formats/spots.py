@@ -11,22 +11,25 @@ import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, final
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, final
 
 import numpy as np
+from pydantic import Field, create_model
+from pydantic import Strict as StrictType
 
 from eyespot.formats.inputs import (
     MOST_ROWS,
     InputError,
+    Strict,
     check_regular,
     check_schema,
     csv_rows,
     in_file,
     number_in,
-    shortened,
+    validated,
 )
 from eyespot.formats.whole_files import (
     append_line,
@@ -210,43 +213,68 @@ _UNIT = 1e-3
 _UPPER = np.triu_indices(5)
 _ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
 _QUALITY = ("edge_width_px", "coverage", "inlier_fraction", "saturated")
-_VALUES = (*_ELLIPSE, "sigma_semi_minor_px", *_QUALITY)
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _INTERVAL = ("distance_low_mm", "distance_high_mm")
 _POSE = tuple(f"{part}_{x}{unit}" for part, unit in (("tip", "_mm"), ("axis", "")) for x in "xyz")
 _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=True))
-_POSES = (*_POSE, *_POSE_COVARIANCES, "chi_squared")
-_SURFACE = "surface_distance_mm"
-_LATER = (
-    *_INTERVAL,
-    _SURFACE,
-    "largest_cause",
-    *_POSES,
-    "wall_memory",
-    "significance",
-    "measured_with",
-)
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
-_LIMITS = {
-    **dict.fromkeys(("coverage", "inlier_fraction", "saturated"), (0.0, 1.0 + _ROUNDING)),
-    **dict.fromkeys(("edge_width_px", "sigma_semi_minor_px"), (0.0, _LARGEST_PX)),
-    "sigma_distance_mm": (0.0, 1e9),
+
+
+def _numbers(names: Iterable[str], meaning: str | None = None, **limits: float) -> dict[str, Any]:
+    """Columns of numbers, whose empty cells are NaN."""
+    field: Any = Field(math.nan, description=meaning, **limits)  # type: ignore[call-overload]
+    return {name: (float, field) for name in names}
+
+
+_MEASURED: dict[str, Any] = {
+    **_numbers(_ELLIPSE[:2], gt=-_LARGEST_PX, lt=_LARGEST_PX),
+    **_numbers(_ELLIPSE[2:4], gt=0, lt=_LARGEST_PX),
+    **_numbers(_ELLIPSE[4:]),
+    **_numbers(["sigma_semi_minor_px"], "Of the semi-minor axis.", ge=0, le=_LARGEST_PX),
+    **_numbers(_QUALITY[:1], ge=0, le=_LARGEST_PX),
+    **_numbers(_QUALITY[1:], ge=0, le=1 + _ROUNDING),
 }
-"""Least and largest value of columns."""
-COLUMNS = (
-    *("frame", "file_name", "time_s", "mode", "status", "reason"),
-    *_VALUES,
-    *_DISTANCES,
-    *_COVARIANCES,
-    *_LATER,
-    "schema_version",
+_POSE_NUMBERS = {
+    **_numbers(_POSE[:3], "Mode pixels: the tip in the eye frame."),
+    **_numbers(_POSE[3:], "Mode pixels: unit vector of the beam in the eye frame."),
+    **_numbers(_POSE_COVARIANCES, "Mode pixels: of the tip (mm) and the axis's two turns (rad)."),
+    **_numbers(["chi_squared"], "Mode pixels: per cell; 1 where all light is explained."),
+}
+_STATUS: Any = Literal["spot", "no_spot"]
+SpotRow = create_model(
+    "SpotRow",
+    __base__=Strict,
+    __doc__="A row of a spots file, without its empty cells.",
+    frame=(Annotated[int, Field(ge=0, lt=_MOST_FRAMES)], ...),
+    file_name=(str, ""),
+    **_numbers(["time_s"]),
+    mode=(str, ""),
+    status=(_STATUS, Field(description="Whether there is a spot.")),
+    reason=(
+        Annotated[Reason, StrictType(False)],
+        Field(None, description="Why there is no spot, no distance or a doubtful one."),
+    ),
+    **_MEASURED,
+    **_numbers(_DISTANCES[:1]),
+    **_numbers(_DISTANCES[1:2], ge=0, le=1e9),
+    **_numbers(_DISTANCES[2:]),
+    **_numbers(_COVARIANCES, "Covariance of two of the ellipse's parameters, px and rad."),
+    **_numbers((*_INTERVAL, "surface_distance_mm")),
+    largest_cause=(str, ""),
+    **_POSE_NUMBERS,
+    wall_memory=(str, ""),
+    **_numbers(["significance"], "Of a spot that is too_faint: peak over scatter."),
+    measured_with=(str, ""),
+    schema_version=(int, Field(description="Version of the format.")),
 )
-_KINDS: dict[str, type] = {
-    **dict.fromkeys(("frame", "schema_version"), int),
-    **dict.fromkeys(("file_name", "mode", "status", "reason"), str),
-    **dict.fromkeys(("largest_cause", "wall_memory", "measured_with"), str),
+COLUMNS = tuple(SpotRow.model_fields)
+_LATER = COLUMNS[COLUMNS.index(_INTERVAL[0]) : -1]
+"""Columns that files of version 1 do not have."""
+_KINDS: dict[str, Any] = {
+    name: field.annotation if field.annotation in (int, float) else str
+    for name, field in SpotRow.model_fields.items()
 }
-"""Type of a column; the others are floats."""
+"""Type of each column as it is written."""
 
 
 class RecordedPose(NamedTuple):
@@ -421,8 +449,7 @@ def spots_table(records: Iterable[SpotRecord]) -> "pd.DataFrame":
     import pandas as pd
 
     table = pd.DataFrame(map(_cells, records), columns=[*COLUMNS])
-    numbers = [name for name in COLUMNS if _KINDS.get(name, float) is not str]
-    table = table.astype({name: _KINDS.get(name, float) for name in numbers})
+    table = table.astype({name: kind for name, kind in _KINDS.items() if kind is not str})
     first = ["frame", "file_name", "time_s", "distance_mm", *_INTERVAL, *_ELLIPSE, "reason"]
     return table[[*first, *table.columns.drop(first)]]
 
@@ -469,15 +496,12 @@ def _cells(record: SpotRecord) -> list[Any]:
     spot, pose = record.result, record.pose
     values: dict[str, Any] = {"schema_version": SCHEMA_VERSION}
     if isinstance(spot, Spot):
-        values |= {name: getattr(spot, name) for name in _VALUES}
+        values |= {name: getattr(spot, name) for name in _MEASURED}
         values |= zip(_COVARIANCES, spot.covariance[_UPPER], strict=True)
     if pose is not None:
         of_pose = *pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared
-        values |= zip(_POSES, of_pose, strict=True)
-    return [
-        _KINDS.get(name, float)(values.get(name, getattr(record, name, math.nan)))
-        for name in COLUMNS
-    ]
+        values |= zip(_POSE_NUMBERS, of_pose, strict=True)
+    return [_KINDS[name](values.get(name, getattr(record, name, math.nan))) for name in COLUMNS]
 
 
 def _csv_line(cells: Iterable[object]) -> str:
@@ -492,7 +516,7 @@ def _parquet_of_csv(lines: Path, path: Path) -> None:
     """Write the Parquet file with the lines of a CSV file, a part at a time."""
     pa = _pyarrow()
     kinds = {int: pa.int64(), str: pa.string(), float: pa.float64()}
-    schema = pa.schema([(name, kinds[_KINDS.get(name, float)]) for name in COLUMNS])
+    schema = pa.schema([(name, kinds[_KINDS[name]]) for name in COLUMNS])
     # Only numbers may be missing, and only as empty cells: NA may be the name of a file.
     convert = pa.csv.ConvertOptions(column_types=schema, null_values=[""])
     parse = pa.csv.ParseOptions(newlines_in_values=True)
@@ -536,14 +560,14 @@ def _check_columns(names: Collection[str]) -> None:
         )
 
 
-def _covariance(values: dict[str, float], names: Sequence[str]) -> np.ndarray:
+def _covariance(cells: Any, names: Sequence[str]) -> np.ndarray:
     """The symmetric matrix with these values at and above its diagonal; NaN if it is unknown.
 
     Raises:
         InputError: no covariance has these values.
     """
     upper = np.zeros((5, 5))
-    upper[_UPPER] = [values[name] for name in names]
+    upper[_UPPER] = [getattr(cells, name) for name in names]
     matrix = upper + np.triu(upper, 1).T
     if np.isnan(matrix).any():
         return matrix
@@ -583,66 +607,51 @@ def _record(row: dict[str, str]) -> SpotRecord:
     version = row["schema_version"]
     found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
     check_schema(found, HISTORY, remedy="Write the file again.")
-    values = {name: number_in(row.get(name, ""), name) for name in COLUMNS if name not in _KINDS}
-    frame = number_in(row["frame"], "frame")
-    if not (0 <= frame < _MOST_FRAMES and frame == int(frame)):
-        raise InputError(
-            f"frame must be a whole number from 0 on, below {_MOST_FRAMES:,}; got "
-            f"{shortened(row['frame'])}."
-        )
-    for name, (low, high) in _LIMITS.items():
-        if values[name] < low or values[name] > high:  # false for NaN
-            raise InputError(f"{name} must lie from {low:g} to {high:g}; got {values[name]:g}.")
-    if values["distance_low_mm"] > values["distance_high_mm"]:
+    values: dict[str, Any] = {name: cell for name, cell in row.items() if cell}
+    for name in values.keys() & _KINDS.keys():
+        if _KINDS[name] is not str:
+            number = number_in(row[name], name)
+            whole = _KINDS[name] is int and number == int(number)
+            values[name] = int(number) if whole else number
+    cells: Any = validated(
+        SpotRow,
+        {name: value for name, value in values.items() if name in COLUMNS and value == value},
+        remedy="Write the spots again.",
+    )
+    if cells.distance_low_mm > cells.distance_high_mm:
         raise InputError(
             "distance_low_mm must not exceed distance_high_mm; got "
-            f"{values['distance_low_mm']:g} and {values['distance_high_mm']:g} mm."
-        )
-    known = [reason.value for reason in Reason]
-    if row["reason"] not in ("", *known):
-        raise InputError(
-            f"reason must be one of {', '.join(known)}; got {shortened(row['reason'])}."
+            f"{cells.distance_low_mm:g} and {cells.distance_high_mm:g} mm."
         )
     pose = None
-    if not math.isnan(values["tip_x_mm"]):
-        place, covariance = [values[name] for name in _POSE], _covariance(values, _POSE_COVARIANCES)
-        tip_mm, axis = np.array(place[:3]), np.array(place[3:])
-        if not abs(np.linalg.norm(axis) - 1) < _UNIT:
-            raise InputError(f"axis must be a unit vector; got {axis.tolist()}.")
-        pose = RecordedPose(tip_mm, axis, covariance, values["chi_squared"])
+    if not math.isnan(cells.tip_x_mm):
+        place = np.array([getattr(cells, name) for name in _POSE])
+        if not abs(np.linalg.norm(place[3:]) - 1) < _UNIT:
+            raise InputError(f"axis must be a unit vector; got {place[3:].tolist()}.")
+        covariance = _covariance(cells, _POSE_COVARIANCES)
+        pose = RecordedPose(place[:3], place[3:], covariance, cells.chi_squared)
+    of_record = {f.name for f in fields(SpotRecord)} & {*COLUMNS}
     return SpotRecord(
-        frame=int(frame),
-        file_name=row["file_name"],
-        time_s=values["time_s"],
-        mode=row["mode"],
-        result=_result(row, values),
-        **{name: values[name] for name in (*_DISTANCES, *_INTERVAL, _SURFACE)},
-        largest_cause=row.get("largest_cause", ""),
+        **{name: getattr(cells, name) for name in of_record},
+        result=_result(cells),
         pose=pose,
-        wall_memory=row.get("wall_memory", ""),
-        doubt=row["reason"],
-        measured_with=row.get("measured_with", ""),
+        doubt=cells.reason.value if cells.reason else "",
     )
 
 
-def _result(row: dict[str, str], values: dict[str, float]) -> Spot | NoSpot:
-    if row["status"] == "no_spot":
-        if not row["reason"]:
+def _result(cells: Any) -> Spot | NoSpot:
+    if cells.status == "no_spot":
+        if not cells.reason:
             raise InputError("a frame without a spot needs a reason.")
-        return NoSpot(Reason(row["reason"]), values["significance"])
-    if row["status"] != "spot":
-        raise InputError(f"status must be spot or no_spot; got {shortened(row['status'])}.")
+        return NoSpot(cells.reason, cells.significance)
+    measured = {name: getattr(cells, name) for name in (*_ELLIPSE, *_QUALITY)}
     for name in _ELLIPSE[:4]:
-        low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
-        if not low < values[name] < _LARGEST_PX:
-            raise InputError(
-                f"{name} of a spot must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
-            )
-    major, minor = values["semi_major_px"], values["semi_minor_px"]
+        if math.isnan(measured[name]):
+            raise InputError(f"{name} of a spot must be a number of px; got an empty cell.")
+    major, minor = cells.semi_major_px, cells.semi_minor_px
     if minor > major * (1 + _ROUNDING):
         raise InputError(
             f"semi_minor_px must not exceed semi_major_px; got {minor:g} and {major:g} px."
         )
-    values |= {"angle_rad": folded_angle(values["angle_rad"])}
-    measured = {name: values[name] for name in (*_ELLIPSE, *_QUALITY)}
-    return Spot(covariance=_covariance(values, _COVARIANCES), **measured)
+    measured |= {"angle_rad": folded_angle(cells.angle_rad)}
+    return Spot(covariance=_covariance(cells, _COVARIANCES), **measured)

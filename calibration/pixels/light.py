@@ -383,12 +383,13 @@ class _WallView:
         self, footage: Footage, cells: Cells, scale: float, eye_radius: float, kappa: float
     ) -> None:
         file = footage.microscope
+        k1, k2, p1, p2, k3 = file.distortion
         self.camera = optics.microscope(
             scale=scale,
             pinhole_height=1.0 / kappa - eye_radius if kappa else math.inf,
             eye_radius=eye_radius,
             principal_point=file.principal_point_px,
-            distortion=file.distortion,
+            distortion=(k1, k2, p1, p2, k3),
         )
         self.wall = phantom_wall(footage.kind, eye_radius=eye_radius)
         self.cells = cells

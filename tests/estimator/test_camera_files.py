@@ -198,7 +198,7 @@ def test_binning_and_region_move_the_image_as_they_move_its_pixels(tmp_path, bin
     microscope = read_microscope(path, **EYE)
     assert (microscope.height_px, microscope.width_px) == frame.shape
     assert microscope.camera_matrix is not None
-    seen = (microscope.camera_matrix @ [*ray, 1])[:2]
+    seen = (np.array(microscope.camera_matrix) @ [*ray, 1])[:2]
     # The bell ends 7 sigma from the border at the least: 1e-9 of it is missing.
     np.testing.assert_allclose(seen, place, atol=1e-6)
     # A pixel shows n times as much.

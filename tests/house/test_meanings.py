@@ -121,9 +121,9 @@ def respotted(tmp_path: Path, **cells: str) -> Path:
 @pytest.mark.parametrize(
     ("cells", "rule"),
     [
-        ({"coverage": "-5"}, "coverage must lie from 0 to 1"),
-        ({"coverage": "1000"}, "coverage must lie from 0 to 1"),
-        ({"sigma_distance_mm": "-1"}, "sigma_distance_mm must lie from 0"),
+        ({"coverage": "-5"}, "coverage must be at"),
+        ({"coverage": "1000"}, "coverage must be at"),
+        ({"sigma_distance_mm": "-1"}, "sigma_distance_mm must be at least 0"),
         ({"semi_minor_px": "500"}, "semi_minor_px must not exceed semi_major_px"),
         ({"cov_x_y": "9"}, "no correlation may be above 1"),
         ({"x_px": "1_0"}, "x_px must be a finite number; got '1_0'"),
