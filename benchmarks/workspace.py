@@ -135,7 +135,7 @@ def calibrated_cone(calibration: Calibration) -> tuple[float, float, Float[np.nd
             name: np.asarray(of[name]) if name in of else None for name in LENS_PARAMETERS
         }
         glass = optics.GlueLens(**known)
-        light = optics.LensField(glass, calibration.medium_index)
+        light = optics.LensField(glass, calibration.medium.index)
         low, high = LENS_RANGE_MM
         found = optics.effective_cone(light, from_distance=low, to_distance=high)
         return np.array([found.half_angle, found.b])

@@ -80,8 +80,7 @@ KINDS = (
         "Calibration (JSON)",
         "Parameters of a beam with their covariance. `eyespot fit` writes it; `track`, `budget`, "
         "`console` and the node read it.",
-        models=("eyespot.formats.calibration:_CalibrationFile",),
-        meanings=("eyespot.formats.calibration:Calibration",),
+        models=("eyespot.formats.calibration:Calibration",),
     ),
     FileKind(
         "spots",

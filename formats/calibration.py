@@ -1,16 +1,5 @@
 """Calibration file: JSON with a model's fitted parameters, their covariance and their origin.
 
-    {"schema": 2,
-     "model": "planar",
-     "medium": {"name": "air", "index": 1.0},
-     "parameters": {"k": {"value": 20.0, "unit": "1", "sigma": 0.1}, "b": {...}},
-     "covariance": {"order": ["k", "b"], "matrix": [[...], [...]]},
-     "fitted_on": {"description": "...", "sha256": "..."},
-     "sigma_inflation": 1.0,
-     "microscope": "A, zoom 1.6",
-     "stated": {"robot_scale": [[-0.2, 0.05]], "touch": [[0.0, 0.02]]},
-     "software": "eyespot 0.1.0"}
-
 The standard errors are given twice, beside the values for people and in the covariance for
 software. A file in which the two disagree was edited by hand and is refused.
 """
@@ -19,13 +8,14 @@ import json
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
 
 import numpy as np
-from pydantic import AllowInfNan, ConfigDict, Field
+from pydantic import AllowInfNan, ConfigDict, Field, model_validator
 
 from eyespot.formats.inputs import (
     InputError,
@@ -39,6 +29,9 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.poses import Vector
 from eyespot.formats.whole_files import write_text
+
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
 
 CONE_MODELS = ("planar", "small_plane", "corrected", "stereographic", "exact", "area")
 """Models of a sharp cone: each can use a calibration that was fitted with another of them."""
@@ -143,31 +136,6 @@ _WIDEST_BEAM_MM = 25.0  # radius at the tip; no beam is as wide as an eye
 _INDICES = {"air": (1.0, 1.001), "water": (1.32, 1.35), "vitreous": (1.33, 1.35)}
 
 
-def _check_together(calibration: "Calibration") -> None:
-    """Refuse values of a file that are possible each by itself, but not together."""
-    values = calibration.values
-    for small, large in _NO_LARGER:
-        if small in values and values[small] > values[large] * (1 + _SAME):
-            raise InputError(
-                f"parameters.{small} must be at most parameters.{large}; got {values[small]:g} and "
-                f"{values[large]:g}. Fit again, or restore the value."
-            )
-    if "b" in values:
-        half_angle, b, _ = calibration.cone
-        if (radius := abs(b) * math.tan(half_angle)) > _WIDEST_BEAM_MM:
-            raise InputError(
-                f"parameters.b must leave a beam of at most {_WIDEST_BEAM_MM:g} mm radius at the "
-                f"tip; got {b:g} mm, and with the cone's angle {radius:.3g} mm. Fit again, or "
-                "restore the value."
-            )
-    low, high = _INDICES.get(calibration.medium, (1.0, 2.0))
-    if not low <= calibration.medium_index <= high:
-        raise InputError(
-            f"medium.index of {calibration.medium} must lie from {low:g} to {high:g}; got "
-            f"{calibration.medium_index:g}. Restore the value, or name another medium."
-        )
-
-
 def quantity(name: str) -> Quantity:
     """Unit and range of a parameter.
 
@@ -199,69 +167,172 @@ _LARGEST = 1e24  # largest covariance, in the square of a parameter's unit
 _SAME = 1e-6  # relative; sigma and covariance are one number written twice
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Calibration:
-    """Parameters of a model, their errors, and their origin.
+class Medium(Strict):
+    """What lies between the tip and the wall."""
 
-    Attributes:
-        model: the model that was fitted, one of `MODELS`.
-        values: by name in the units of `QUANTITIES`, in the covariance's order. A model of a cone
-            has b and either k or half_angle; a lens has what `optics.glue_lens` takes.
-        covariance: symmetric, in products of those units.
-        medium: name of the medium between tip and wall; another medium needs another calibration.
-        medium_index: its refractive index.
-        fitted_on: free text: the data of the fit.
-        data_sha256: fingerprint of those data, 64 hexadecimal digits.
-        software: name and version that made the fit.
-        sigma_inflation: largest factor by which the standard errors exceed those from noise alone,
-            because the model misses part of the light; 1 for a good fit and in files of version 1.
-        microscope: name of the microscope and zoom to which scale and pinhole among the values
-            belong; empty: they count for all images.
-        stated: by what a rig states (`robot_scale`, `touch`, ...), how far the values follow one
-            standard deviation of it, (m, p), a row for each independent statement. It is part of
-            the covariance.
+    name: str = Field(description="Of the medium; another one needs another calibration.")
+    index: float = Field(ge=1, le=2, description="Its refractive index.")
+
+
+class Parameter(Strict):
+    """A fitted value."""
+
+    value: float = Field(description="Of the parameter.")
+    unit: str = Field(description="Of the parameter.")
+    sigma: float = Field(ge=0, description="Standard error of the parameter.")
+
+
+class Covariance(Strict):
+    """Covariance of all parameters."""
+
+    order: list[str] = Field(description="Names of the parameters in the order of the matrix.")
+    matrix: list[list[Annotated[float, AllowInfNan()]]] = Field(
+        description="Covariance, in products of the parameters' units."
+    )
+
+
+class Origin(Strict):
+    """The data of a fit."""
+
+    description: str = Field(description="The data of the fit, in words.")
+    sha256: str = Field(description="Fingerprint of those data, 64 hexadecimal digits.")
+
+
+class Calibration(Strict):
+    """Parameters of a model, their errors, and their origin, as the file has them.
+
+    A model of a cone has b and either k or half_angle; a lens has what `optics.glue_lens` takes.
     """
 
-    model: str
-    values: Mapping[str, float]
-    covariance: np.ndarray
-    medium: str
-    medium_index: float
-    fitted_on: str
-    data_sha256: str
-    software: str
-    sigma_inflation: float = 1.0
-    microscope: str = ""
-    stated: Mapping[str, np.ndarray] = field(default_factory=dict)
+    model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
 
-    def __post_init__(self) -> None:
-        """Reject what no fit can give.
+    schema_: int = Field(SCHEMA, alias="schema")
+    model: str = Field(description="The model that was fitted.")
+    medium: Medium
+    parameters: dict[str, Parameter] = Field(
+        description="Values with standard errors, by name, in the covariance's order."
+    )
+    covariance_: Covariance = Field(alias="covariance", description="Of the parameters.")
+    fitted_on: Origin
+    sigma_inflation: float = Field(
+        1.0,
+        ge=1,
+        le=_LARGEST,
+        description="Largest factor by which the standard errors exceed those from noise alone, "
+        "because the model misses part of the light; 1 for a good fit.",
+    )
+    microscope: str = Field(
+        "",
+        max_length=80,
+        description="Name of the microscope and zoom to which scale and pinhole among the "
+        "parameters belong; empty: they count for all images.",
+    )
+    stated_: dict[str, list[list[Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]]]] = Field(
+        {},
+        alias="stated",
+        description="By what a rig states (`robot_scale`, `touch`, ...), how far the parameters "
+        "follow one standard deviation of it, a row for each independent statement. It is part of "
+        "the covariance.",
+    )
+    software: str = Field(description="Name and version that made the fit.")
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        model: str,
+        values: Mapping[str, float],
+        covariance: "ArrayLike",
+        medium: str,
+        medium_index: float,
+        fitted_on: str,
+        data_sha256: str,
+        software: str,
+        sigma_inflation: float = 1.0,
+        microscope: str = "",
+        stated: "Mapping[str, ArrayLike] | None" = None,
+    ) -> Self:
+        """A calibration from numbers.
+
+        Args:
+            values: by name, in the units of `QUANTITIES`.
+            covariance: (n, n), in their order and in products of their units.
+            stated: (m, n) by name.
 
         Raises:
-            InputError: naming key, value and remedy.
+            InputError: no fit can give this; the text has key, value and remedy.
         """
-        object.__setattr__(self, "values", MappingProxyType(dict(self.values)))
-        object.__setattr__(self, "covariance", np.asarray(self.covariance, float))
-        rows = {name: np.asarray(moved, float) for name, moved in self.stated.items()}
-        object.__setattr__(self, "stated", MappingProxyType(rows))
-        check_parameters(self.model, self.values)
-        for name, moved in rows.items():
-            if moved.ndim != 2 or moved.shape[1] != len(self.values):
+        matrix = np.asarray(covariance, float)
+        deviations = np.sqrt(np.maximum(np.diag(matrix), 0)) if matrix.ndim == 2 else []
+        content = {
+            "schema": SCHEMA,
+            "model": model,
+            "medium": {"name": medium, "index": medium_index},
+            "parameters": {
+                name: {"value": float(value), "unit": quantity(name).unit, "sigma": float(sigma)}
+                for (name, value), sigma in zip_longest(values.items(), deviations, fillvalue=0.0)
+            },
+            "covariance": {"order": list(values), "matrix": matrix.tolist()},
+            "fitted_on": {"description": fitted_on, "sha256": data_sha256},
+            "sigma_inflation": float(sigma_inflation),
+            "microscope": microscope,
+            "stated": {name: np.asarray(rows).tolist() for name, rows in (stated or {}).items()},
+            "software": software,
+        }
+        return validated(cls, content, remedy="Fit again.")
+
+    @model_validator(mode="after")
+    def _is_possible(self) -> Self:
+        values, units = self.values, {name: quantity(name).unit for name in self.parameters}
+        check_parameters(self.model, values)
+        for name, entry in self.parameters.items():
+            if entry.unit != units[name]:
                 raise InputError(
-                    f"stated.{shortened(name)[1:-1]} must have rows of {len(self.values)} numbers, "
-                    f"one a parameter; got shape {moved.shape}."
+                    f"parameters.{name} must be in {units[name]!r}; got unit "
+                    f"{shortened(entry.unit)}. Convert value, sigma and covariance"
                 )
-        _check_covariance(self.covariance, len(self.values))
-        if not 1 <= self.medium_index <= 2:
+        if self.covariance_.order != list(values):
             raise InputError(
-                f"medium index must lie in [1, 2]; got {self.medium_index}. Air has 1, vitreous "
-                "1.336."
+                f"covariance order must list the parameters in their order, {list(values)}; got "
+                f"{shortened(self.covariance_.order)}. Sort rows and columns of the matrix likewise"
             )
-        if not re.fullmatch("[0-9a-f]{64}", self.data_sha256):
+        matrix = self.covariance_.matrix
+        for name, rows in {"covariance matrix": matrix, **self.stated_}.items():
+            square = rows is not matrix or len(rows) == len(values)
+            if {len(row) for row in rows} != {len(values)} or not square:
+                raise InputError(
+                    f"{name} must have rows of {len(values)} numbers, one a parameter; got "
+                    f"{shortened(rows)}"
+                )
+        _check_covariance(self.covariance)
+        if not re.fullmatch("[0-9a-f]{64}", self.fitted_on.sha256):
             raise InputError(
-                "fitted_on sha256 must be 64 hexadecimal digits, lower case; got "
-                f"{shortened(self.data_sha256)}. Fit again to get a true one."
+                "fitted_on.sha256 must be 64 hexadecimal digits, lower case; got "
+                f"{shortened(self.fitted_on.sha256)}"
             )
+        for name, entry in self.parameters.items():
+            expected = self.sigma(name)
+            if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
+                raise InputError(
+                    f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. "
+                    "Change both"
+                )
+        return self
+
+    @cached_property
+    def values(self) -> Mapping[str, float]:
+        """Values by name, in the covariance's order."""
+        return MappingProxyType({name: entry.value for name, entry in self.parameters.items()})
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(n, n), in the values' order."""
+        return np.array(self.covariance_.matrix, float)
+
+    @property
+    def stated(self) -> dict[str, np.ndarray]:
+        """(m, n) by what a rig states: how far the values follow one standard deviation of it."""
+        return {name: np.array(rows, float) for name, rows in self.stated_.items()}
 
     @property
     def beam_in_tool(self) -> Vector:
@@ -296,15 +367,18 @@ class Calibration:
             return self
         same = self.microscope == microscope
         out = set(OF_MICROSCOPE) if not same else {OF_MICROSCOPE[1]} if own_path else set()
-        kept = [i for i, name in enumerate(self.values) if name not in out]
-        names = list(self.values)
-        return replace(
-            self,
-            values={names[i]: self.values[names[i]] for i in kept},
-            covariance=self.covariance[np.ix_(kept, kept)],
-            stated={name: rows[:, kept] for name, rows in self.stated.items()},
-            microscope=microscope if same else "",
-        )
+        rows = [i for i, name in enumerate(self.values) if name not in out]
+        names = [name for name in self.values if name not in out]
+        content = self.model_dump(by_alias=True) | {
+            "parameters": {name: dict(self.parameters[name]) for name in names},
+            "covariance": {
+                "order": names,
+                "matrix": self.covariance[np.ix_(rows, rows)].tolist(),
+            },
+            "stated": {name: moved[:, rows].tolist() for name, moved in self.stated.items()},
+            "microscope": microscope if same else "",
+        }
+        return validated(Calibration, content, remedy="Fit again.")
 
     def sigma(self, name: str) -> float:
         """Standard error of a parameter, in its own unit."""
@@ -314,24 +388,7 @@ class Calibration:
 
 def write_calibration(path: str | Path, calibration: Calibration) -> None:
     """Write a calibration file, whole or not at all; InputError if one of this name exists."""
-    content = {
-        "schema": SCHEMA,
-        "model": calibration.model,
-        "medium": {"name": calibration.medium, "index": calibration.medium_index},
-        "parameters": {
-            name: {"value": value, "unit": quantity(name).unit, "sigma": calibration.sigma(name)}
-            for name, value in calibration.values.items()
-        },
-        "covariance": {
-            "order": list(calibration.values),
-            "matrix": calibration.covariance.tolist(),
-        },
-        "fitted_on": {"description": calibration.fitted_on, "sha256": calibration.data_sha256},
-        "sigma_inflation": calibration.sigma_inflation,
-        "microscope": calibration.microscope,
-        "stated": {name: rows.tolist() for name, rows in calibration.stated.items()},
-        "software": calibration.software,
-    }
+    content = calibration.model_dump(by_alias=True) | {"schema": SCHEMA}
     write_text(Path(path), json.dumps(content, indent=1) + "\n")
 
 
@@ -350,44 +407,6 @@ def read_calibration(path: str | Path) -> Calibration:
         return calibration_in(content)
 
 
-class _MediumKey(Strict):
-    name: str = Field(description="Of the medium.")
-    index: float = Field(description="Refractive index of the medium.")
-
-
-class _Parameter(Strict):
-    value: float = Field(description="Of the parameter.")
-    unit: str = Field(description="Of the parameter.")
-    sigma: Annotated[float, Field(ge=0)] = Field(description="Standard error of the parameter.")
-
-
-class _Covariance(Strict):
-    order: list[str] = Field(description="Names of the parameters in the order of the matrix.")
-    matrix: list[list[Annotated[float, AllowInfNan()]]] = Field(
-        description="Covariance, in products of the parameters' units."
-    )
-
-
-class _Origin(Strict):
-    description: str = Field(description="The data of the fit, in words.")
-    sha256: str = Field(description="Fingerprint of those data.")
-
-
-class _CalibrationFile(Strict):
-    model_config = ConfigDict(protected_namespaces=())  # `model` is the format's own key
-
-    schema_: Annotated[int, Field(alias="schema")]
-    model: str
-    medium: _MediumKey
-    parameters: dict[str, _Parameter] = Field(description="Values with standard errors, by name.")
-    covariance: _Covariance
-    fitted_on: _Origin
-    sigma_inflation: Annotated[float, Field(ge=1, le=_LARGEST)] = 1.0
-    microscope: str = Field("", max_length=80)
-    stated: dict[str, list[list[Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]]]] = Field({})
-    software: str
-
-
 def calibration_in(content: dict[str, Any]) -> Calibration:
     """The calibration that the content of a file describes.
 
@@ -395,60 +414,37 @@ def calibration_in(content: dict[str, Any]) -> Calibration:
         InputError: as `read_calibration`.
     """
     check_schema(content.get("schema"), HISTORY, remedy="Fit again, or restore the file.")
-    file = validated(_CalibrationFile, content, remedy="Restore the file, or fit again.")
-    for name, entry in file.parameters.items():
-        unit = quantity(name).unit
-        if entry.unit != unit:
-            raise InputError(
-                f"parameters.{name} must be in {unit!r}; got unit {shortened(entry.unit)}. "
-                "Convert value, sigma and covariance."
-            )
-    names, rows = list(file.parameters), file.covariance.matrix
-    if file.covariance.order != names:
-        raise InputError(
-            f"covariance order must list the parameters in their order, {names}; got "
-            f"{shortened(file.covariance.order)}. Sort rows and columns of the matrix likewise."
-        )
-    if len({len(row) for row in rows}) > 1:
-        raise InputError(
-            f"covariance matrix must have rows of equal length; got {shortened(rows)}."
-        )
-    calibration = Calibration(
-        model=file.model,
-        values={name: entry.value for name, entry in file.parameters.items()},
-        covariance=np.array(rows, float),
-        medium=file.medium.name,
-        medium_index=file.medium.index,
-        fitted_on=file.fitted_on.description,
-        data_sha256=file.fitted_on.sha256,
-        software=file.software,
-        sigma_inflation=file.sigma_inflation,
-        microscope=file.microscope,
-        stated={name: _rectangular(name, moved) for name, moved in file.stated.items()},
-    )
+    calibration = validated(Calibration, content, remedy="Restore the file, or fit again.")
     _check_together(calibration)
-    for name, entry in file.parameters.items():
-        expected = calibration.sigma(name)
-        if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
-            raise InputError(
-                f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. Change "
-                "both, or fit again."
-            )
     return calibration
 
 
-def _rectangular(name: str, rows: list[list[float]]) -> np.ndarray:
-    if len({len(row) for row in rows}) != 1:
-        raise InputError(f"stated.{name} must have rows of equal length; got {shortened(rows)}.")
-    return np.array(rows, float)
-
-
-def _check_covariance(matrix: np.ndarray, count: int) -> None:
-    if matrix.shape != (count, count):
+def _check_together(calibration: "Calibration") -> None:
+    """Refuse values of a file that are possible each by itself, but not together."""
+    values = calibration.values
+    for small, large in _NO_LARGER:
+        if small in values and values[small] > values[large] * (1 + _SAME):
+            raise InputError(
+                f"parameters.{small} must be at most parameters.{large}; got {values[small]:g} and "
+                f"{values[large]:g}. Fit again, or restore the value."
+            )
+    if "b" in values:
+        half_angle, b, _ = calibration.cone
+        if (radius := abs(b) * math.tan(half_angle)) > _WIDEST_BEAM_MM:
+            raise InputError(
+                f"parameters.b must leave a beam of at most {_WIDEST_BEAM_MM:g} mm radius at the "
+                f"tip; got {b:g} mm, and with the cone's angle {radius:.3g} mm. Fit again, or "
+                "restore the value."
+            )
+    low, high = _INDICES.get(calibration.medium.name, (1.0, 2.0))
+    if not low <= calibration.medium.index <= high:
         raise InputError(
-            f"covariance must be {count}x{count}, a row and a column a parameter; got shape "
-            f"{matrix.shape}."
+            f"medium.index of {calibration.medium.name} must lie from {low:g} to {high:g}; got "
+            f"{calibration.medium.index:g}. Restore the value, or name another medium."
         )
+
+
+def _check_covariance(matrix: np.ndarray) -> None:
     if not (np.abs(matrix) <= _LARGEST).all():
         raise InputError(
             f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "

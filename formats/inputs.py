@@ -268,6 +268,8 @@ def _fault(fault: ValidationError) -> str:
     else:
         ours = _RULES.get(first["type"])
         said = ours.format(**first.get("ctx", {})) if ours else first["msg"]
+        if first["type"] == "value_error" and not first["loc"]:
+            return said  # it names the keys that do not belong together, and their values
         rule = f"{_key(first['loc'])} {_cut(said)}"
     return f"{rule}; got {shortened(first['input'])}"
 

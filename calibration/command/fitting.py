@@ -269,7 +269,7 @@ def calibration_of(fitted: Fitted, recordings: Sequence[RecordedTrial]) -> Calib
     """The calibration of a fit, whether it is good or not."""
     names = ", ".join(recording.name for recording in recordings)
     medium = recordings[0].medium
-    return Calibration(
+    return Calibration.of(
         model=fitted.calibration_model,
         values=fitted.values,
         covariance=fitted.covariance,

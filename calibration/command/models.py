@@ -444,10 +444,10 @@ def known_cone(calibration: Calibration, recordings: Sequence[RecordedTrial]) ->
             f"{calibration.model!r}. Fit a phantom with --model cone."
         )
     medium = recordings[0].medium
-    if medium != calibration.medium:
+    if medium != calibration.medium.name:
         raise InputError(
             f"{recordings[0].name} was taken in {medium}, but --calibration is valid in "
-            f"{calibration.medium}. Calibrate the cone in {medium}."
+            f"{calibration.medium.name}. Calibrate the cone in {medium}."
         )
     angle, b, covariance = calibration.cone
     mean = {"half_angle": angle, "b": b}

@@ -156,7 +156,7 @@ def lens_curve(calibration: Calibration, *, wall_curvature: float) -> LensCurve:
         inputs=(
             list(values.items()),
             calibration.covariance.tolist(),
-            calibration.medium_index,
+            calibration.medium.index,
             wall_curvature,
         ),
         code=(*optics.LIGHT_CODE, Path(__file__)),
@@ -175,7 +175,7 @@ def _traced(
     """What a `LensCurve` has of a lens's light."""
     from eyespot import optics
 
-    table = optics.irradiance_table(lens, medium_index=calibration.medium_index)
+    table = optics.irradiance_table(lens, medium_index=calibration.medium.index)
     light, points = zip(
         *(_wall_light(table, wall_curvature, distance) for distance in _DISTANCES), strict=True
     )
@@ -257,7 +257,7 @@ def _relative_error(calibration: Calibration) -> np.ndarray:
         # Unchecked: a step of one standard error may leave what `optics.glue_lens` allows.
         present: Any = {name: None for name in LENS_PARAMETERS}
         present |= {name: np.asarray(values[name]) for name in LENS_PARAMETERS if name in values}
-        field = optics.LensField(optics.GlueLens(**present), calibration.medium_index)
+        field = optics.LensField(optics.GlueLens(**present), calibration.medium.index)
         radius = optics.half_maximum_radius(field, distance=_SENSITIVITY_DISTANCES)
         return np.log(np.asarray(radius))
 

@@ -300,7 +300,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     )
     at = [names.index(name) for name in free]
     light: dict[str, Any] = {
-        "medium_index": calibration.medium_index,
+        "medium_index": calibration.medium.index,
         "farthest": _FARTHEST_MM,
         "finest": _FINEST_PX * view.scale_mm_px,
     }

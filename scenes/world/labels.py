@@ -174,7 +174,7 @@ def study_calibration(
         fitted_on: origin of the values.
     """
     known = {name: float(value) for name, value in values.items()}
-    return Calibration(
+    return Calibration.of(
         model=model,
         values=known,
         covariance=np.zeros((len(known), len(known))) if covariance is None else covariance,

@@ -1,7 +1,6 @@
 """The map of a rig's workspace: its biases and its standard deviations are those of trials."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ from eyespot.benchmarks.studies.map import f2554, limits, mapped
 from eyespot.benchmarks.workspace import calibrated_cone, geometry_of_rig, workspace_of
 from eyespot.formats.rig import Rig
 from eyespot.scenes import Scene, changed
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.labels import study_calibration, true_calibration
 from eyespot.scenes.world.world import World
 
 NUMBERS = {
@@ -97,7 +96,9 @@ def test_a_lens_counts_as_its_effective_cone_and_is_as_uncertain_as_its_paramete
     aperture, sigma = numbers.index("numerical_aperture"), 0.01 * dome.values["numerical_aperture"]
     covariance = np.zeros((len(numbers), len(numbers)))
     covariance[aperture, aperture] = sigma**2
-    half_angle, b, spread = calibrated_cone(replace(dome, covariance=covariance))
+    half_angle, b, spread = calibrated_cone(
+        study_calibration("lens", dome.values, medium="vitreous", covariance=covariance)
+    )
     # The scene's cone is that of a table of the light, which is right to a thousandth.
     cone = World(scene).cone
     assert half_angle == pytest.approx(cone.half_angle, rel=2e-3)

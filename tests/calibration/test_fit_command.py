@@ -80,7 +80,7 @@ def test_spots_files_of_a_rig_give_the_line_back(rig, tmp_path, ending):
     # Two touches of 0.02 mm.
     assert found.sigma("b") == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
     assert re.search(r"eyespot \S+, jax \S+, optimistix \S+", found.software)
-    assert found.fitted_on == f"62 spots of trial-0{ending}, trial-1{ending}"
+    assert found.fitted_on.description == f"62 spots of trial-0{ending}, trial-1{ending}"
     page = (tmp_path / "c.html").read_text()
     assert "<b>A good fit.</b>" in page
     # Self-contained: nothing is loaded from elsewhere.
@@ -132,7 +132,7 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         spots, poses = rig(seed=seed)
         out = f"{len(prints)}.json"
         fit(tmp_path, spots, "--poses", poses, "--model", "plane", out=out)
-        prints.append(read_calibration(tmp_path / out).data_sha256)
+        prints.append(read_calibration(tmp_path / out).fitted_on.sha256)
     assert prints[0] == prints[1] != prints[2]
 
 

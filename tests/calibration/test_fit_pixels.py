@@ -108,7 +108,7 @@ def test_the_cone_is_found_in_pixels(cone, tmp_path):
     printed("fit", cone.folder, "--model", "image", "--out", out)
     found = read_calibration(out)
     assert found.model == "exact"
-    assert found.fitted_on == "10 frames of cone"
+    assert found.fitted_on.description == "10 frames of cone"
     assert_within(found, {"half_angle": HALF_ANGLE, "b": B}, 3)
     # Asked of rendered frames with camera noise.
     assert found.values["half_angle"] == pytest.approx(HALF_ANGLE, rel=0.003)

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 from pathlib import Path
 from statistics import NormalDist
 from types import SimpleNamespace
@@ -265,7 +264,7 @@ def test_a_scale_moves_the_distance_from_the_apex_by_its_own_share():
 def test_what_a_calibration_follows_is_a_part_of_its_own():
     covariance = np.array([[5e-2, -1e-3], [-1e-3, 5e-4]])
     rows = {"robot_scale": [[-0.2, 0.0]], "touch": [[0.0, 0.02]]}
-    own = replace(calibration(covariance=covariance), stated=rows)
+    own = calibration(covariance=covariance, stated=rows)
     ranger, seen = Ranger(own, microscope()), spot(720.0, 240.0, 66.0, 60.0)
     found, axis = ranger.distance(seen), tilted_axis()
     budget = Budgets(ranger, Stated(axis_sigma_deg=0)).of(seen, found, axis=axis)

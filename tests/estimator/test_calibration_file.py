@@ -21,7 +21,7 @@ def calibration(**changed):
         "data_sha256": "0123456789abcdef" * 4,
         "software": "eyespot 0.1.0",
     }
-    return Calibration(**{**given, **changed})
+    return Calibration.of(**{**given, **changed})
 
 
 @pytest.fixture
@@ -57,8 +57,7 @@ def test_a_file_holds_every_digit(tmp_path, model, values):
     read = read_calibration(tmp_path / "c.json")
     assert list(read.values.items()) == list(values.items())
     np.testing.assert_array_equal(read.covariance, written.covariance)
-    for name in ("model", "medium", "medium_index", "fitted_on", "data_sha256", "software"):
-        assert getattr(read, name) == getattr(written, name)
+    assert read == written
     assert [path.name for path in tmp_path.iterdir()] == ["c.json"]
 
 
@@ -74,16 +73,6 @@ def test_a_file_holds_every_digit(tmp_path, model, values):
 def test_sigma_is_the_root_of_the_variance(covariance, sigmas):
     known = calibration(covariance=covariance)
     assert (known.sigma("k"), known.sigma("b")) == pytest.approx(sigmas)
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    path = tmp_path / "c.json"
-    write_calibration(path, calibration())
-    before = path.read_bytes()
-    with pytest.raises(TypeError):
-        write_calibration(path, calibration(fitted_on=object()))  # JSON holds no such thing
-    assert path.read_bytes() == before
-    assert [entry.name for entry in tmp_path.iterdir()] == ["c.json"]
 
 
 def put(*keys, value):
@@ -116,8 +105,8 @@ def put(*keys, value):
         (put("parameters", "b", value=3.0), r"parameters\.b must be an object; got 3"),
         (put("parameters", value=[]), "parameters must be an object"),
         (put("covariance", "order", value=["b", "k"]), "order must list the parameters"),
-        (put("covariance", "matrix", value=[[0.04]]), "covariance must be 2x2.*shape"),
-        (put("covariance", "matrix", value=[[1, 2], [3]]), "must have rows of equal length"),
+        (put("covariance", "matrix", value=[[0.04]]), "matrix must have rows of 2 numbers"),
+        (put("covariance", "matrix", value=[[1, 2], [3]]), "must have rows of 2 numbers"),
         (put("covariance", "matrix", 0, 1, value=0.5), "must be symmetric"),
         (put("covariance", "matrix", 0, 0, value=-0.04), "no negative variance"),
         (put("covariance", "matrix", 0, 0, value=float("inf")), "covariance must be finite"),
@@ -126,7 +115,7 @@ def put(*keys, value):
             "positive semi-definite.*no correlation may exceed 1",
         ),
         (put("covariance", "matrix", value=[[0, 0.02], [0.02, 0.0049]]), "symmetric|definite"),
-        (put("medium", "index", value=0.9), r"medium index must lie in \[1, 2\]; got 0.9"),
+        (put("medium", "index", value=0.9), r"medium\.index must be at least 1; got 0.9"),
         (put("medium", "name", value=1), "name must be text"),
         (put("fitted_on", "sha256", value="abc"), "sha256 must be 64 hexadecimal digits"),
         (put("extra", value=1), "missing or unknown: extra"),

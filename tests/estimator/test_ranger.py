@@ -34,8 +34,8 @@ def microscope(height=R_EYE, **changed):
     return a_microscope(**{"principal_point_px": CENTRE, "pinhole_height_mm": height} | changed)
 
 
-def calibration(*, model="corrected", covariance=None, **values):
-    return a_calibration(values or CONE, model=model, covariance=covariance)
+def calibration(*, model="corrected", covariance=None, stated=None, **values):
+    return a_calibration(values or CONE, model=model, covariance=covariance, stated=stated)
 
 
 def covariance_of(semi_major, semi_minor, sigma_px):

@@ -95,7 +95,7 @@ def test_calibrations_of_0_1_are_read():
     assert planar.sigma("k") == 0.1
     assert planar.sigma_inflation == 1.0
     lens = read_calibration(OLD / "calibration-lens.json")
-    assert (lens.model, lens.medium, lens.medium_index) == ("lens", "vitreous", 1.336)
+    assert (lens.model, *dict(lens.medium).values()) == ("lens", "vitreous", 1.336)
     assert lens.values["sag"] == 0.12
 
 

@@ -45,7 +45,7 @@ def a_calibration(
     """Of a planar cone in air, without errors."""
     plain: dict[str, Any] = {"model": "planar", "medium": "air", "medium_index": 1.0}
     exact = np.zeros((len(values), len(values)))
-    return Calibration(
+    return Calibration.of(
         values=values,
         covariance=exact if covariance is None else covariance,
         fitted_on="made up for a test",

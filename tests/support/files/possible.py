@@ -101,7 +101,7 @@ def _of_rig(rig: Rig) -> Iterator[tuple[str, bool]]:
 
 def _of_calibration(found: Calibration) -> Iterator[tuple[str, bool]]:
     values = found.values
-    yield "index", abs(found.medium_index - MEDIA.get(found.medium, found.medium_index)) < 0.02
+    yield "index", abs(found.medium.index - MEDIA.get(found.medium.name, found.medium.index)) < 0.02
     yield "scale", 0 < values.get("scale", 1) < 100
     yield "eye", 0 < values.get("eye_radius", 1) < WIDEST_MM
     yield "c", 0 <= values.get("eccentricity", 0) < values.get("eye_radius", WIDEST_MM)
