@@ -9,7 +9,6 @@ import math
 import re
 from collections.abc import Mapping
 from functools import cached_property
-from itertools import zip_longest
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, Self
@@ -263,14 +262,19 @@ class Calibration(Strict):
             InputError: no fit can give this; the text has key, value and remedy.
         """
         matrix = np.asarray(covariance, float)
-        deviations = np.sqrt(np.maximum(np.diag(matrix), 0)) if matrix.ndim == 2 else []
+        known = np.sqrt(np.maximum(np.diag(matrix), 0)) if matrix.ndim == 2 else np.zeros(0)
+        sigmas = dict(zip(values, known.tolist(), strict=False))  # their number is checked below
         content = {
             "schema": SCHEMA,
             "model": model,
             "medium": {"name": medium, "index": medium_index},
             "parameters": {
-                name: {"value": float(value), "unit": quantity(name).unit, "sigma": float(sigma)}
-                for (name, value), sigma in zip_longest(values.items(), deviations, fillvalue=0.0)
+                name: {
+                    "value": float(value),
+                    "unit": quantity(name).unit,
+                    "sigma": sigmas.get(name, 0.0),
+                }
+                for name, value in values.items()
             },
             "covariance": {"order": list(values), "matrix": matrix.tolist()},
             "fitted_on": {"description": fitted_on, "sha256": data_sha256},
