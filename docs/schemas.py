@@ -64,7 +64,8 @@ KINDS = (
         "rig",
         "Rig (TOML)",
         "Microscope, camera, wall, instrument and robot. `eyespot rig init` writes one with all "
-        "keys; a rendered stack contains one.",
+        "keys; a rendered stack contains one. `--rig` takes a file of stated uncertainties of "
+        "eyespot 0.1 and 0.2, too, whose keys it has.",
         models=("eyespot.formats.rig:Rig",),
     ),
     FileKind(
@@ -103,13 +104,6 @@ KINDS = (
             "eyespot.estimator.distance.budget:Budget",
             "eyespot.estimator.distance.budget:Part",
         ),
-    ),
-    FileKind(
-        "stated",
-        "Stated uncertainties (TOML)",
-        "What a lab knows of its eye, robot and clocks, in eyespot 0.1 and 0.2. A rig file has "
-        "these keys now, and `--rig` takes such a file, too.",
-        models=("eyespot.formats.stated:Stated",),
     ),
     FileKind(
         "plan",

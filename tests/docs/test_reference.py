@@ -175,7 +175,6 @@ def written(tmp_path_factory):
         ("microscope", "stack/microscope.json"),
         ("manifest", "stack/manifest.json"),
         ("calibration", "beam.json"),
-        ("stated", "stated.toml"),
         ("budget", "budget.json"),
         ("plan", "plan.json"),
     ],
@@ -213,8 +212,8 @@ def test_an_entry_of_a_leaderboard_fulfils_its_schemas(tmp_path):
     ("slug", "content"),
     [
         ("calibration", {"schema": 2, "model": "cone"}),
-        ("stated", {"eye_radius": 0.2}),
-        ("stated", {"eye_radius_sigma_mm": "wide"}),
+        ("rig", {"wall": {"eye_radius": 0.2}}),
+        ("rig", {"wall": {"radius_sigma_mm": "wide"}}),
         ("glue-lens", {"schema": 1, "lens": {"core_radius": 0.25}}),
         ("spots", {"frame": 0}),
     ],
