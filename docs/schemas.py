@@ -316,7 +316,7 @@ def _glue_lens() -> dict[str, Any]:
         "type": "object",
         "properties": {
             "schema": {"const": 1, "description": "Version of the format."},
-            "provenance": {**_TEXT, "description": "Source of the numbers."},
+            "provenance": {"description": "Source of the numbers."},
             "lens": lens,
         },
         "required": ["schema", "lens"],

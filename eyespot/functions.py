@@ -115,7 +115,11 @@ def track(
         names = ("width_px", "height_px", "scale_mm_px", "pinhole_height_mm", "eye_radius_mm")
         table.attrs["microscope"] = {name: getattr(view, name) for name in names}
     if (beam := opened.beam) is not None:
-        table.attrs["calibration"] = {"model": beam.model, "medium": beam.medium, **beam.values}
+        table.attrs["calibration"] = {
+            "model": beam.model,
+            "medium": beam.medium.name,
+            **beam.values,
+        }
     return table
 
 

@@ -385,8 +385,8 @@ def _check_axis(recording: Recording) -> None:
 
 def _check_medium(rig: Rig, beam: Calibration) -> None:
     medium = rig.wall.medium
-    if medium is not None and beam.medium != medium:
+    if medium is not None and beam.medium.name != medium:
         raise InputError(
-            f"the frames were taken in {medium}, but the calibration is valid in {beam.medium}. "
+            f"the frames were taken in {medium}, but the calibration is valid in {beam.medium.name}. "
             f"Calibrate the beam in {medium}, or correct wall.medium of the rig file."
         )
