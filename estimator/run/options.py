@@ -387,6 +387,7 @@ def _check_medium(rig: Rig, beam: Calibration) -> None:
     medium = rig.wall.medium
     if medium is not None and beam.medium.name != medium:
         raise InputError(
-            f"the frames were taken in {medium}, but the calibration is valid in {beam.medium.name}. "
+            f"the frames were taken in {medium}, but the calibration is valid in "
+            f"{beam.medium.name}. "
             f"Calibrate the beam in {medium}, or correct wall.medium of the rig file."
         )

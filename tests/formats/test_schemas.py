@@ -65,7 +65,7 @@ SAMPLES = {
     ),
     "glue-lens": Sample("lens.toml", tomli_w.dumps({"schema": 1, "lens": DOME}), load_lens),
 }
-WRONG = (True, "wide", "", -1e30, 1e30, 1.5, None, [], {}, [True], {"a": 1})
+WRONG: tuple[Any, ...] = (True, "wide", "", -1e30, 1e30, 1.5, None, [], {}, [True], {"a": 1})
 """Values of which each key of each file forbids some."""
 
 
