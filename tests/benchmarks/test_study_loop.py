@@ -76,6 +76,19 @@ def test_the_guard_keeps_an_arm_from_the_wall():
     assert rows.d_mm.min() > 0.0
 
 
+def test_poses_that_are_old_lag_by_the_way_of_the_arm():
+    course, ends = flat(4.0), []
+    # The wall goes away by 0.5 mm/s, so in the end the arm follows as fast.
+    leaving = course._replace(depth_mm=DEPTH_MM + 0.5 * course.time_s)
+    for late_s in (0.0, 0.04):
+        run = LoopRun(tremor_mm=0.0, foreknown=0.0, late_s=late_s)
+        rows = simulated(run, leaving, perfect(leaving, run, 0), begin_mm=2.0, seed=0)
+        ends.append(rows.d_mm[rows.time_s > 3.5].mean())
+    # A reading is placed 0.5 mm/s x 0.04 s too near, so the distance settles as much farther. The
+    # steps of frames and ticks shift both alike.
+    assert ends[1] - ends[0] == pytest.approx(0.02, abs=1e-4)
+
+
 def test_the_course_keeps_its_speed_along_the_wall():
     scene = scenes.load_scene(None, ("source.kind=cone",))
     course = Course.of(scene, LoopRun(speed_mm_s=1.0), 0.5)
