@@ -229,7 +229,7 @@ def runs(*, quick: bool) -> dict[str, LoopRun]:
     return table
 
 
-ASSUMED: dict[str, dict[str, float | bool]] = {
+ASSUMED: dict[str, dict[str, Any]] = {
     "all of them hold": {},
     "no tremor": {"tremor_mm": 0.0},
     "the wall's rise is unknown": {"foreknown": 0.0},
