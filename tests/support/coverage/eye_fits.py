@@ -30,6 +30,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.sources.source import Source
 from eyespot.formats.calibration import Calibration
+from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot
 from eyespot.optics.viewing.camera import PathCamera
 from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot
@@ -75,6 +76,10 @@ def _seen(camera, semi_axes, places):
     return jax.lax.map(one, places)
 
 
+RIG = Rig().changed({"robot.scale_sigma": 0.0, "robot.clock_sigma_s": 0.0})
+"""The robot's scale and clock are drawn without errors, so none are stated."""
+
+
 def covariance(ellipse: np.ndarray) -> np.ndarray:
     """White noise of 0.05 px on centre and axes; the angle's noise moves the contour as far."""
     sigma = np.full(5, SIGMA_PX)
@@ -99,7 +104,7 @@ def recording(
     told = turned(axis, errors * AXIS_SIGMA * noise.standard_normal(2))
     return RecordedTrial(
         name="withdrawal",
-        recording=Recording(Source(name="withdrawal", read=lambda: iter(()))),
+        recording=Recording(Source(name="withdrawal", read=lambda: iter(())), rig=RIG),
         trial=ConeTrial(
             ellipses=optics.Ellipse(*map(jnp.asarray, (seen[:, :2], *seen[:, 2:].T))),
             covariances=covariances,
