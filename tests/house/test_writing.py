@@ -21,7 +21,7 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import StackWriter, read_stack
 from eyespot.formats.whole_files import BeingWrittenError, written_whole
 from eyespot.scenes import load_scene, render_stack, write_preview
-from tests.estimator.test_whole_files import everything, make
+from tests.formats.test_whole_files import everything, make
 from tests.support.drawn.drawn_sets import MICROSCOPE, labels_of
 
 HOME = Path(__file__).resolve().parents[2]
