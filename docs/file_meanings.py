@@ -35,18 +35,8 @@ MEANINGS = {
         **COMMON,
     },
     "plain-spots": {
-        "file_name": "Of the image, from the set's or stack's folder.",
-        "x_px": "Centre, to the right; integers are centres of pixels.",
-        "y_px": "Centre, downwards.",
-        "semi_major_px": "Half of the longer axis.",
-        "semi_minor_px": "Half of the shorter axis.",
-        "angle_rad": "Of the semi-major axis from +x towards +y.",
-        "distance_mm": "d, if the tracker has one.",
-        **{
-            f"sigma_{name}": f"Standard deviation of `{name}`."
-            for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
-        },
-        "sigma_distance_mm": "Standard deviation of `distance_mm`.",
+        f"sigma_{name}": f"Standard deviation of `{name}`."
+        for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
     },
     "budget": {"cause": "One of the [causes](messages.md).", "unit": "Of the quantity."},
     "glue-lens": {"lens": "The drop."},

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from pydantic import TypeAdapter
 
 from docs.file_meanings import COMMON, MEANINGS, attributes_of, named
+from eyespot.formats.stack import KINEMATICS
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _NUMBER, _WHOLE, _TEXT = {"type": "number"}, {"type": "integer"}, {"type": "string"}
@@ -95,6 +96,7 @@ KINDS = (
         "plain-spots",
         "Plain spots: a row (CSV)",
         "Spots of any tracker, for `eyespot score`.",
+        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spots:Spot"),
     ),
     FileKind(
         "budget",
@@ -253,12 +255,6 @@ def _stack() -> dict[str, Any]:
     }
 
 
-def _kinematics() -> dict[str, Any]:
-    from eyespot.formats.stack import KINEMATICS
-
-    return _object({name: _NUMBER for name in KINEMATICS})
-
-
 def _plain_spots() -> dict[str, Any]:
     from eyespot.benchmarks.sets.score import spots as plain_spots
 
@@ -325,7 +321,7 @@ def _glue_lens() -> dict[str, Any]:
 
 _BY_HAND = {
     "stack": _stack,
-    "kinematics": _kinematics,
+    "kinematics": lambda: _object({name: {**_NUMBER} for name in KINEMATICS}),
     "plain-spots": _plain_spots,
     "budget": _budget,
     "glue-lens": _glue_lens,

@@ -207,12 +207,12 @@ class Calibration(Strict):
 
     schema_: int = Field(SCHEMA, alias="schema")
     model: str = Field(description="The model that was fitted.")
-    medium: Medium
+    medium: Medium = Field(description="Between the tip and the wall.")
     parameters: dict[str, Parameter] = Field(
         description="Values with standard errors, by name, in the covariance's order."
     )
     covariance_: Covariance = Field(alias="covariance", description="Of the parameters.")
-    fitted_on: Origin
+    fitted_on: Origin = Field(description="The data of the fit.")
     sigma_inflation: float = Field(
         1.0,
         ge=1,

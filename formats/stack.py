@@ -21,7 +21,7 @@ import math
 import os
 import shutil
 import threading
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,10 +38,8 @@ from eyespot.formats.inputs import (
     InputError,
     Strict,
     check_schema,
-    csv_rows,
     in_file,
     inside,
-    number_in,
     object_in,
     read_text,
     read_toml,
@@ -50,6 +48,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.manifest import MANIFEST, differences, read_manifest, write_manifest
 from eyespot.formats.rig import RIG, rig_of_scene
+from eyespot.formats.tables import lines_of, numbers, read_table
 from eyespot.formats.whole_files import (
     STOPPED,
     append_line,
@@ -285,21 +284,14 @@ class Stack:
             InputError: the file is no such table, or has more than finite numbers.
             OSError: the file is missing or cannot be read.
         """
-
-        def check(names: Collection[str]) -> None:
-            if tuple(names) != KINEMATICS:
-                raise InputError(
-                    f"its columns must be {', '.join(KINEMATICS)}; got {shortened(list(names))}. "
-                    f"{_AGAIN}"
-                )
-
-        rows = []
-        for row, where in csv_rows(self.path_of("kinematics.csv"), check=check):
-            with in_file(where):
-                rows.append({name: number_in(cell, name) for name, cell in row.items()})
-                if unknown := [name for name, value in rows[-1].items() if math.isnan(value)]:
-                    raise InputError(f"{unknown[0]} must be a finite number; got ''. {_AGAIN}")
-        return {name: np.array([row[name] for row in rows], float) for name in KINEMATICS}
+        path = self.path_of("kinematics.csv")
+        table, place = read_table(path), lines_of(path)
+        if tuple(table.columns) != KINEMATICS:
+            raise InputError(
+                f"{path}: its columns must be {', '.join(KINEMATICS)}; got "
+                f"{shortened(list(table.columns))}. {_AGAIN}"
+            )
+        return {name: numbers(table[name], place) for name in KINEMATICS}
 
     def path_of(self, name: str) -> Path:
         """Path of a file that the labels or the manifest name.
