@@ -180,7 +180,11 @@ def _numbers(content: dict[str, Any], name: str) -> np.ndarray:
     found = _array(value.get("data", []), name)
     sides = value.get("sizes", [value.get("rows"), value.get("cols")])
     shape = _array(sides, f"rows and cols of {name}").ravel()
-    if not (shape > 0).all() or (shape % 1).any() or np.prod(shape) != found.size:
+    if (
+        not (np.isfinite(shape) & (shape > 0)).all()
+        or (shape % 1).any()
+        or np.prod(shape) != found.size
+    ):
         raise InputError(
             f"{name} has {found.size} numbers, but rows and cols say "
             f"{' x '.join(f'{side:g}' for side in shape)}."
