@@ -83,7 +83,7 @@ class CauseEye(NamedTuple):
 
 def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
     """e1' of the spot's contour at a distance (mm) along the beam, px."""
-    contour = _contour(eye, distance, links) / eye.scale
+    contour = _contour(eye, distance, links)
     ellipse = optics.ellipse_of_contour(contour)
     # Half of the contour's width across its longer axis.
     turn = ellipse.angle + 0.5 * jnp.pi
@@ -164,49 +164,33 @@ def inverse(
 
 
 def _contour(eye: CauseEye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
-    """Image of the spot's edge in mm at the pole's height; the meridian of O is the x axis."""
-    wall = _wall_contour(eye, distance, links)
-    along, across, inward = wall
-    c, r = eye.eccentricity, eye.radius
-    sin_phi = c / r
-    cos_phi = jnp.sqrt(1.0 - sin_phi**2)
-    height = r * (1.0 - cos_phi)  # of O over the pole
-    sin_tilt = jnp.where(links.foreshortening, sin_phi, 0.0)
-    cos_tilt = jnp.where(links.foreshortening, cos_phi, 1.0)
-    x = c + along * cos_tilt - inward * sin_tilt
-    z = height + along * sin_tilt + inward * cos_tilt
-    kappa = jnp.where(links.magnification, eye.inverse_working_distance, 0.0)
-    depth = 1.0 - kappa * z
-    return jnp.stack([x / depth, -across / depth], axis=-1)
-
-
-def _wall_contour(
-    eye: CauseEye, distance: Float[Array, ""], links: Links
-) -> tuple[Float[Array, "n"], Float[Array, "n"], Float[Array, "n"]]:
-    r"""Edge of the spot in the wall's frame at O, mm: along the meridian, across it, inward.
-
-    With the curvature q = 1/r (0 for the plane) the wall is $q|P|^2 = 2 P_z$; on the generator
-    $P = A + t w$ that is $q t^2 - 2 h t + g = 0$, solved in the form that holds for q = 0 too.
-    """
-    curvature = jnp.where(links.sagitta, 1.0 / eye.radius, 0.0)
-    tilt = jnp.where(links.incidence, eye.incidence, 0.0)
-    azimuth = eye.incidence_azimuth
-    sideways = jnp.sin(tilt)
-    axis = [sideways * jnp.cos(azimuth), sideways * jnp.sin(azimuth), -jnp.cos(tilt)]
-    beam = optics.Beam(
-        tip=-distance * jnp.stack(axis),
-        axis=jnp.stack(axis),
+    """Image of the spot's edge, px; the meridian of O is the x axis."""
+    sphere = optics.Sphere(eye.radius)
+    # Without foreshortening the spot is the one at the pole, moved to O without turning it.
+    c = jnp.where(links.foreshortening, eye.eccentricity, 0.0)
+    beam = optics.beam_at_spot(
+        sphere,
+        eccentricity=c,
+        distance=distance,
+        incidence=jnp.where(links.incidence, eye.incidence, 0.0),
+        incidence_azimuth=eye.incidence_azimuth,
         half_angle=eye.half_angle,
         apex_offset=eye.apex_offset,
     )
-    ax, ay, az = beam.apex
-    w = beam.generators(jnp.arange(_POINTS) * (2 * jnp.pi / _POINTS))
-    wx, wy, wz = w[:, 0], w[:, 1], w[:, 2]
-    h = wz - curvature * (ax * wx + ay * wy + az * wz)
-    g = curvature * (ax**2 + ay**2 + az**2) - 2.0 * az
-    # The apex lies inside the eye (g < 0); light meets the wall ahead of it.
-    t = -g / (-h + jnp.sqrt(h**2 - curvature * g))
-    return ax + t * wx, ay + t * wy, az + t * wz
+    here, there = (sphere.frame_at(eccentricity=at, azimuth=0.0) for at in (c, eye.eccentricity))
+    tangent = optics.Plane(point=here.origin, inward=-here.outward)
+    curved, flat = (
+        optics.cone_contour(beam, wall, points=_POINTS).point for wall in (sphere, tangent)
+    )
+    edge = jnp.where(links.sagitta, curved, flat) + there.origin - here.origin
+    view = optics.Microscope(
+        scale=eye.scale,
+        inverse_working_distance=jnp.where(links.magnification, eye.inverse_working_distance, 0.0),
+        pole_height=-eye.radius,
+        principal_point=jnp.zeros(2),
+        distortion=jnp.zeros(5),
+    )
+    return view.project(edge)
 
 
 def _greatest(periodic: Float[Array, "n"]) -> Float[Array, ""]:
