@@ -1,17 +1,20 @@
 # Everything from a fresh clone; each target sets up what it needs, once.
 
 .DEFAULT_GOAL := help
-.PHONY: help setup validate test test-slow test-wheel test-oldest check docs bench constraints
+.PHONY: help setup setup-rig validate test test-slow test-wheel test-oldest check docs bench constraints
 
 # Empty files inside .venv remember what was set up, and vanish with it.
 PACKAGES := .venv/.packages-installed
 LIBRARIES := .venv/.libraries-found
+RIG := .venv/.rig-installed
 SITE := .venv/.docs-installed
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 14
 
 setup: $(LIBRARIES) ## set up .venv and the system libraries; nothing is done twice
+
+setup-rig: $(RIG) ## set up .venv with what a rig uses: to measure, to fit, the node and the console
 
 validate: $(LIBRARIES) ## the main job: render, track, fit, report, into out/validate
 	.venv/bin/eyespot validate --out out/validate
@@ -46,6 +49,10 @@ constraints: ## resolve all versions anew and write constraints.txt
 
 $(PACKAGES): pyproject.toml constraints.txt tools/install-packages
 	@tools/install-packages
+	@touch $@
+
+$(RIG): pyproject.toml constraints.txt tools/install-packages scenes/machine/packages.py
+	@tools/install-packages rig
 	@touch $@
 
 $(LIBRARIES): $(PACKAGES) scenes/machine/llvm.py scenes/machine/variant.py tools/install-libraries

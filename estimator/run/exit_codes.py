@@ -281,7 +281,10 @@ def message_of(error: BaseException, *, of_options: bool = False) -> str | None:
     if isinstance(error, ImportError) and isinstance(error.__cause__, ImportError):
         return message_of(error.__cause__)  # of a command's module, loaded by its name
     if isinstance(error, ModuleNotFoundError) and (error.name or "").partition(".")[0] != "eyespot":
-        return f"the Python package {error.name} is not installed. Run `make setup` again."
+        return (
+            f"this needs the Python package {error.name}, which is not installed. Run `make "
+            "setup`; `make setup-rig` leaves out what only renders, or makes sets."
+        )
     if isinstance(error, OSError) and error.filename:
         remedy = _REMEDIES.get(error.errno or 0, "")
         name = repr(str(error.filename))[1:-1][:300]  # a name may have line breaks

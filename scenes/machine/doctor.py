@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from eyespot.scenes.machine.llvm import find_llvm
+from eyespot.scenes.machine.packages import NOT_ON_A_RIG
 
 GIB = 2**30
 MEMORY_NEEDED = 4 * GIB
@@ -44,17 +45,21 @@ class Finding:
     remedy: str = ""
 
 
-def doctor() -> None:
+def doctor(*, rig: bool = False) -> None:
     """Check this machine, and explain how to install what is missing.
 
-    The exit code is 1 if something that `eyespot validate` needs is missing.
+    The exit code is 1 if something that `eyespot validate` needs is missing, or with --rig
+    something that `eyespot track`, `fit` or `node` needs.
+
+    Args:
+        rig: The machine of a rig (`make setup-rig`): it measures and fits, and renders nothing.
     """
     table = Table(title="eyespot doctor")
     for heading in ("", "found", "", "what to do"):
         table.add_column(heading, overflow="fold")
     colours = {State.OK: "green", State.NOTE: "yellow", State.MISSING: "red"}
     missing = []
-    for finding in examine():
+    for finding in examine(rig=rig):
         # Text, because rich reads square brackets in a string as markup.
         state = Text(finding.state, style=colours[finding.state])
         table.add_row(Text(finding.what), Text(finding.found), state, Text(finding.remedy))
@@ -63,24 +68,31 @@ def doctor() -> None:
     Console().print(table)
     if missing:
         print(f"Not ready: {', '.join(missing)}. Do what the last column says, then run it again.")
+    elif rig:
+        print("Ready: this machine can measure and fit.")
+        print("Next: eyespot rig init rig.toml")
     else:
         print("Ready: this machine can render, measure and fit.")
         print("Next: eyespot scene init scene.toml, then eyespot render scene.toml --out stack")
     sys.exit(int(bool(missing)))
 
 
-def examine() -> Iterator[Finding]:
-    """All findings about this machine."""
-    yield from _versions()
+def examine(*, rig: bool = False) -> Iterator[Finding]:
+    """All findings about this machine, or those that concern a rig's."""
+    yield from _versions(NOT_ON_A_RIG if rig else frozenset())
     yield Finding("eyespot's packages", str(HOME))
-    yield from llvm_findings()
-    yield _variant("llvm_ad_rgb", State.MISSING, "Follow the message, then run `make setup` again.")
-    yield _variant("scalar_rgb", State.NOTE, "Not needed, but unexpected. Run `make setup` again.")
-    yield _variant("cuda_ad_rgb", State.NOTE, "Not needed. Requires an NVIDIA GPU and its driver.")
+    if not rig:
+        yield from llvm_findings()
+        remedy = "Follow the message, then run `make setup` again."
+        yield _variant("llvm_ad_rgb", State.MISSING, remedy)
+        remedy = "Not needed, but unexpected. Run `make setup` again."
+        yield _variant("scalar_rgb", State.NOTE, remedy)
+        remedy = "Not needed. Requires an NVIDIA GPU and its driver."
+        yield _variant("cuda_ad_rgb", State.NOTE, remedy)
     yield _jax()
     yield Finding("cores", str(len(os.sched_getaffinity(0))))
     memory, remedy = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), ""
-    if memory < MEMORY_NEEDED:
+    if memory < MEMORY_NEEDED and not rig:
         remedy = f"`eyespot validate` may need {MEMORY_NEEDED / GIB:.0f} GiB; use --quick."
     state = State.NOTE if remedy else State.OK
     yield Finding("memory", f"{memory / GIB:.1f} GiB", state, remedy)
@@ -93,7 +105,7 @@ def examine() -> Iterator[Finding]:
         yield Finding("this folder", f"{folder}: {error.strerror}", State.NOTE, remedy)
 
 
-def _versions() -> Iterator[Finding]:
+def _versions(unneeded: frozenset[str]) -> Iterator[Finding]:
     """Versions of Python and the packages, compared with the required and tested ones."""
     yield Finding("Python", f"{platform.python_version()} ({sys.executable})")
     constraints, tested = HOME / "constraints.txt", {}
@@ -105,11 +117,16 @@ def _versions() -> Iterator[Finding]:
         requirement = Requirement(line)
         if requirement.marker and not requirement.marker.evaluate({"extra": ""}):
             continue
+        if requirement.name in unneeded:
+            continue
         name = requirement.name
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            yield Finding(name, "not installed", State.MISSING, "Run `make setup` again.")
+            remedy = "Run `make setup`."
+            if name in NOT_ON_A_RIG:
+                remedy += " A rig needs it not: eyespot doctor --rig."
+            yield Finding(name, "not installed", State.MISSING, remedy)
             continue
         pinned = tested.get(canonicalize_name(name), version)
         if version not in requirement.specifier:

@@ -33,6 +33,10 @@ MAY_BE_IMPORTED_BY = {
     "equinox": {"optics", "calibration", "benchmarks"},
     "lineax": {"calibration"},
     "optax": {"benchmarks"},
+    # What `make setup-rig` leaves out, beside the renderer and optax.
+    "dask": {"benchmarks"},
+    "distributed": {"benchmarks"},
+    "skimage": {"benchmarks"},
 }
 
 # Where a spot becomes a distance, and the microscope that the others see the eye through.
