@@ -19,7 +19,7 @@ def rig_requirements(pyproject: str) -> list[str]:
     named = [*project["dependencies"]]
     for extra in EXTRAS_OF_A_RIG:
         named += project["optional-dependencies"][extra]
-    return [line for line in named if re.match(r"[\w.-]+", line)[0] not in NOT_ON_A_RIG]
+    return [line for line in named if re.split(r"[^\w.-]", line)[0] not in NOT_ON_A_RIG]
 
 
 if __name__ == "__main__":

@@ -36,7 +36,7 @@ MAY_BE_IMPORTED_BY = {
     # What `make setup-rig` leaves out, beside the renderer and optax.
     "dask": {"benchmarks"},
     "distributed": {"benchmarks"},
-    "skimage": {"benchmarks"},
+    "skimage": {"scenes", "benchmarks"},
 }
 
 # Where a spot becomes a distance, and the microscope that the others see the eye through.

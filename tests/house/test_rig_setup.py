@@ -43,22 +43,24 @@ def test_a_rig_fits_and_measures_and_names_what_it_lacks(rig_home, tmp_path):
     assert code == 0, text
     assert said(rig_home, "doctor")[0] == 1
     scene = changed(Scene(), {"source.kind": "cone", "motion.frames": 12})
-    stack = render_stack(scene, tmp_path / "stack").path
-    for words in (
+    render_stack(scene, stack := tmp_path / "stack")
+    works: tuple[tuple[object, ...], ...] = (
         ("fit", stack, "--out", tmp_path / "beam.json"),
         ("track", stack, "--calibration", tmp_path / "beam.json", "--out", tmp_path / "spots.csv"),
         ("rig", "init", tmp_path / "rig.toml"),
         ("node", "--help"),
-    ):
+    )
+    for words in works:
         code, text = said(rig_home, *words)
         assert code == 0, text
     (scene_file := tmp_path / "scene.toml").write_text("schema = 2\n")
-    for package, *words in (
+    fails: tuple[tuple[object, ...], ...] = (
         ("mitsuba", "render", scene_file, "--out", tmp_path / "other"),
         ("distributed", "dataset", "make", scene_file, "--out", tmp_path / "set"),
         ("distributed", "rivals", "run", stack, "--out", tmp_path / "rivals"),
-    ):
-        code, text = said(rig_home, *words)
+    )
+    for package, *command in fails:
+        code, text = said(rig_home, *command)
         assert code == 2, text
         assert f"needs the Python package {package}" in text
         assert "make setup" in text and "Traceback" not in text
