@@ -17,6 +17,8 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 from scipy import stats
 from scipy.fft import dct
 
+from eyespot.estimator.information import Information
+
 CHANCE = 1e-3
 """Probability that noise alone puts chi squared outside of the accepted range, on each side."""
 
@@ -77,7 +79,7 @@ def slow_waves(
 
 MOST_STEPS = 40
 _DAMPING, _MOST_DAMPING = 1e-6, 1e8
-_RIDGE, _NOTHING = 1e-12, 1e-300  # of a parameter's information
+_NOTHING = 1e-300
 
 
 class NormalEquations(NamedTuple):
@@ -133,8 +135,7 @@ def minimise(
         gain = expected_gain(at)
         if gain < tolerance:
             return Minimum(x, at, first, gain, steps, True)
-        damped = at.information + damping * np.diag(np.diag(at.information))
-        step = -_solved(damped, at.gradient)
+        step = -Information(at.information).solved(at.gradient, damping)
         tried = evaluate(x + step)
         expected = -(2 * at.gradient + at.information @ step) @ step
         ratio = (at.cost - tried.cost) / expected
@@ -150,17 +151,7 @@ def minimise(
 
 def expected_gain(at: NormalEquations) -> float:
     """By how much an undamped step would lower the cost, to first order."""
-    return float(at.gradient @ _solved(at.information, at.gradient))
-
-
-def _solved(
-    information: Float[np.ndarray, "p p"], gradient: Float[np.ndarray, "p"]
-) -> Float[np.ndarray, "p"]:
-    """A^-1 g; directions that the residuals do not determine stay as they are."""
-    size = np.sqrt(np.maximum(np.diag(information), _NOTHING))
-    scaled = information / np.outer(size, size)
-    scaled[np.diag_indices_from(scaled)] += _RIDGE
-    return np.asarray(np.linalg.solve(scaled, gradient / size) / size)
+    return float(at.gradient @ Information(at.information).solved(at.gradient))
 
 
 _TOLERANCE = 1e-10

@@ -22,6 +22,7 @@ from eyespot.estimator.detector.ellipse import (
 )
 from eyespot.estimator.detector.levels import Levels, top_counts
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
+from eyespot.estimator.information import Information
 from eyespot.formats.spots import NoSpot, Reason
 
 _ROUNDING = math.sqrt(np.finfo(float).eps)  # leaves half of the digits
@@ -118,9 +119,8 @@ def _flank(
     fitted, damping = start, 1e-3
     residual, jacobian = linearised(fitted)
     for _ in range(25):
-        gram = jacobian.T @ jacobian
-        gram.flat[::4] *= 1 + damping
-        step = np.clip(np.linalg.solve(gram, jacobian.T @ residual), -0.5, 0.5)
+        step = Information(jacobian.T @ jacobian).solved(jacobian.T @ residual, damping)
+        step = np.clip(step, -0.5, 0.5)
         trial_residual, trial_jacobian = linearised(fitted + step)
         if trial_residual @ trial_residual < residual @ residual:
             fitted, residual, jacobian = fitted + step, trial_residual, trial_jacobian
@@ -129,15 +129,12 @@ def _flank(
             damping *= 8
         if np.abs(step).max() < 1e-5:  # a thousandth of a px
             break
-    information = jacobian.T @ jacobian
-    size = np.sqrt(np.diag(information))
+    found = Information(jacobian.T @ jacobian)
     # No light is left on the flank, or it is so short that rounding decides on the inverse.
-    if not size.min() > _ROUNDING:
-        raise np.linalg.LinAlgError
-    if not np.linalg.eigvalsh(information / np.outer(size, size))[0] > _ROUNDING:
+    if not (np.linalg.norm(jacobian, axis=0).min() > _ROUNDING and found.least > _ROUNDING):
         raise np.linalg.LinAlgError
     square = float(residual @ residual)
-    covariance = square / (x.size - 3) * np.linalg.inv(information)
+    covariance = square / (x.size - 3) * found.inverse()
     return fitted, covariance, math.sqrt(square / float(root @ root))
 
 

@@ -29,6 +29,7 @@ from scipy.special import i1e
 from eyespot.estimator.detector.ellipse import AffineEllipse
 from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
+from eyespot.estimator.information import Information
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,10 +123,7 @@ def fit_to_pixels(
     rows, levels, left = _levelled(model, u, v, plane, values)
     for _ in range(60):
         columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
-        gram = columns @ columns.T
-        pull = columns @ left
-        gram.flat[:: len(gram) + 1] *= 1 + damping
-        step = np.linalg.lstsq(gram, pull, rcond=None)[0]
+        step = Information(columns @ columns.T).solved(columns @ left, damping)
         trial = model.stepped(step)
         axes = trial.ellipse.axes()
         if not (axes[1] > 0.5 and axes[0] < 2 * side):

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
+from eyespot.estimator.information import Information
 from eyespot.estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
 from eyespot.estimator.pixels.cells import COUNT, CellWindow
 from eyespot.estimator.pixels.frame_model import (
@@ -175,7 +176,6 @@ def inverse_diagonal(factor: Factor) -> Float[np.ndarray, "n"]:
     return np.square(np.tril(inverse)).sum(axis=0)
 
 
-_RIDGE = 1e-12  # of a state's own information, so that one without any does not matter
 _DONE, _SMALL, _ROUGH = 0.1, 0.3, 0.6
 """In standard deviations: a shorter step ends the iteration; a last step as short is an answer, the
 third where the spot is saturated: cells that come to full scale make the cost rough."""
@@ -264,7 +264,7 @@ class PoseSolver:
         lines = [*(line for _, line in kept), line._replace(weight=line.weight * trust)]
         motions = _motions(frames)
         hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
-        information = _Information(hessian)
+        information = Information(hessian)
         small = _ROUGH if frame.saturated else _SMALL
         for _ in range(steps):
             # How far the minimum is, the step without damping says: one with it is always short.
@@ -306,7 +306,7 @@ class PoseSolver:
             fresh = fresh._replace(weight=fresh.weight * trust)
             frames[-1], lines, motions = frame, [*trial[:-1], fresh], new_motions
             hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
-            information = _Information(hessian)
+            information = Information(hessian)
             converged = distance < small
         for k in range(newest):
             before = frames[k]
@@ -451,27 +451,8 @@ def _log_determinant(factor: Factor) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
 
 
-class _Information:
-    """An information matrix, in units in which each state has the information 1."""
-
-    def __init__(self, hessian: Float[np.ndarray, "s s"]) -> None:
-        own = np.diag(hessian)
-        size = 1.0 / np.sqrt(np.maximum(own, _RIDGE * own.max()))
-        values, vectors = np.linalg.eigh(size[:, None] * hessian * size)
-        self._values = np.maximum(values, 0.0) + _RIDGE
-        self._axes = size[:, None] * vectors
-
-    def solved(self, values: Float[np.ndarray, "s"], damping: float) -> Float[np.ndarray, "s"]:
-        """The inverse times values, with a damping that is added to each state's information."""
-        return self._axes @ ((values @ self._axes) / (self._values + damping))
-
-    def inverse(self) -> Float[np.ndarray, "s s"]:
-        """The inverse."""
-        return (self._axes / self._values) @ self._axes.T
-
-
 def _step_within(
-    information: _Information, gradient: np.ndarray, frame: FrameState, blur: int, damping: float
+    information: Information, gradient: np.ndarray, frame: FrameState, blur: int, damping: float
 ) -> np.ndarray:
     """The best step with a possible blur of a frame, whose variance has the number `blur`."""
     step = information.solved(gradient, damping)
