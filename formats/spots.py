@@ -607,17 +607,14 @@ def _record(row: dict[str, str]) -> SpotRecord:
     version = row["schema_version"]
     found = int(version) if re.fullmatch("[0-9]{1,9}", version) else version or None
     check_schema(found, HISTORY, remedy="Write the file again.")
-    values: dict[str, Any] = {name: cell for name, cell in row.items() if cell}
-    for name in values.keys() & _KINDS.keys():
-        if _KINDS[name] is not str:
-            number = number_in(row[name], name)
-            whole = _KINDS[name] is int and number == int(number)
-            values[name] = int(number) if whole else number
-    cells: Any = validated(
-        SpotRow,
-        {name: value for name, value in values.items() if name in COLUMNS and value == value},
-        remedy="Write the spots again.",
-    )
+    values: dict[str, Any] = {}
+    for name, kind in _KINDS.items():
+        if cell := row.get(name, ""):
+            values[name] = cell if kind is str else number_in(cell, name)
+            if kind is int and values[name] % 1 == 0:
+                values[name] = int(values[name])
+    known = {name: value for name, value in values.items() if value == value}  # NaN is not
+    cells: Any = validated(SpotRow, known, remedy="Write the spots again.")
     if cells.distance_low_mm > cells.distance_high_mm:
         raise InputError(
             "distance_low_mm must not exceed distance_high_mm; got "
