@@ -166,7 +166,7 @@ _LARGEST = 1e24  # largest covariance, in the square of a parameter's unit
 _SAME = 1e-6  # relative; sigma and covariance are one number written twice
 
 
-class Medium(Strict):
+class CalibratedMedium(Strict):
     """What lies between the tip and the wall."""
 
     name: str = Field(description="Of the medium; another one needs another calibration.")
@@ -207,7 +207,7 @@ class Calibration(Strict):
 
     schema_: int = Field(SCHEMA, alias="schema")
     model: str = Field(description="The model that was fitted.")
-    medium: Medium = Field(description="Between the tip and the wall.")
+    medium: CalibratedMedium = Field(description="Between the tip and the wall.")
     parameters: dict[str, Parameter] = Field(
         description="Values with standard errors, by name, in the covariance's order."
     )
