@@ -1,9 +1,9 @@
-"""Explains a frame by itself, or together with earlier ones that show a part of its wall.
+"""Which poses explain a frame by itself?
 
 Several explanations of the frames so far may be possible; each is a `Hypothesis`. Behind a lens one
 radius may belong to several distances, and without the robot's axis a spot may lean to either side.
 So the first frame's distances and directions are scanned, and every one that might become the best
-is fitted. A later frame continues each explanation.
+is fitted. `later_frame` continues each explanation.
 """
 
 import math
@@ -17,13 +17,10 @@ from jaxtyping import Float
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.pixels.beam import BeamLight, Sweep
-from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, WallMotion
+from eyespot.estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
 from eyespot.estimator.pixels.frame_fit import (
     STEPS,
-    fit_wherever,
-    moved,
     outliers,
-    remodelled,
     robust_fit,
 )
 from eyespot.estimator.pixels.frame_model import (
@@ -31,13 +28,12 @@ from eyespot.estimator.pixels.frame_model import (
     Direction,
     FrameState,
     RobotPose,
-    TextureVariances,
     contrast,
     lit,
-    texture_of,
 )
 from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
 from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
+from eyespot.estimator.pixels.texture import TextureVariances, texture_of
 from eyespot.formats.spots import Outline
 from eyespot.optics.wall_light.pose_light import BeamFrame
 
@@ -79,10 +75,10 @@ _UNDECIDED = 16.0
 """Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
 _SAME = 3.0  # standard deviations within which two poses are one
 _CALMS = 0.9  # of the shake that is expected, from frame to frame
-_MOVES_ON_PX = 4.0  # of the wall from frame to frame; a microscope shakes by one or two
+MOVES_ON_PX = 4.0
+"""Motion of the wall from frame to frame above which it moves on; a microscope shakes by 1 or 2."""
 _DRIFTED_PX, _SURELY = 1.0, 3.0
 """Least drift of the wall since the first frame that is worth a word: px, standard deviations."""
-_STAYS_PX = 0.1  # shift of a wall that keeps still; one that moved may move as far again
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +124,7 @@ class Hypothesis:
     @property
     def shake_px(self) -> float:
         """How far the image may jump from frame to frame, as it did of late."""
-        return max(min(self.moved_px, _MOVES_ON_PX), _CALMS * self.shake_before_px)
+        return max(min(self.moved_px, MOVES_ON_PX), _CALMS * self.shake_before_px)
 
     @property
     def outline(self) -> Outline:
@@ -352,172 +348,3 @@ def learnt_texture(solution: PoseSolution) -> TextureVariances:
     return texture_of(
         *together(solution.linear), count=COUNT, side_mm=solution.solver.model.side_mm
     )
-
-
-_KEPT = 6  # earlier frames
-_NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
-_GROWN = 0.07  # change of the distance's logarithm that does
-_OUTGROWN = 4.0
-"""Growth of the distance from where the light widens, after which a first frame no longer counts.
-On rendered print behind a flat lens, from 0.45 to 6.15 mm, distances were off by up to 19 um
-without a limit, and by up to 10 um with 4 as with 2."""
-_MORE_WALL = 1.25
-"""Growth of the wall that the frames light, after which its texture is learnt again. One small spot
-says little of it: vessels and grain that it does not show have the variances of the prior, and what
-is larger than the spot may as well be its light."""
-_UNLIKE = 1.2
-"""Growth of the mean square, in light without a sharp edge, after which it is learnt again as well:
-a vessel that comes into a light of the same size is sharper than what the first frames showed. By
-noise it scatters by 0.06."""
-_ANEW = 3  # fits of a frame, if it moves the earlier ones far
-_AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
-_OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
-
-
-def explained_with(
-    hypothesis: Hypothesis,
-    observation: Observation,
-    mix: Mix,
-    spot: Outline,
-    last_px: np.ndarray,
-    *,
-    shake_px: float,
-) -> Hypothesis | None:
-    """An explanation of the frames so far, continued by the next one.
-
-    Args:
-        shake_px: least standard deviation of the image's shake along each side.
-
-    Returns:
-        The continued hypothesis; None if no visible cell would be lit.
-    """
-
-    def cells(motion: WallMotion) -> CellLight:
-        return observation.picture.cells(mix, motion)
-
-    solver, kept, own = hypothesis.solution.solver, hypothesis.kept, hypothesis.solution.own
-    motion = hypothesis.solution.newest.cells.motion
-    if hypothesis.moved_px > _MOVES_ON_PX:  # the wall moves on as it did; else it only shakes
-        motion = hypothesis.step.after(motion)
-    centre = np.array([spot.x_px, spot.y_px])
-    on_map, before = motion.map_px(centre), hypothesis.solution.newest.cells.motion.map_px(last_px)
-    reach = reach_px(spot, sharp=solver.beam.sharp)
-    window = solver.window.following(on_map, reach, on_map - before)
-    if window == solver.window:
-        solver = solver.with_map(hypothesis.solution.texture_map)
-    else:
-        solver, kept = moved(solver, window, kept, own)
-    point = solver.beam.wall_points(centre[None])[0][0]
-    start = _start(hypothesis.solution.newest, solver, cells(motion), point, own, observation.sweep)
-    if start is None:
-        return None
-    if not solver.beam.sharp:
-        picture = without_tool(observation.picture, solver.beam, start.pose)
-        observation = observation._replace(picture=picture)
-        start = replace(start, cells=cells(motion))
-    start = replace(
-        start,
-        shift_sigma=math.hypot(_STAYS_PX + hypothesis.shake_px, math.sqrt(2.0) * shake_px),
-        # Where the microscope drifts, the eye frame moves against the robot, be it by a pixel.
-        robot=None if hypothesis.drifted(0.0) else observation.robot,
-    )
-    found, mean_square, other_wall, kept = _fitted(
-        solver, kept, start, own, cells, hypothesis.mean_square
-    )
-    learnt_px2, learnt_square = hypothesis.learnt_px2, hypothesis.learnt_square
-    seen_px2 = lit_px2(found)
-    unlike = not solver.beam.sharp and mean_square > _UNLIKE * max(learnt_square, 1.0)
-    if (seen_px2 > _MORE_WALL * learnt_px2 or unlike) and not other_wall:
-        solver, learnt_px2 = solver.of_texture(learnt_texture(found)), seen_px2
-        start, own = found.newest, found.own
-        found, mean_square, other_wall, kept = _fitted(
-            solver, kept, start, own, cells, hypothesis.mean_square
-        )
-        learnt_square = mean_square
-    return Hypothesis(
-        kept=_kept(found, kept),
-        solution=found,
-        learnt_px2=learnt_px2,
-        learnt_square=learnt_square,
-        mean_square=mean_square,
-        other_wall=other_wall,
-        step=found.newest.cells.motion.since(hypothesis.solution.newest.cells.motion),
-        shake_before_px=hypothesis.shake_px,
-    )
-
-
-def _fitted(
-    solver: PoseSolver,
-    kept: Kept,
-    start: FrameState,
-    own: Float[np.ndarray, "q"],
-    cells: Callable[[WallMotion], CellLight],
-    usual: float,
-) -> tuple[PoseSolution, float, bool, Kept]:
-    """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
-    for _ in range(_ANEW):
-        found, mean_square, other_wall = fit_wherever(solver, kept, start, own, cells, usual=usual)
-        fresh = remodelled(kept, found)
-        if fresh is None or other_wall:
-            break
-        kept, start, own = fresh, found.newest, found.own
-    return found, mean_square, other_wall, kept
-
-
-def _start(
-    last: FrameState,
-    solver: PoseSolver,
-    cells: CellLight,
-    point: Float[np.ndarray, "3"],
-    own: Float[np.ndarray, "q"],
-    sweep: Sweep | None,
-) -> FrameState | None:
-    """The last pose where the spot is now, at the distance that suits its light.
-
-    None if it lights nothing there that is seen.
-    """
-    prior = (last.log_ambient, _AMBIENT_STAYS)
-    found = []
-    for factor in _OTHER_DISTANCES:
-        axis = last.pose.axis
-        pose = solver.beam.pose(point - factor * last.pose.distance * axis, axis)
-        if pose is not None:
-            frame = replace(
-                last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
-            )
-            found.append(solver.model.scanned(frame, own))
-    best = min(filter(None, found), key=lambda one: one[1], default=None)
-    return None if best is None else replace(best[0], log_ambient=last.log_ambient)
-
-
-def _kept(solution: PoseSolution, before: Kept) -> Kept:
-    """The kept frames, with the newest if it shows the wall in another light.
-
-    A spot that has grown far beyond the first frame's has cells of which that lights a part only.
-    It shows the texture of this part, which is not the cell's, so it no longer counts.
-    """
-    *kept, newest = zip(solution.frames, solution.linear, strict=True)
-    # A fit that trusts them less does so for its own frame.
-    kept = [
-        (state, line._replace(weight=old.weight))
-        for (state, line), (_, old) in zip(kept, before, strict=True)
-    ]
-    pose, solver = newest[0].pose, solution.solver
-    apex_mm = solver.beam.apex_mm
-    outgrown = (pose.distance + apex_mm) / _OUTGROWN
-    if len(kept) > 1 and kept[0][0].pose.distance + apex_mm < outgrown:
-        kept.pop(0)
-    radius = 0.5 * COUNT * solver.model.side_mm / REACH[solver.beam.sharp]
-    apart = [
-        max(
-            float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,
-            abs(math.log(pose.distance / state.pose.distance)) / _GROWN,
-        )
-        for state, _ in kept
-    ]
-    if min(apart, default=math.inf) <= 1.0:
-        return kept
-    if len(kept) >= _KEPT:
-        # The first stays; of the others the one nearest to the newest goes.
-        kept.pop(1 + int(np.argmin(apart[1:])))
-    return [*kept, newest]

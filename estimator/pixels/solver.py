@@ -36,11 +36,11 @@ from eyespot.estimator.pixels.frame_model import (
     FrameState,
     Linear,
     RobotMotion,
-    TextureVariances,
     motion_between,
     prior_cost,
     prior_of,
 )
+from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE
 
 Kept = list[tuple[FrameState, Linear]]

@@ -23,10 +23,10 @@ from eyespot.estimator.pixels.first_frame import (
     Observation,
     distinct,
     explained_alone,
-    explained_with,
 )
 from eyespot.estimator.pixels.frame_fit import FARTHEST
 from eyespot.estimator.pixels.frame_model import Direction, RobotPose
+from eyespot.estimator.pixels.later_frame import explained_with
 from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference
 from eyespot.estimator.pixels.solver import PoseSolution
 from eyespot.estimator.pixels.verdict import flag_of, ghost_pull, range_of, shake_covariance

@@ -37,12 +37,12 @@ from eyespot.estimator.pixels.first_frame import Hypothesis
 from eyespot.estimator.pixels.frame_model import (
     BLOOM_SIGMA_PX,
     BLUR,
-    TextureVariances,
     contrast,
     halo,
     lit,
 )
 from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.formats.spots import Outline, Reason
 from eyespot.optics.wall_light.pose_light import POSE
 

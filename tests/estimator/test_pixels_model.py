@@ -14,17 +14,15 @@ from eyespot.estimator.pixels.beam import BeamLight, blurred, blurred_with_growt
 from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, rolled
 from eyespot.estimator.pixels.frame_fit import registered
 from eyespot.estimator.pixels.frame_model import (
-    LENGTHS_MM,
     OWN,
     FrameModel,
     FrameState,
     Linear,
     RobotPose,
-    TextureVariances,
     motion_between,
-    texture_of,
 )
 from eyespot.estimator.pixels.picture import _most_even
+from eyespot.estimator.pixels.texture import LENGTHS_MM, TextureVariances, texture_of
 from eyespot.estimator.pixels.tracker import _like
 from eyespot.formats.spots import Outline
 from eyespot.optics.wall_light.cells import square_lattice
