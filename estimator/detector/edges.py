@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from eyespot.estimator.detector.band import Band, Refined, hidden_bell, refine_sharp
+from eyespot.estimator.detector.band import Band, Refined, refine_sharp
 from eyespot.estimator.detector.coarse import Coarse
 from eyespot.estimator.detector.ellipse import (
     DESIGN,
@@ -31,6 +31,7 @@ from eyespot.estimator.detector.levels import (
     levels_of,
     slope_of_surroundings,
 )
+from eyespot.estimator.detector.saturated_flank import hidden_bell
 from eyespot.estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
 from eyespot.formats.spots import NoSpot, Reason
 

@@ -25,7 +25,9 @@ _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation betw
 _SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, fine texture and the camera's blur
 _BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
 _DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
-_STRANGE = 25.0  # the same of the best distance, from which only the size counts: five
+_OTHER_BEAM_CHI2 = 25.0
+"""Chi squared of the best distance above which only the size counts: a spot that is five standard
+deviations off in shape is not of this lens alone."""
 
 _STEP = 0.001  # of the distances compared, mm
 _DISTANCES = np.linspace(0.05, 8.0, 160)
@@ -116,7 +118,7 @@ def distance_from_lens(
         value, relative = peak_irradiance
         cost = cost + np.log(over_grid(peak) / value) ** 2 / (relative**2 + _BRIGHTNESS_ERROR**2)
     # A profile that fits no distance (a shaft in front, too dark a wall) is ignored.
-    cost = cost if cost.min() < _STRANGE else by_size
+    cost = cost if cost.min() < _OTHER_BEAM_CHI2 else by_size
     best = int(np.argmin(cost))
     excess = cost - cost[best]
     # Each interval of distances that cannot be excluded counts as one answer.

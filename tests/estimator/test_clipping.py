@@ -7,9 +7,9 @@ import pytest
 
 from eyespot.estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.detector.band import hidden_edge
 from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import Levels
+from eyespot.estimator.detector.saturated_flank import hidden_edge
 from eyespot.estimator.detector.tuning import RAYS
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.estimator.pixels.picture import FramePixels
