@@ -411,9 +411,15 @@ def rig_of_scene(
         # In scenes of format 1 a cone could be wider than its fibre, and touched with its own rim.
         rim = -source["cone_apex_offset_mm"] / source["cone_k"]
         instrument["fibre_diameter_mm"] = max(instrument["fibre_diameter_mm"], 2 * rim)
+    errors, named = scene.get("rig_errors", {}), {}
+    if errors.get("scale"):
+        # Stacks with equal errors were taken with one microscope.
+        scale = scene["microscope"]["scale_mm_px"]
+        named = {"id": f"rig {errors['seed']}, {scale:g} mm/px, {100 * errors['scale']:g} %"}
     return {
         "schema": SCHEMA,
         "microscope": EXACT["microscope"]
+        | named
         | some("rig_errors", scale_sigma="scale", pinhole_height_sigma_mm="pinhole_height_mm")
         | {"calibration": "microscope.json"},
         "wall": EXACT["wall"]

@@ -2,16 +2,19 @@
 
 Every rig is drawn: what its file states to a tolerance is off by a draw from that tolerance. Its
 withdrawal is fitted as `eyespot fit` does, and one spot is read as `eyespot track` does, with the
-same microscope or with another. The rank of the truth in the stated distribution is then uniform
-(Talts et al. 2018). Spots are drawn as ellipses of the exact geometry with noise.
+same microscope or with another, on a sphere or in a living eye: an ellipsoid that leans and lies
+aside, with a clear layer whose surface is read. One withdrawal in five begins anywhere, and rests
+on the core's radius. The rank of the truth in the stated distribution is then uniform (Talts et al.
+2018). Spots are drawn as ellipses of the exact geometry with noise.
 """
 
-import functools
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,10 +35,14 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack, turned
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.optics.viewing.eye import load_eye
 
 _WIDTH_PX, _HEIGHT_PX = 1280, 960
 _FRAMES, _RATE_HZ, _SPEED_MM_S, _START_S = 24, 2.0, 0.5, 1.0
 _MODELS = ("exact", "area")
+_REFRACTION_D, _LEAN_DEG, _ASIDE_MM = 2.0, 8.0, 0.5
+"""Of drawn eyes: standard deviation of the refraction, whose retinas are those of Atchison (2006);
+how far they lean, and lie aside, in any direction."""
 
 
 class _DrawnRig(NamedTuple):
@@ -48,29 +55,68 @@ class _DrawnRig(NamedTuple):
     robot_scale: float
     clock_s: float
     touch: float
+    layer: float
     boresight: Float[np.ndarray, "2"]
     half_angle: float
     b: float
 
+    @property
+    def camera(self) -> optics.Microscope:
+        """The true microscope, with the principal point (0, 0)."""
+        return optics.microscope(
+            scale=self.scale, pinhole_height=self.height, eye_radius=self.radius
+        )
 
-def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _DrawnRig:
-    """A rig whose file has the default tolerances, and what it is."""
+    @property
+    def wall(self) -> optics.Surface:
+        """The true plane or sphere."""
+        return phantom_wall(self.rig.wall.kind or "eyeball", eye_radius=self.radius)
+
+    def retina(self, noise: np.random.Generator) -> tuple[optics.Surface, optics.Microscope]:
+        """A drawn eye of about this radius, under the microscope at the same working distance."""
+        refraction = _REFRACTION_D * np.clip(noise.standard_normal(), -2, 2)
+        eye = load_eye("atchison", refraction_d=float(refraction))
+        semi_axes = eye.retina_semi_axes * self.radius / float(eye.retina_semi_axes.mean())
+        lean, aside = noise.uniform(0, 2 * math.pi, 2)
+        wall = optics.Ellipsoid(
+            semi_axes,
+            shift=(_ASIDE_MM * math.cos(aside), _ASIDE_MM * math.sin(aside)),
+            tilt=math.radians(_LEAN_DEG),
+            tilt_azimuth=lean,
+        )
+        pole = wall.frame_at(eccentricity=0.0, azimuth=0.0).origin[2]
+        return wall, replace(self.camera, pole_height=pole)
+
+
+def _drawn(
+    noise: np.random.Generator, *, microscope: str, kind: str, tissue: str, free: bool = False
+) -> _DrawnRig:
+    """A rig whose file has the default tolerances, and what it is.
+
+    Args:
+        kind: of the wall: plane or eyeball.
+        free: whether the first distance is unknown, and the core's radius is stated.
+    """
     keys: dict[str, Any] = {
         "microscope.id": microscope,
         "microscope.width_px": _WIDTH_PX,
         "microscope.height_px": _HEIGHT_PX,
         "microscope.scale_mm_px": float(noise.uniform(0.004, 0.01)),
         "microscope.pinhole_height_mm": 200.0,
-        "wall.kind": ("plane", "eyeball")[number % 2],
+        "wall.kind": kind,
+        "wall.tissue": tissue,
         "wall.radius_mm": float(noise.uniform(11.0, 12.5)),
         "wall.medium": "vitreous",
         "robot.eye_from_robot": [0.0, 0.0, 0.0, 1.0],
         "robot.touch": [0.15, 0.02],
     }
+    core, z = noise.uniform(0.05, 0.24), noise.standard_normal(8)
+    if free:
+        tip = Rig().instrument
+        keys["robot.touch"] = "free"
+        keys["instrument.core_radius_mm"] = core * (1 + tip.core_radius_sigma * float(z[6]))
     rig = Rig().changed(keys)
-    seen, wall, robot = rig.microscope, rig.wall, rig.robot
-    z = noise.standard_normal(7)
-    core = noise.uniform(0.05, 0.25)
+    seen, wall, robot, eye = rig.microscope, rig.wall, rig.robot, rig.stated
     half_angle = float(np.arctan(1 / noise.uniform(5.0, 20.0)))
     return _DrawnRig(
         rig=rig,
@@ -79,21 +125,25 @@ def _drawn(noise: np.random.Generator, number: int, *, microscope: str) -> _Draw
         radius=keys["wall.radius_mm"] + wall.radius_sigma_mm * z[2],
         robot_scale=1 + robot.scale_sigma * z[3],
         clock_s=robot.clock_sigma_s * z[4],
-        touch=0.15 + 0.02 * z[5],
+        touch=float(noise.uniform(0.1, 1.5)) if free else 0.15 + 0.02 * z[5],
+        layer=eye.clear_layer_mm + eye.clear_layer_sigma_mm * z[7],
         boresight=0.5 * BORESIGHT_SIGMA * noise.standard_normal(2),
         half_angle=half_angle,
         b=-core / math.tan(half_angle),
     )
 
 
-@functools.partial(jax.jit, static_argnames="kind")
+@eqx.filter_jit
 def _ellipses(
-    kind: str, eye: Any, cone: Any, spot: Array, beam: Array, motion: Array, distances: Array
+    wall: optics.Surface,
+    camera: optics.Microscope,
+    cone: tuple[float, float],
+    spot: Array,
+    beam: Array,
+    motion: Array,
+    distances: Array,
 ) -> optics.Ellipse:
-    """Ellipses of a cone that withdraws from a spot along a line."""
-    scale, height, radius = eye
-    camera = optics.microscope(scale=scale, pinhole_height=height, eye_radius=radius)
-    wall = phantom_wall(kind, eye_radius=radius)
+    """Ellipses of a cone (half-angle, b) that withdraws from a spot along a line."""
 
     def at(gone: Array) -> optics.Ellipse:
         tip = spot - distances[0] * beam - (gone - distances[0]) * motion
@@ -134,15 +184,12 @@ def _measured(
     )
 
 
-def _tool(kind: str, radius: float, c: float, noise: np.random.Generator, tilt_deg: float) -> Any:
+def _tool(wall: optics.Surface, c: float, noise: np.random.Generator, tilt_deg: float) -> Any:
     """A spot at c in any direction, and a tool's axis at an incidence."""
     azimuth, turn = noise.uniform(0, 2 * math.pi, 2)
-    height = -math.sqrt(radius**2 - c**2) if kind == "eyeball" else -radius
-    spot = np.array([c * math.cos(azimuth), c * math.sin(azimuth), height])
-    outward = spot / np.linalg.norm(spot) if kind == "eyeball" else np.array([0.0, 0.0, -1.0])
-    first, second = np.linalg.svd(outward[None])[2][1:]
-    lean = math.cos(turn) * first + math.sin(turn) * second
-    tilt = math.radians(tilt_deg)
+    place = wall.frame_at(eccentricity=c, azimuth=azimuth)
+    spot, outward, first, second = (np.asarray(v) for v in place)
+    lean, tilt = math.cos(turn) * first + math.sin(turn) * second, math.radians(tilt_deg)
     return spot, math.cos(tilt) * outward + math.sin(tilt) * lean
 
 
@@ -160,8 +207,7 @@ def _truly(axis: np.ndarray, world: _DrawnRig, noise: np.random.Generator) -> An
 
 def _calibrated(world: _DrawnRig, noise: np.random.Generator, folder: Path) -> Calibration | None:
     """The calibration of a drawn withdrawal; None if it is refused."""
-    kind = world.rig.wall.kind or "eyeball"
-    spot, axis = _tool(kind, world.radius, noise.uniform(0, 3), noise, noise.uniform(10, 30))
+    spot, axis = _tool(world.wall, noise.uniform(0, 3), noise, noise.uniform(10, 30))
     pose, motion, beam = _truly(axis, world, noise)
     times = np.arange(_FRAMES) / _RATE_HZ
 
@@ -171,8 +217,8 @@ def _calibrated(world: _DrawnRig, noise: np.random.Generator, folder: Path) -> C
         return _SPEED_MM_S * (started**2 / (2 * _START_S) + np.maximum(at - 0.25 - _START_S, 0.0))
 
     distances = world.touch + gone(times) - gone(times[:1])
-    eye, cone = (world.scale, world.height, world.radius), (world.half_angle, world.b)
-    seen = _ellipses(kind, eye, cone, *map(jnp.asarray, (spot, beam, motion, distances)))
+    ways = map(jnp.asarray, (spot, beam, motion, distances))
+    seen = _ellipses(world.wall, world.camera, (world.half_angle, world.b), *ways)
     sigma, size = noise.uniform(0.005, 0.03), 1 + 1e-4 * noise.standard_normal()
     centre = np.array([(_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2])
     records = [
@@ -207,25 +253,29 @@ def _at(ellipses: optics.Ellipse, n: int, centre: np.ndarray) -> optics.Ellipse:
 def _one(number: int, folder: Path) -> dict[str, Any]:
     """One rig: its fit, and the reading of one spot."""
     noise = np.random.default_rng([63, number])
-    same = number % 4 < 2
-    world = _drawn(noise, number, microscope="A")
+    same, tissue = number % 4 < 2, "retina" if number % 3 == 0 else "phantom"
+    kind, free = ("plane", "eyeball")[number % 2], number % 5 == 0
+    world = _drawn(noise, microscope="A", kind=kind, tissue="phantom", free=free)
     c, d, tilt = noise.uniform(0, 4), noise.uniform(0.5, 5), noise.uniform(5, 30)
-    row = {"c_mm": c, "d_mm": d, "tilt_deg": tilt, "same": same, "refused": True}
+    row = {"c_mm": c, "d_mm": d, "tilt_deg": tilt, "same": same, "tissue": tissue, "core": free}
+    row["refused"] = True
     beam = _calibrated(world, noise, folder)
+    if beam is None:
+        return row
     # The reading's eye, and its microscope if that is another one.
-    other = _drawn(noise, 1, microscope="A" if same else "B")
+    other = _drawn(noise, microscope="A" if same else "B", kind="eyeball", tissue=tissue)
     if same:
         scale = world.rig.microscope.scale_mm_px
         there = other.rig.changed({"microscope.scale_mm_px": scale})
         kappa = 1 / (world.height + world.radius)
         other = other._replace(rig=there, scale=world.scale, height=1 / kappa - other.radius)
-    if beam is None:
-        return row
-    spot, axis = _tool("eyeball", other.radius, c, noise, tilt)
+    wall, camera = other.wall, other.camera
+    if tissue == "retina":
+        wall, camera = other.retina(noise)
+    spot, axis = _tool(wall, c, noise, tilt)
     pose, motion, true = _truly(axis, world, noise)
-    eye, cone = (other.scale, other.height, other.radius), (world.half_angle, world.b)
-    along = jnp.asarray([d])
-    seen = _ellipses("eyeball", eye, cone, *map(jnp.asarray, (spot, true, motion)), along)
+    ways = map(jnp.asarray, (spot, true, motion, [d]))
+    seen = _ellipses(wall, camera, (world.half_angle, world.b), *ways)
     view, stated = other.rig.view, other.rig.stated.model_copy(update={"touch_sigma_mm": 0.0})
     assert view is not None
     measured = _measured(_at(seen, 0, np.array(view.principal_point_px)), noise, 0.02, 1.0)
@@ -236,6 +286,10 @@ def _one(number: int, folder: Path) -> dict[str, Any]:
     budget = Budgets(ranger, stated).of(measured, found, axis=told)
     if budget is None:
         return row
+    if tissue == "retina":
+        budget = budget.surface
+        outward = np.asarray(wall.frame_at(eccentricity=c, azimuth=math.atan2(spot[1], spot[0]))[1])
+        d -= other.layer / float(true @ outward)
     low, high = budget.interval_mm
     error = budget.corrected_mm - d
     rank = float(stats.t.cdf(-error / budget.sigma_mm, min(budget.freedom, 1e6)))
@@ -269,6 +323,9 @@ def judged(found: pd.DataFrame) -> pd.DataFrame:
     """Coverage and evenness of readings, of all and of parts of them."""
     read = found[~found.refused]
     parts = {"all": read, "same microscope": read[read.same], "another": read[~read.same]}
+    parts |= {"on a sphere": read[read.tissue == "phantom"]}
+    parts |= {"in an eye, to the surface": read[read.tissue == "retina"]}
+    parts |= {"distances that rest on the core": read[read.core]}
     parts |= {f"model {name}": read[read.model == name] for name in _MODELS}
     for name in ("c_mm", "d_mm", "tilt_deg"):
         thirds = pd.qcut(read[name], 3, labels=False)

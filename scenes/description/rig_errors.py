@@ -32,7 +32,8 @@ class DrawnErrors(NamedTuple):
 class RigErrors(SceneTable):
     """What the rig file of the stack states wrongly: standard deviations of what is drawn.
 
-    The rig file states these tolerances, too; images and labels have the true values.
+    The rig file states these tolerances, too; images and labels have the true values. Stacks whose
+    seed, scale and tolerance are equal name one microscope (`microscope.id`).
     """
 
     scale: _Part = Field(0.0, description="Relative, of microscope.scale_mm_px.")

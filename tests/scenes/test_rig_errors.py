@@ -50,6 +50,7 @@ def test_the_rig_of_a_stack_is_wrong_as_drawn_and_its_images_and_labels_are_not(
     assert stated["principal_point_px"] == true["principal_point_px"]
     rig, exact = (read_rig(tmp_path / name / "rig.toml") for name in ("wrong", "right"))
     assert rig.microscope.scale_sigma == 0.01 and exact.microscope.scale_sigma == 0
+    assert rig.microscope.id == "rig 4, 0.0268 mm/px, 1 %" and not exact.microscope.id
     assert rig.robot.scale_sigma == 0.02 and rig.robot.clock_sigma_s == 0.05
     assert rig.wall.radius_sigma_mm == 0.3 and rig.microscope.pinhole_height_sigma_mm == 5.0
     first = right.labels[0].d_mm
