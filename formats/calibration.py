@@ -308,7 +308,7 @@ class Calibration(Strict):
                     f"{name} must have rows of {len(values)} numbers, one a parameter; got "
                     f"{shortened(rows)}"
                 )
-        _check_covariance(self.covariance)
+        check_covariance(self.covariance)
         if not re.fullmatch("[0-9a-f]{64}", self.fitted_on.sha256):
             raise InputError(
                 "fitted_on.sha256 must be 64 hexadecimal digits, lower case; got "
@@ -448,22 +448,26 @@ def _check_together(calibration: "Calibration") -> None:
         )
 
 
-def _check_covariance(matrix: np.ndarray) -> None:
-    if not (np.abs(matrix) <= _LARGEST).all():
+def check_covariance(matrix: np.ndarray, *, most: float = _LARGEST) -> None:
+    """Refuse a matrix, (n, n), that is no covariance of errors.
+
+    Args:
+        most: largest absolute value, in the products of the values' units.
+
+    Raises:
+        InputError: it is not finite, not symmetric, or not positive semi-definite.
+    """
+    if not (np.abs(matrix) <= most).all():
         raise InputError(
-            f"covariance must be finite, at most {_LARGEST:g}. Leave out parameters that the "
-            "data do not determine."
+            f"covariance must be finite, at most {most:g}. Leave out parameters that the data do "
+            "not determine"
         )
     deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(deviation, deviation)
     if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > _SAME * scale).any():
-        raise InputError(
-            "covariance must be symmetric with no negative variance. Restore the matrix."
-        )
+        raise InputError("covariance must be symmetric with no negative variance")
     fixed = deviation == 0
+    # Values differ in scale, so the correlations are what must be definite.
     correlation = matrix / np.where(scale > 0, scale, 1.0)
     if matrix[fixed].any() or np.linalg.eigvalsh(correlation).min() < -_SAME:
-        raise InputError(
-            "covariance must be positive semi-definite: no correlation may exceed 1. Restore the "
-            "matrix."
-        )
+        raise InputError("covariance must be positive semi-definite: no correlation may exceed 1")

@@ -20,6 +20,7 @@ import numpy as np
 from pydantic import Field, create_model
 from pydantic import Strict as StrictType
 
+from eyespot.formats.calibration import check_covariance
 from eyespot.formats.inputs import (
     MOST_ROWS,
     InputError,
@@ -571,19 +572,8 @@ def _covariance(cells: Any, names: Sequence[str]) -> np.ndarray:
     matrix = upper + np.triu(upper, 1).T
     if np.isnan(matrix).any():
         return matrix
-    variances = np.diag(matrix)
-    if np.any(variances < 0) or np.abs(matrix).max() > _LARGEST_PX**2:
-        raise InputError(
-            f"variances must lie from 0 to {_LARGEST_PX**2:g}; got {variances.tolist()}. Write the "
-            "spots again."
-        )
-    # Pixels and radians differ in scale, so the correlations are what must be definite.
-    scale = np.sqrt(np.where(variances > 0, variances, 1.0))
-    if np.linalg.eigvalsh(matrix / np.outer(scale, scale)).min() < -_ROUNDING:
-        raise InputError(
-            f"covariances ({names[0]} and the next) must be those of some errors: no correlation "
-            "may be above 1. Write the spots again."
-        )
+    with in_file(names[0]):
+        check_covariance(matrix, most=_LARGEST_PX**2)
     return matrix
 
 

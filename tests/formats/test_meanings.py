@@ -81,7 +81,11 @@ def respotted(tmp_path: Path, **cells: str) -> Path:
     ("cells", "rule"),
     [
         ({"semi_minor_px": "500"}, "semi_minor_px must not exceed semi_major_px"),
-        ({"cov_x_y": "9"}, "no correlation may be above 1"),
+        ({"cov_x_y": "9"}, "no correlation may exceed 1"),
+        (
+            {"cov_semi_minor_semi_minor": "0", "cov_x_semi_minor": "1e-9"},
+            "no correlation may exceed",
+        ),
         ({"x_px": "1_0"}, "x_px must be a finite number; got '1_0'"),
         ({"x_px": "\u0663\u0662\u0660"}, "x_px must be a finite number"),
         ({"angle_rad": "90"}, "Write radians, not degrees"),
