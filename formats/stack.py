@@ -288,7 +288,7 @@ class Stack:
         table, place = read_table(path), lines_of(path)
         if tuple(table.columns) != KINEMATICS:
             raise InputError(
-                f"{path}: its columns must be {', '.join(KINEMATICS)}; got "
+                f"{path}, line 1: its columns must be {', '.join(KINEMATICS)}; got "
                 f"{shortened(list(table.columns))}. {_AGAIN}"
             )
         return {name: numbers(table[name], place) for name in KINEMATICS}
