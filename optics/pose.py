@@ -136,9 +136,10 @@ def _refined(
     tip: Float[Array, "3"],
     axis: Float[Array, "3"],
 ) -> BeamPose:
-    """Gauss-Newton with Levenberg's damping until the steps are below rounding.
+    """Gauss-Newton with Marquardt's damping until the steps are below rounding.
 
-    `residual` gives residuals over their standard deviation.
+    It adds a share of each state's own information. Optimistix adds one number to all, which is not
+    the same for mm and rad. `residual` gives residuals over their standard deviation.
     """
 
     def residuals(step, tip, axis):

@@ -102,6 +102,8 @@ def fit_to_pixels(
 ) -> SmallSpot | None:
     """Fit a spot to the light of a patch.
 
+    The loop is its own, since a step moves the ellipse by an affine map and levels are fitted anew.
+
     Args:
         light: (h, w), linear in the irradiance; NaN where there is nothing to be fitted.
         x0, y0: column and row of the frame of its first pixel.

@@ -251,6 +251,9 @@ class PoseSolver:
     ) -> PoseSolution:
         """Iterate from the frames' states.
 
+        The loop is its own: a step ends where a blur is impossible, only the newest frame is
+        modelled anew, and the cost contains the eliminated map.
+
         Args:
             kept: earlier frames with their models, which change little and stay linear.
             trust: factors on the weights of the newest frame's cells.
