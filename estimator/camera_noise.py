@@ -52,7 +52,7 @@ class CameraNoise:
         """Largest value of a pixel, DN."""
         return self.sheet.full_scale
 
-    @property
+    @functools.cached_property
     def black(self) -> float:
         """Level of a dark pixel, as a fraction of full scale."""
         return self.sheet.black_level_dn / self.sheet.full_scale
