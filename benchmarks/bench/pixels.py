@@ -46,7 +46,7 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
             the stack's first.
     """
     world = World(Scene.model_validate(stack.description["scene"]))
-    reader, poses = robot_reader(stack), told_poses(stack, rng)
+    reader, poses = robot_reader(stack), noisy_poses(stack, rng)
     start = stack.labels[0].half_max_x_px, stack.labels[0].half_max_y_px
     microscope = read_microscope(stack.folder / "microscope.json")
     subpixel, rows = own_reader("subpixel", microscope, click=start), []
@@ -92,7 +92,7 @@ def robot_reader(stack: Stack) -> Reader:
     return reader
 
 
-def told_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
+def noisy_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
     """The robot's poses of a stack, all with one drawn error of the axis."""
     axis = np.array(stack.labels[0].axis)
     turn = drawn_prior(axis, rng) - axis
@@ -343,7 +343,7 @@ def memory(full: bool = False) -> pd.DataFrame:
         began = time.perf_counter()
         reader = robot_reader(stack)
         start_s = time.perf_counter() - began
-        poses = told_poses(stack, rng)
+        poses = noisy_poses(stack, rng)
     for k, frame in enumerate(islice(cycle(frames + frames[-2:0:-1]), warm + number)):
         began = time.perf_counter()
         read = reader.read(frame, poses=poses)
