@@ -10,6 +10,7 @@ from threading import Thread
 from typing import Any
 
 import myst_nb.core.render
+import nbformat
 from jupyter_cache import get_cache
 from jupyter_cache.executors import load_executor
 from myst_nb.core.utils import coalesce_streams
@@ -128,6 +129,10 @@ def _whole_streams(outputs: list[Any]) -> list[Any]:
 myst_nb.core.render.coalesce_streams = _whole_streams
 
 
+def _cache_folder(app: Any) -> str:
+    return str(app.outdir.parent / ".jupyter_cache")
+
+
 def _run_pages(folder: str) -> None:
     """Run the cells of pages that changed; myst-nb finds their outputs, and reports failures."""
     # Every bash starts with these, so a cell fails with any of its commands.
@@ -141,13 +146,46 @@ def _run_pages(folder: str) -> None:
     load_executor("local-serial", cache).run_and_cache(timeout=nb_execution_timeout)
 
 
+_INCLUDED = re.compile(r"```\{literalinclude\} (\S+)\n(?::[^\n]*\n)*```")
+_LINK_TO_PAGE = re.compile(r"!?\[([^]]+)\]\((?!https?:)[^)]+\)")
+
+
+def _offer_notebook(app: Any, page: str, template: str, context: Any, doctree: Any) -> None:
+    """Offer a tutorial as a notebook, which needs neither the site nor its folders."""
+    if not page.startswith("tutorials/"):
+        return
+    # myst-nb writes it here, and leaves the outputs in its cache.
+    written = app.outdir.parent / "jupyter_execute" / f"{page}.ipynb"
+    notebook = nbformat.read(written, as_version=4)
+    _, notebook = get_cache(_cache_folder(app)).merge_match_into_notebook(notebook)
+    # The cell that is not shown goes into the site's folders.
+    notebook.cells = [
+        cell for cell in notebook.cells if "remove-cell" not in cell.metadata.get("tags", [])
+    ]
+    folder = (_HERE / page).parent
+    for cell in notebook.cells:
+        if cell.cell_type == "markdown":
+            text = _INCLUDED.sub(
+                lambda match: f"```text\n{(folder / match[1]).read_text('utf-8')}```", cell.source
+            )
+            cell.source = _LINK_TO_PAGE.sub(r"\1", text)
+        else:
+            cell.outputs = _whole_streams(cell.outputs)
+    target = Path(app.outdir) / f"{page}.ipynb"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    nbformat.write(notebook, target)
+    link = f'<p><a href="{target.name}" download>This page as a notebook</a></p>'
+    context["body"] = context["body"].replace("</h1>", f"</h1>\n{link}", 1)
+
+
 def setup(app: Any) -> None:
     """Write the pages that come from the code, and read docstrings as they are meant."""
     from docs.generated import write_pages
 
     write_pages(_HERE / "reference" / "generated")
     app.connect("autodoc-process-docstring", _as_rst)
+    app.connect("html-page-context", _offer_notebook)
     # Beside the gallery's examples, as neither uses two cores.
-    pages = Thread(target=_run_pages, args=(str(app.outdir.parent / ".jupyter_cache"),))
+    pages = Thread(target=_run_pages, args=(_cache_folder(app),))
     pages.start()
     app.connect("env-before-read-docs", lambda *_: pages.join())
