@@ -154,7 +154,7 @@ def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, c
         (InputError("Sphere(radius=...) must be positive"), "Sphere(radius=...) must be positive"),
         (RendererUnavailable("no usable libLLVM"), "no usable libLLVM"),
         (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.png"), "a.png: No space left"),
-        (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax is not"),
+        (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax, which is not"),
     ],
 )
 def test_an_expected_error_is_one_message_and_exit_code_2(monkeypatch, error, message):
@@ -216,7 +216,7 @@ def test_doctor_names_a_refused_llvm_and_the_remedy(monkeypatch, tmp_path):
 @pytest.mark.parametrize(("state", "code"), [("ok", 0), ("note", 0), ("missing", 1)])
 def test_doctor_fails_only_where_something_needed_is_missing(monkeypatch, state, code):
     finding = doctor.Finding("cores", "2", doctor.State(state))
-    monkeypatch.setattr(doctor, "examine", lambda: [finding])
+    monkeypatch.setattr(doctor, "examine", lambda rig: [finding])
     assert run("doctor").exit_code == code
 
 
