@@ -154,7 +154,10 @@ def test_without_llvm_the_remedy_is_named_and_nothing_is_left_behind(tmp_path, c
         (InputError("Sphere(radius=...) must be positive"), "Sphere(radius=...) must be positive"),
         (RendererUnavailable("no usable libLLVM"), "no usable libLLVM"),
         (OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "a.png"), "a.png: No space left"),
-        (ModuleNotFoundError("No module named 'jax'", name="jax"), "the Python package jax, which is not"),
+        (
+            ModuleNotFoundError("No module named 'jax'", name="jax"),
+            "this needs the Python package jax",
+        ),
     ],
 )
 def test_an_expected_error_is_one_message_and_exit_code_2(monkeypatch, error, message):
