@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from eyespot.calibration.spots.cone_trials import (
     RETINA,
     SIZE_PER_MM,
     SIZE_SIGMA,
+    ConeTrial,
     JointPrior,
     Prior,
     phantom_wall,
@@ -220,8 +222,11 @@ def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     start = dict(own.mean) if own else cone_start(recordings)
     for _ in range(_CORE_ROUNDS if core else 1):
         joint = own if core is None else cone_from(core, start["half_angle"])
+        trials = [recording.trial for recording in recordings]
+        if core and joint:
+            trials = [_begun(recording, joint.mean["b"]) for recording in recordings]
         fit = fit_cone(
-            [recording.trial for recording in recordings],
+            trials,
             recordings[0].microscope.pinhole(),
             start=start | (dict(joint.mean) if joint else {}) | tilt,
             free=free,
@@ -240,6 +245,18 @@ _CORE_ROUNDS = 3
 the spots misses, some percent; each next one squares that."""
 _ANY_ANGLE = 0.5
 """Standard deviation, rad, of a half-angle of which nothing is known."""
+
+
+def _begun(recording: RecordedTrial, b: float) -> ConeTrial:
+    """A trial whose free first distance is expected where the line through its spots begins.
+
+    The line is d = k R + b of the readings, which lack the first distance. From one that is some
+    millimetres off, the solver goes astray.
+    """
+    trial = recording.trial
+    if trial.touch != FREE_TOUCH:
+        return trial
+    return replace(trial, touch=Prior(b - line_through([recording]).b, FREE_TOUCH.sigma))
 
 
 def free_core(recordings: Sequence[RecordedTrial]) -> Prior | None:
