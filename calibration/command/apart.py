@@ -14,12 +14,15 @@ from jaxtyping import Float
 from scipy import stats
 
 from eyespot.calibration.command.verdict import Fitted
+from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.formats.calibration import BEAM
 
 OF_ONE = ("touch", "clock_offset")
 """What a rig states anew for each recording; the errors of all else are shared."""
 OF_MOUNTING, OF_GAIN = BEAM, ("brightness",)
 """Parameters that differ between recordings of one beam."""
+CHANCE = 2.0 * stats.norm.sf(CONTRADICTION_SIGMAS)
+"""Probability below which recordings disagree, as of any other comparison."""
 _LOST = 1e-9
 """Share of the largest variance below which a direction is exact, as where one parameter follows
 another."""
@@ -145,14 +148,17 @@ def compared(apart: Sequence[Fitted], *, but: Sequence[str] = (*OF_MOUNTING, *OF
 
 def together(apart: Sequence[Fitted]) -> Fitted:
     """Several recordings' weighted mean, in the form that all fits share."""
-    first, every = apart[0], compared(apart, but=OF_MOUNTING)
-    stated = {}
+    first, stated = apart[0], {}
+    gain = compared(apart, but=[name for name in first.values if name not in OF_GAIN])
+    # Cameras of another gain have no mean.
+    own = () if gain.names and gain.chance >= CHANCE else OF_GAIN
+    every = compared(apart, but=(*OF_MOUNTING, *own))
     for name in first.stated:
-        at = [[list(fit.values).index(own) for own in every.names] for fit in apart]
-        rows = [fit.stated[name][:, own] for fit, own in zip(apart, at, strict=True)]
+        at = [[list(fit.values).index(value) for value in every.names] for fit in apart]
+        rows = [fit.stated[name][:, columns] for fit, columns in zip(apart, at, strict=True)]
         if name in OF_ONE:
             moves = [
-                every.moved([own * (other == one) for other, own in enumerate(rows)])
+                every.moved([row * (other == one) for other, row in enumerate(rows)])
                 for one in range(len(rows))
             ]
             stated[name] = np.concatenate(moves)

@@ -14,21 +14,16 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 from matplotlib.figure import Figure
-from scipy import stats
 
 from eyespot import optics
-from eyespot.calibration.command.apart import compared
+from eyespot.calibration.command.apart import CHANCE, compared
 from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.estimator import Ranger
-from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import BEAM, Calibration
 from eyespot.formats.page import PALETTE
 from eyespot.formats.spots import Spot
-
-_CHANCE = 2.0 * stats.norm.sf(CONTRADICTION_SIGMAS)
-"""Probability below which recordings disagree, as of any other comparison."""
 
 
 class Read(NamedTuple):
@@ -78,7 +73,7 @@ class Crossed(NamedTuple):
     @property
     def agree(self) -> bool:
         """Whether chance explains the differences."""
-        return self.chance >= _CHANCE
+        return self.chance >= CHANCE
 
     @property
     def verdict(self) -> str:
@@ -131,10 +126,10 @@ def crossed(apart: Sequence[Fitted], read: Callable[[Fitted, Fitted], Read]) -> 
         sigmas = np.divide(value - mean, spread, out=np.zeros_like(mean), where=spread > 0)
         rows += [(name, *row) for row in zip(known.names, value, sigma, sigmas, strict=True)]
     foreign = ""
-    if known.chance < _CHANCE and len(apart) > 2:
+    if known.chance < CHANCE and len(apart) > 2:
         without = [known.without(one).chance for one in range(len(apart))]
         best = int(np.argmax(without))
-        foreign = names[best] if without[best] >= _CHANCE else ""
+        foreign = names[best] if without[best] >= CHANCE else ""
     pairs = [(at, by) for at in range(len(apart)) for by in range(len(apart)) if at != by]
     found = [read(apart[at], apart[by]) for at, by in pairs]
     table = [

@@ -100,6 +100,30 @@ def test_the_mean_says_how_far_it_follows_each_cause():
     assert [name for name, *_ in one.others] == ["touch of A", "touch of B", "touch of C"]
 
 
+def with_brightness(fit, value):
+    covariance = np.pad(fit.covariance, ((0, 1), (0, 1)))
+    covariance[-1, -1] = 0.01**2
+    none = {name: np.pad(rows, ((0, 0), (0, 1))) for name, rows in fit.stated.items()}
+    return replace(
+        fit,
+        values=fit.values | {"brightness": value},
+        covariance=covariance,
+        stated=none,
+        shared={"scale": none["scale"]},
+    )
+
+
+def test_the_brightness_of_cameras_with_another_gain_has_no_mean():
+    fits = drawn(np.random.default_rng(6), count=2)
+    alike, apart = (
+        [with_brightness(f, v) for f, v in zip(fits, (1.0, b), strict=True)] for b in (1.01, 1.5)
+    )
+    # Of equal errors the mean is the middle.
+    assert together(alike).values["brightness"] == pytest.approx(1.005, abs=1e-6)
+    assert "brightness" not in together(apart).values
+    assert compared(alike).names == compared(apart).names == list(NAMES)
+
+
 def test_a_bad_part_is_named_in_the_verdict():
     rng = np.random.default_rng(5)
     fits = drawn(rng)
