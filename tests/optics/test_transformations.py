@@ -128,11 +128,12 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
     "exact_semi_minor": of(partial(optics.exact_semi_minor, WALL, camera()), BEAM),
     "closed_form_distance": (lambda x: [form(x) for form, _ in FORMS], FORMS[0][1]),
     "plane_point": of(partial(optics.plane_point, normal=(0.1, -0.2, 0.97))),
+    "eyeball_point": of(optics.eyeball_point),
     **{
         name: of(getattr(optics, name))
         for name in dir(optics)
         if getattr(getattr(optics, name), "__module__", "") == "eyespot.optics.models"
-        and name not in ("closed_form_distance", "plane_point")
+        and name != "closed_form_distance"
     },
     **{name: of(getattr(optics, name)) for name in ("slope", "enclosed", "indirect_irradiance")},
     "wall_irradiance": (
