@@ -266,6 +266,9 @@ large as that error. Where a table's light changes by more, quadrature replaces 
 _STEP, _STILL = 0.1, 0.1
 """Difference of neighbouring samples, of a row's peak, that counts as a step; and how far steps may
 move, in cells, before their samples are computed anew."""
+_LEAST_SIZE = 0.01
+"""Size of a lens's parameter for its relative change: a level rim and a flat end are 0 mm high, and
+what they add counts by a part of the core's radius, 0.05 to 0.3 mm."""
 _TOLERANCE = {True: 1e-2, False: TABLE_ERROR}
 """Of a row's peak, for coarse and for exact tables; cells with a larger error of the spline are
 halved again."""
@@ -374,7 +377,8 @@ def _first_order(
     moved = maximum_filter(np.abs(change), 3) > _CHANGE * peak
     # A step between two samples moves, although both have no derivative: about as many cells as
     # the lens's relative change of all columns, and at most twice as many.
-    relative = np.max(np.abs(at / near.at - 1.0), initial=0.0)
+    sizes = np.maximum(np.abs(near.at), _LEAST_SIZE)
+    relative = np.max(np.abs(at - near.at) / sizes, initial=0.0)
     cells = 2.0 * relative * light.shape[1]
     if cells > _STILL:
         step = maximum_filter(light, 3) - minimum_filter(light, 3) > _STEP * peak

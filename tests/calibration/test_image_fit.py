@@ -31,7 +31,9 @@ from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.lens import (
     TABLE_ERROR,
     Grid,
+    LensSamples,
     _Field,
+    _first_order,
     lens_of,
     lens_parameters,
     lens_samples,
@@ -225,6 +227,15 @@ def test_samples_from_those_of_a_near_lens_are_as_good_as_new_ones():
     ours, theirs = (own.table().values[0] for own in (found, found._replace(values=exact)))
     error = np.abs(np.asarray(ours - theirs)) / np.asarray(theirs).max(axis=1, keepdims=True)
     assert error.max() < TABLE_ERROR / 4  # the mean over a disc errs much less than a sample
+
+
+def test_a_lens_with_a_level_rim_may_be_near_another_one():
+    # What is 0 in one lens has no relative change; the step at half of the radius may have moved.
+    light = np.where(np.arange(41) < 20, 1.0, 0.1) * np.ones((9, 1))
+    near = LensSamples(np.stack([light, 0 * light]), np.ones(2), np.array([0.0]), Grid(1, 1, 1, 2))
+    for rim, changed in ((0.0, False), (1e-6, False), (0.01, True)):
+        _, moved = _first_order(near, np.array([rim]), 2)
+        assert moved[:, 18:22].all() == moved.any() == changed
 
 
 def test_light_of_a_lens_is_the_mean_over_a_pixel():
