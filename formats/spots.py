@@ -221,9 +221,9 @@ _POSE_COVARIANCES = tuple(f"pose_cov_{i}_{j}" for i, j in zip(*_UPPER, strict=Tr
 _COVARIANCES = tuple(f"cov_{PARAMETERS[i]}_{PARAMETERS[j]}" for i, j in zip(*_UPPER, strict=True))
 
 
-def _numbers(names: Iterable[str], meaning: str | None = None, **limits: float) -> dict[str, Any]:
+def _numbers(names: Iterable[str], meaning: str | None = None, **limits: Any) -> dict[str, Any]:
     """Columns of numbers, whose empty cells are NaN."""
-    field: Any = Field(math.nan, description=meaning, **limits)  # type: ignore[call-overload]
+    field: Any = Field(math.nan, description=meaning, **limits)
     return {name: (float, field) for name in names}
 
 
