@@ -55,52 +55,50 @@ class Apart(NamedTuple):
         for one, covariance in enumerate(self.covariances):
             alone[one, :, one] = covariance
         stated = contrasts @ alone.reshape(count * size, -1) @ contrasts.T
-        scale = np.sqrt(np.maximum(np.diag(stated), 1e-300))
-        variance, axes = np.linalg.eigh(stated / np.outer(scale, scale))
-        kept = variance > _LOST * variance[-1]
-        white = axes[:, kept] / np.sqrt(variance[kept]) / scale[:, None]
+        white = _whitening(stated)
         share, turn = np.linalg.eigh(white.T @ joint @ white)
         informed = share > _INFORMED
         along = turn[:, informed].T @ white.T @ off
         return float(stats.chi2.sf(np.sum(along**2 / share[informed]), informed.sum()))
 
     @property
-    def weights(self) -> Float[np.ndarray, "n p p"]:
-        """A_i of the mean x_1 + sum_i A_i (x_i - x_1); each counts by its stated covariance."""
+    def shares(self) -> Float[np.ndarray, "n p p"]:
+        """Derivatives of the mean by the values: each counts by its stated covariance.
+
+        Along directions that are exact, the mean is the first recording's.
+        """
         inverses = np.array([_inverse(covariance) for covariance in self.covariances])
-        return np.asarray(_inverse(inverses.sum(axis=0)) @ inverses)
+        shares = np.asarray(_inverse(inverses.sum(axis=0)) @ inverses)
+        shares[0] += np.eye(len(self.names)) - shares.sum(axis=0)
+        return shares
 
     @property
     def mean(self) -> Float[np.ndarray, "p"]:
         """The weighted mean."""
         off = self.values - self.values[0]
-        return self.values[0] + np.einsum("nij,nj->i", self.weights, off)
-
-    @property
-    def _shares(self) -> Float[np.ndarray, "n p p"]:
-        """The mean's derivatives by the values: the weights, and what they leave of the first."""
-        shares = self.weights.copy()
-        shares[0] += np.eye(len(self.names)) - shares.sum(axis=0)
-        return shares
+        return self.values[0] + np.einsum("nij,nj->i", self.shares, off)
 
     @property
     def covariance(self) -> Float[np.ndarray, "p p"]:
         """Of the mean."""
-        shares = self._shares
         exact = ~self.covariances.diagonal(axis1=1, axis2=2).any(axis=0)
-        found = np.einsum("nij,njmk,mlk->il", shares, self.joint, shares)
+        found = self._propagated(self.shares)
         found[exact, :] = found[:, exact] = 0.0  # without the rounding of its inverse
         return found
 
     def of_difference(self, one: int) -> Float[np.ndarray, "p p"]:
         """Covariance of a recording's values less the mean."""
-        slopes = -self._shares
+        slopes = -self.shares
         slopes[one] += np.eye(len(self.names))
-        return np.einsum("nij,njmk,mlk->il", slopes, self.joint, slopes)
+        return self._propagated(slopes)
+
+    def _propagated(self, slopes: Float[np.ndarray, "n p p"]) -> Float[np.ndarray, "p p"]:
+        """Covariance of what follows all values by these slopes."""
+        return np.asarray(np.einsum("nij,njmk,mlk->il", slopes, self.joint, slopes))
 
     def moved(self, rows: Sequence[Float[np.ndarray, "m p"]]) -> Float[np.ndarray, "m p"]:
         """How far the mean follows what moves each recording's values by rows."""
-        return np.einsum("nij,nmj->mi", self._shares, np.array(rows))
+        return np.einsum("nij,nmj->mi", self.shares, np.array(rows))
 
     def without(self, one: int) -> "Apart":
         """The other recordings."""
@@ -113,13 +111,18 @@ class Apart(NamedTuple):
         )
 
 
-def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
-    """The inverse, 0 along exact directions."""
+def _whitening(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p k"]:
+    """Directions with unit variance, without the exact ones."""
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     variance, axes = np.linalg.eigh(covariance / np.outer(scale, scale))
     kept = variance > _LOST * variance[-1]
-    inverse = (axes[:, kept] / variance[kept]) @ axes[:, kept].T
-    return np.asarray(inverse / np.outer(scale, scale))
+    return np.asarray(axes[:, kept] / np.sqrt(variance[kept]) / scale[:, None])
+
+
+def _inverse(covariance: Float[np.ndarray, "p p"]) -> Float[np.ndarray, "p p"]:
+    """The inverse, 0 along exact directions."""
+    white = _whitening(covariance)
+    return white @ white.T
 
 
 def compared(apart: Sequence[Fitted], *, but: Sequence[str] = (*OF_MOUNTING, *OF_GAIN)) -> Apart:
