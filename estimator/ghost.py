@@ -26,7 +26,7 @@ _FEWEST_FRAMES, FRAMES_TO_DENY = 2, 4
 GHOST_SIGMAS = 5.0
 """Standard deviations of its share from which a ghost is found. In rendered stacks without one, the
 strongest of all shifts had 1.4 to 2.3."""
-_RIDGE = 1e-9  # of a direction's own information
+_RIDGE = 1e-9  # added to each direction's information, which is 1: columns may be equal
 
 
 class Ghost(NamedTuple):
@@ -130,7 +130,7 @@ def strongest_ghost(
 
 
 _COUNT = 26
-_BESIDE_PX = 70.0  # of the lattice beside the largest spot: the longest shift, and a cell
+_LATTICE_MARGIN_PX = 70.0  # beside the largest spot: the longest shift, and a cell
 _KEPT = 4
 _GROWN, _MOVED = 0.04, 0.25
 """Change of a spot's size, and of its place over its size, from which it lights its wall otherwise:
@@ -197,7 +197,7 @@ def _alike(one: Spot, other: Spot) -> bool:
 def _beside_discs(frames: Sequence[tuple[np.ndarray, Spot]]) -> Ghost | None:
     """The strongest ghost of even discs with the outlines of spots."""
     spots = [spot for _, spot in frames]
-    reach = max(spot.semi_major_px for spot in spots) + _BESIDE_PX
+    reach = max(spot.semi_major_px for spot in spots) + _LATTICE_MARGIN_PX
     side = int(np.ceil(2.0 * reach / _COUNT))
     middle = np.mean([(spot.x_px, spot.y_px) for spot in spots], axis=0)
     corner = np.round(middle - 0.5 * _COUNT * side)

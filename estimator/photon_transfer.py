@@ -13,9 +13,9 @@ from jaxtyping import Float
 from eyespot.formats.camera import CameraSheet
 from eyespot.formats.inputs import InputError
 
-_MIDDLE = 0.5  # of the frame's width and height, which is the most even
-_DARK = 0.1  # of full scale; a pair with the light off lies below
-_BRIGHT = 0.9  # of full scale; above, noise is clipped
+_MIDDLE = 0.5  # share of the frame's width and height: the middle is the most even part
+_LIGHT_IS_ON = 0.1  # share of full scale; a pair with the light off lies below
+_UNCLIPPED = 0.9  # share of full scale; above, noise is clipped
 _SPREAD = 3.0  # least ratio of the brightest and the darkest pair with light
 _STRAIGHT = 0.05  # largest deviation of a pair's variance from the line, relative, without scatter
 _ROUNDING = 1.0 / 12.0  # DN², variance of rounding to whole numbers
@@ -63,7 +63,7 @@ def measured_noise(
     usable = [
         pair
         for pair in pairs
-        if np.mean(pair) < _DARK * full_scale or not any(map(_is_clipped, pair))
+        if np.mean(pair) < _LIGHT_IS_ON * full_scale or not any(map(_is_clipped, pair))
     ]
     if not usable:
         raise InputError(
@@ -72,17 +72,17 @@ def measured_noise(
         )
     # Sorted by the mean.
     mean, noise, pattern, pixels = np.array(sorted(_pair(*pair) for pair in usable)).T
-    dark, lit = mean < _DARK * full_scale, mean < _BRIGHT * full_scale
+    dark, lit = mean < _LIGHT_IS_ON * full_scale, mean < _UNCLIPPED * full_scale
     lit &= ~dark
     if not dark.any():
         raise InputError(
             f"the darkest pair has a mean of {mean[0]:.1f} DN of {full_scale}; a pair with "
-            f"the light off must lie below {_DARK * full_scale:.0f} DN. Add one."
+            f"the light off must lie below {_LIGHT_IS_ON * full_scale:.0f} DN. Add one."
         )
     if lit.sum() < 3 or mean[lit][-1] < _SPREAD * mean[lit][0]:
         raise InputError(
-            f"{lit.sum()} pairs lie between {_DARK * full_scale:.0f} and "
-            f"{_BRIGHT * full_scale:.0f} DN; at least three are needed, the brightest "
+            f"{lit.sum()} pairs lie between {_LIGHT_IS_ON * full_scale:.0f} and "
+            f"{_UNCLIPPED * full_scale:.0f} DN; at least three are needed, the brightest "
             f"{_SPREAD:g} times as bright as the darkest. Change the exposure or the light."
         )
     black = float(mean[dark].mean())

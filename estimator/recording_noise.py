@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter
 from scipy.optimize import nnls
 
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.image import clip_level
+from eyespot.estimator.detector.clipping import clip_level
 from eyespot.formats.camera import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
 from eyespot.formats.inputs import InputError
 

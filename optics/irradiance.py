@@ -43,7 +43,7 @@ _EXTREMES = 3  # extremes of the excess along the meridian that may cross zero b
 _PINCHES = 2  # pinches of the lit part across the meridian
 _CROSSINGS = 8  # crossings of the meridian and the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
-_BEYOND = 2  # of these samples, to which the lit part may reach beyond the outermost lit one
+_MARGIN_SAMPLES = 2  # the lit part may reach so far beyond the outermost lit sample
 _SAME = 1e-6  # distance over the aperture below which two candidates are one turn
 _BREAKS = 11  # kept of all candidates; more do not occur together
 
@@ -170,8 +170,8 @@ def _lit_rings(
     darkness = jnp.min(rays(ring, jnp.broadcast_to(tau, (tau.size, ring.size))).excess, axis=0)
     # The lit part may begin between the samples, or lie between two of them.
     lit = (darkness < 0.0) | (darkness == jnp.min(darkness))
-    before = jnp.concatenate([jnp.repeat(ring[:1], _BEYOND), ring[:-_BEYOND]])
-    after = jnp.concatenate([ring[_BEYOND:], jnp.repeat(ring[-1:], _BEYOND)])
+    before = jnp.concatenate([jnp.repeat(ring[:1], _MARGIN_SAMPLES), ring[:-_MARGIN_SAMPLES]])
+    after = jnp.concatenate([ring[_MARGIN_SAMPLES:], jnp.repeat(ring[-1:], _MARGIN_SAMPLES)])
     low = jnp.min(jnp.where(lit, before, ring[-1]))
     high = jnp.max(jnp.where(lit, after, ring[0]))
     any_lit = outer > inner

@@ -12,7 +12,7 @@ from eyespot.estimator.run.options import OUT, OUTPUT, Rerun
 from eyespot.formats.inputs import InputError
 from eyespot.formats.whole_files import require_space, written_whole
 
-_MOST_BYTES = 2**23  # of a report with its figures
+_MAX_REPORT_BYTES = 2**23  # with its figures
 
 
 def fit(
@@ -59,7 +59,7 @@ def fit(
     # Entered before the fit, so that a name that is taken or a full disk does not cost its result.
     with written_whole(out, replace=overwrite) as partial:
         with written_whole(report, replace=overwrite) as page:
-            require_space(out, _MOST_BYTES)
+            require_space(out, _MAX_REPORT_BYTES)
             found = fit_recordings(opened_recordings(sources, choices), choices)
             if as_json:
                 print(json.dumps(found.summary))

@@ -46,7 +46,7 @@ from eyespot.estimator.distance.consistency import disagreements
 from eyespot.formats.calibration import BEAM, OF_MICROSCOPE, QUANTITIES, Calibration
 from eyespot.formats.inputs import InputError
 
-_TILT_SIGMA = math.tan(math.radians(1.0))  # of a plane phantom that was set up by eye
+_PLANE_TILT_SIGMA = math.tan(math.radians(1.0))  # slope; a plane phantom is set up by eye
 
 
 def line_through(recordings: Sequence[RecordedTrial], loss: Loss = "squares") -> PlaneFit:
@@ -184,7 +184,7 @@ def _pooled_planes(
     pooled = fit_plane_trials(
         trials,
         inverse_working_distance=planes[0].microscope.inverse_working_distance,
-        tilt_sigma=_TILT_SIGMA,
+        tilt_sigma=_PLANE_TILT_SIGMA,
     )
     notes.insert(0, f"All planes: R² {pooled.r_squared:.5f}, RMSE {pooled.rmse:.4f} mm.")
     return kept, pooled, notes

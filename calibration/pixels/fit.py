@@ -113,7 +113,7 @@ _HOPELESS = 0.04
 _GUESS_STEPS = 15
 """Most steps of a first fit. From a start within 30 % it takes 3 to 10; more have no end where the
 light is not the model's."""
-_ROUNDS = 2  # of the last fit, each with weights and variances learnt from the one before
+_FINAL_ROUNDS = 2  # each with weights and variances learnt from the one before
 _NEAR = 1.0
 """Step, in standard errors, after which a lens's table is as good as one computed at its end: what
 the table leaves out is of second order in a step far smaller than the lens."""
@@ -132,9 +132,9 @@ All lengths can grow alike without a change of the light, and nearly so those al
 beam. That a table's derivatives, known to some thousandths, do not show this exactly, looks like
 knowledge: errors of numerical aperture and scale were stated at half to two thirds of what they
 are. How parameters follow what was stated does not suffer from it."""
-_HOLDING = 1e-3  # of the stated standard deviation: by which it is held
+_HOLD_SIGMAS = 1e-3  # stated standard deviations to which a considered parameter is held
 _GHOST_FRAMES = 6  # evenly over the withdrawal, in which a ghost is looked for
-_DARK = 1e-6  # of a frame's peak, where there may be no light at all
+_LEAST_LIGHT = 1e-6  # over the frame's peak: there may be no light at all, and weights need some
 _NAMED = 10  # frames that an error message names
 
 
@@ -209,7 +209,7 @@ def fit_image(
     names = (*free, *(name for name in NUISANCES if name not in free))
     lens = LinearLensLight(footage, names) if source == "lens" else None
     considered = {n: known[n] for n in _CONSIDERED if lens and n in known and n in names}
-    known |= {n: Prior(prior.mean, _HOLDING * prior.sigma) for n, prior in considered.items()}
+    known |= {n: Prior(prior.mean, _HOLD_SIGMAS * prior.sigma) for n, prior in considered.items()}
     run = _FitRun(footage, names, known, considered, joint_prior, lens, radius, progress)
     return run.whole_fit(run.first_fit(starts))
 
@@ -331,7 +331,7 @@ class _FitRun(NamedTuple):
         solver.spread, solver.error = some.spread, some.error
         if self.lens is not None:
             self.lens.follow(solver.point.values, learning=True)
-        for number in range(_ROUNDS):
+        for number in range(_FINAL_ROUNDS):
             solver.choose(guess=number == 0)
             solver.minimise(_TOLERANCE[False], follow=False)
             solver.learn()
@@ -580,7 +580,7 @@ def _ghost_of(solver: BeamSolver) -> Ghost | None:
     for row, k in enumerate(some):
         own = solver.now.frames[k]
         at, modelled = own.cells, solver.map[own.cells] * own.light
-        modelled = np.maximum(modelled, _DARK * modelled.max())
+        modelled = np.maximum(modelled, _LEAST_LIGHT * modelled.max())
         residual[row, at] = solver.now.rest[k] / modelled
         weight[row, at] = solver.weight[k, at] * modelled**2
         light[row, at], total[row, at] = np.maximum(own.direct, 0.0), own.light

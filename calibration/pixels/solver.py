@@ -48,7 +48,7 @@ _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 _LEAST, _MOST = _UNITS / 3000.0, _UNITS * 30.0
 _FEW = 2  # frames
 _FREE = 1.0  # tau of a wall with texture: nothing is known
-EVEN = 1e-9  # of an even wall
+EVEN = 1e-9  # tau of an even wall
 _LIT = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
 _RING = {True: 4, False: 2}  # cells around these; more while the beam is a guess
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
@@ -60,7 +60,7 @@ sample of the table."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
 _TOUCH_MM = 0.1  # size of steps of the first distance where nobody states it
 _FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
-_LEARNINGS = 30  # of the variances, with the model as it is
+_VARIANCE_ROUNDS = 30  # the variances are learnt with the model as it is
 _SURE = 5.0  # standard deviations of chi squared beyond which a wall is not even
 _TEXTURED = 1.5
 """Mean square of a cell's texture over its variance, above which the wall is surely not even."""
@@ -446,7 +446,7 @@ class BeamSolver:
         pull[p:] += stiff * states
         # From above: a spread that was learnt too small hides what would enlarge it.
         self.spread = np.ones(len(STATES))
-        for _ in range(_LEARNINGS):
+        for _ in range(_VARIANCE_ROUNDS):
             stiff = np.tile(self.spread**-2.0, len(self.numbers))
             whole = data.copy()
             whole[at, at] += stiff

@@ -331,7 +331,7 @@ def _sphere_misfit(cos_phi: Array, given: Array, axis: ArrayLike, reading: Array
     )
 
 
-_ROUNDS = 8  # of the noise's estimate; each adds two digits if the priors are weaker than the data
+_NOISE_ROUNDS = 8  # each adds two digits to the noise if the priors are weaker than the data
 
 
 class PlaneTrial(NamedTuple):
@@ -455,5 +455,5 @@ def _plane_trials(
     def refined(_: int, noise: Float[Array, ""]) -> Float[Array, ""]:
         return noise * jnp.sqrt(jnp.sum(given(noise).residuals ** 2) / degrees)
 
-    noise = jax.lax.fori_loop(0, _ROUNDS, refined, noise)
+    noise = jax.lax.fori_loop(0, _NOISE_ROUNDS, refined, noise)
     return given(noise), noise

@@ -24,7 +24,8 @@ from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.whole_files import write_text
 
 _SATURATED = 0.01  # part of the spot below which saturated pixels are hot ones and reflections
-_DARK, _GOOD = 0.25, 0.8  # of full scale; at a quarter, noise of the edge has four times its least
+# Shares of full scale; at a quarter, noise of the edge has four times its least.
+_DIM_PEAK, _GOOD_PEAK = 0.25, 0.8
 
 
 def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response) -> str:
@@ -43,10 +44,10 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
     if not inside.size or (frame.dtype != np.uint8 and response.full_scale is None):
         return ""  # of 16 bits, a camera may use 10
     peak = float(np.percentile(inside, 99)) / response.full_scale_of(frame)
-    if peak < _DARK:
+    if peak < _DIM_PEAK:
         return (
             f"The spot reaches {peak:.0%} of full scale: make the exposure"
-            f" {_GOOD / max(peak, 0.01):.0f} times as long."
+            f" {_GOOD_PEAK / max(peak, 0.01):.0f} times as long."
         )
     return ""
 

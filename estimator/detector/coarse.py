@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from eyespot.estimator.detector.clipping import clip_level
 from eyespot.estimator.detector.ellipse import AffineEllipse
 from eyespot.estimator.detector.tuning import Channel, Search, Small, Verdict
 from eyespot.estimator.frame_window import Window
-from eyespot.estimator.image import clip_level
 from eyespot.formats.camera import GREY, GREY_WEIGHTS
 
 

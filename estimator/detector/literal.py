@@ -30,7 +30,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from eyespot.estimator.image import clip_level
+from eyespot.estimator.detector.clipping import clip_level
 from eyespot.formats.camera import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot

@@ -54,6 +54,27 @@ class Channel:
     FAINTEST = 0.1  # over the brightest channel: a fainter one does not replace grey
 
 
+class Clipping:
+    """The value at which a spot's pixels are clipped (`clipping`)."""
+
+    ODD = 0.002  # share of the bright pixels above the level: hot pixels, writing over them
+    FEWEST = 8  # pixels that have a value which is the level
+    BELOW = 3  # next values below the level, none of which may have as many pixels
+    SURE = 4.0  # standard deviations by which the level has more pixels than any of these
+    BAND = 0.08  # heights of the spot's upper half: bands of values that are compared
+    # Pixels in the band below a plateau over those in the next one. A blurred step that is clipped
+    # below 0.97 of its height has less than 1.5, a whole one over 4.
+    FLAT = 1.8
+    RISES = 1.4  # the same ratio at a quarter of the band: 1.0 at a dome that is clipped
+    UNEVEN = 1.5  # dark half of a drawn edge over its bright one: above it, the edge is clipped
+    FLANK = 4.0  # the same pixels over those of a band of the flank: less than 3.7, and over 8
+    FOOT = 0.05  # heights: darker pixels are background
+    SHARP_PX = 1.2  # px: a narrower edge is drawn, a pixel wide; clipped or not, its place is known
+    TURNS = 0.2  # share of neighbours whose second differences alternate; 0.4 with white noise
+    ROUNDED = 4.0  # product of two second differences that rounding alone can have
+    DEEP = 0.1  # share of the darker pixels amid the level's that rounding cannot explain
+
+
 class Capture:
     """First fit: crossings of the region's half level (`edges`)."""
 

@@ -224,7 +224,7 @@ def _by_cause(parts: Iterable[Part]) -> tuple[Part, ...]:
 
 
 _ELLIPSE = 5  # parameters that a spot's profiles are fitted with
-_AZIMUTHS = 6  # of an unknown direction
+_AZIMUTHS = 6  # over which a direction that nobody states is averaged
 _GAUSS = 0.5 / math.sqrt(3)  # nodes of a uniform interval, from its middle, in its width
 
 

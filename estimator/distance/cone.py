@@ -54,7 +54,7 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     )
 
 
-_STEP = 1e-6  # of the differences, relative
+_RELATIVE_STEP = 1e-6  # of one-sided differences
 
 
 class AreaDistances:
@@ -75,7 +75,7 @@ class AreaDistances:
         across = np.linalg.svd(axis[None])[2][1:]
         ellipse, turns, values = spot.ellipse[:4], (0.0, 0.0), self._calibration.values.values()
         given = np.array([*ellipse, *turns, *values])
-        steps = _STEP * np.maximum(np.abs(given), np.repeat([1.0, 1e-3], [6, len(values)]))
+        steps = _RELATIVE_STEP * np.maximum(np.abs(given), np.repeat([1.0, 1e-3], [6, len(values)]))
         distance, *varied = (
             self._distance(row[:4], axis + row[4:6] @ across, row[6:].tolist())
             for row in given + np.vstack([np.zeros(given.size), np.diag(steps)])

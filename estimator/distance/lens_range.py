@@ -22,17 +22,17 @@ if TYPE_CHECKING:
     from eyespot import optics
 
 _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation between incidences
-_SHAPE_ERROR = 0.02  # of the ratios: tilt 0.01, fine texture and the camera's blur
+_SHAPE_ERROR = 0.02  # relative, of a ratio of axes: tilt 0.01, fine texture and blur
 _BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
 _DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
 _OTHER_BEAM_CHI2 = 25.0
 """Chi squared of the best distance above which only the size counts: a spot that is five standard
 deviations off in shape is not of this lens alone."""
 
-_STEP = 0.001  # of the distances compared, mm
+_GRID_STEP_MM = 0.001  # between the distances that are compared
 _DISTANCES = np.linspace(0.05, 8.0, 160)
 _INCIDENCES = np.radians([0.0, 15.0, 30.0, 45.0])
-_RADII = np.linspace(0.0, 1.0, 192)  # of the light's reach
+_RADII = np.linspace(0.0, 1.0, 192)  # in units of the light's reach
 _HALF_TURN = np.linspace(0.0, np.pi, 19)  # about the axis, from the side to which the beam leans
 _SENSITIVITY_DISTANCES = np.linspace(0.05, 8.0, 32)
 
@@ -96,7 +96,7 @@ def distance_from_lens(
     nowhere = Range(distance_mm=math.nan, sigma_mm=math.nan)
     if possible.size == 0:
         return nowhere
-    grid = np.arange(possible[0], possible[-1], _STEP)
+    grid = np.arange(possible[0], possible[-1], _GRID_STEP_MM)
 
     def over_grid(values: np.ndarray) -> np.ndarray:
         return np.interp(grid, curve.distances, values)
@@ -131,7 +131,7 @@ def distance_from_lens(
     distance = float(grid[best])
     if 0 < best < len(grid) - 1:  # the vertex of the parabola through the least value
         before, least, after = cost[best - 1 : best + 2]
-        distance += float(0.5 * _STEP * (before - after) / (before - 2 * least + after))
+        distance += float(0.5 * _GRID_STEP_MM * (before - after) / (before - 2 * least + after))
     weight = np.exp(-0.5 * excess)
     spread = weight @ (grid - distance) ** 2 / weight.sum()
     return Range(distance_mm=distance, sigma_mm=float(np.sqrt(spread)), others_mm=others)

@@ -26,8 +26,8 @@ from eyespot.formats.spots import Spot
 Numbers = float | np.ndarray
 
 _APART = 3.0  # standard deviations between two distances that count as two
-_STEP = 1e-6  # of the differences, relative
-_UNIT = 1e-3  # of a unit vector's length, as robots round them
+_RELATIVE_STEP = 1e-6  # of central differences
+_UNIT_TOLERANCE = 1e-3  # robots round the length of a unit vector
 
 
 class Ranger:
@@ -161,7 +161,7 @@ class Ranger:
 
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
-        steps = np.diag(_STEP * np.maximum(np.abs(base), 1.0))
+        steps = np.diag(_RELATIVE_STEP * np.maximum(np.abs(base), 1.0))
         # The first column is the spot itself; then each quantity a step up, and each a step down.
         varied = base[:, None] + np.hstack([np.zeros((base.size, 1)), steps, -steps])
         x, y, semi_minor, *calibrated = varied
@@ -297,7 +297,7 @@ class Ranger:
 def _unit(axis: ArrayLike) -> np.ndarray:
     vector = np.asarray(axis, float)
     length = float(np.linalg.norm(vector))
-    if vector.shape != (3,) or not abs(length - 1) < _UNIT:
+    if vector.shape != (3,) or not abs(length - 1) < _UNIT_TOLERANCE:
         raise InputError(
             "Ranger.distance(axis=...) must be a unit vector from the tip towards the wall, (3,); "
             f"got {vector.tolist()}."

@@ -31,7 +31,7 @@ LEAST_KURTOSIS, MOST_KURTOSIS = -1.0, 2.0
 """Of a disc and of an exponential exp(-r/L)."""
 
 _TINY = 1e-9
-_STEP = 1e-4  # of the numerical derivative by the variance
+_VARIANCE_STEP = 1e-4  # of the blur, px²: for its numerical derivative
 
 
 def blurred(
@@ -54,8 +54,8 @@ def blurred_with_growth(
     """As `blurred`, followed by the growth with the variance and with the kurtosis."""
     waves, squares = _waves(math.isqrt(values.shape[-1]))
     transfer, by_kurtosis = _transfer(squares, variance, kurtosis)
-    more, _ = _transfer(squares, variance + _STEP, kurtosis)
-    parts = transfer, (more - transfer) / _STEP, by_kurtosis
+    more, _ = _transfer(squares, variance + _VARIANCE_STEP, kurtosis)
+    parts = transfer, (more - transfer) / _VARIANCE_STEP, by_kurtosis
     return np.stack([_filtered(values, waves, part) for part in parts])
 
 

@@ -74,7 +74,7 @@ def without_tool(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> Fram
 _UNDECIDED = 16.0
 """Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
 _SAME = 3.0  # standard deviations within which two poses are one
-_CALMS = 0.9  # of the shake that is expected, from frame to frame
+_SHAKE_DECAY = 0.9  # the share of the shake that is expected to last until the next frame
 MOVES_ON_PX = 4.0
 """Motion of the wall from frame to frame above which it moves on; a microscope shakes by 1 or 2."""
 _DRIFTED_PX, _SURELY = 1.0, 3.0
@@ -124,7 +124,7 @@ class Hypothesis:
     @property
     def shake_px(self) -> float:
         """How far the image may jump from frame to frame, as it did of late."""
-        return max(min(self.moved_px, MOVES_ON_PX), _CALMS * self.shake_before_px)
+        return max(min(self.moved_px, MOVES_ON_PX), _SHAKE_DECAY * self.shake_before_px)
 
     @property
     def outline(self) -> Outline:

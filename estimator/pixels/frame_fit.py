@@ -92,13 +92,13 @@ _STEPS_AGAIN = 4
 _OUTLIER = 4.0  # standard deviations from which a cell is an outlier: a tool, a shadow, a glint
 _SIGNIFICANT = 4.0  # standard deviations of a mean square
 _GROWN = 1.2  # growth of the mean square from which the wall is looked for elsewhere
-_SHIFTED_PX = 0.1  # of the wall, after which a frame's cells are cut anew
+_RECUT_SHIFT_PX = 0.1  # a frame's cells are cut anew where the wall has moved by more
 _THREADS = 2
 _SEEN = 0.01  # share of a frame's light that is worth a new model
 _LINEAR = 0.01
 """Change of a distance over it, or turn, up to which a frame's model is linear: a spot's edge is
 wrong by 1e-4 of its radius then."""
-_ROUNDS = 3  # of weights for cells with other light
+_WEIGHT_ROUNDS = 3  # the weights of cells with other light are found anew
 _SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that does not matter
 _EVENEST = 0.03
 """Least standard deviation of a wall's texture in that: what hides or shades a wall, or shines on
@@ -143,7 +143,7 @@ def robust_fit(
     if not (noisy and frame.cells.motion == STILL):
         noise = 1.0
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
-    for _ in range(_ROUNDS):
+    for _ in range(_WEIGHT_ROUNDS):
         last, trust = trust, _trust(deviations) / noise
         if np.abs(trust - last).max() < _SETTLED:
             break
@@ -312,7 +312,7 @@ def fit_wherever(
                 solution, mean_square = again, less
         other_wall = _deviance(solution) > _deviance(alone) + _SURE
     newest = solution.newest
-    if math.hypot(*newest.shift) > _SHIFTED_PX:
+    if math.hypot(*newest.shift) > _RECUT_SHIFT_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))
         newest = replace(newest, cells=cells(motion), shift=(0.0, 0.0))
         # With the weights that the solution's other parts have.

@@ -30,7 +30,7 @@ from eyespot.optics.wall_light.pose_light import POSE, BeamFrame
 _TURNED = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
 _TURN = math.radians(0.05)  # error of the robot's own turn
-_FREEDOM = 10.0  # of Student's distribution; a robot that is wrong loses its weight
+_ROBOT_FREEDOM = 10.0  # of Student's distribution: a robot that is wrong loses its weight
 
 
 class RobotPose(NamedTuple):
@@ -70,12 +70,12 @@ class RobotMotion(NamedTuple):
     @property
     def cost(self) -> float:
         """-2 log likelihood, up to a constant."""
-        return float(_FREEDOM * math.log1p(self._chi_squared / _FREEDOM))
+        return float(_ROBOT_FREEDOM * math.log1p(self._chi_squared / _ROBOT_FREEDOM))
 
     @property
     def weight(self) -> Float[np.ndarray, "5"]:
         """`precision`, less where the robot is wrong."""
-        return self.precision / (1.0 + self._chi_squared / _FREEDOM)
+        return self.precision / (1.0 + self._chi_squared / _ROBOT_FREEDOM)
 
     @property
     def _chi_squared(self) -> float:
@@ -114,7 +114,7 @@ edge cuts 1.27 pixels per pixel of its length, in the mean over all directions. 
 scales fills each of them of which it covers 1/r, so that the edge is 0.64 (1 - 1/r) too far
 outside: between 0.3 and 0.6 for any r above 2."""
 CUT = 0.3  # error of a pixel that such an edge cuts, over the step: those of 0 and 1 are alike
-_WHOLE = 0.98  # of a cell, above which it is covered
+_WHOLLY_COVERED = 0.98  # share of a cell that is saturated, above which no light of it is seen
 _LEAST = 1e-9  # 1/mm²
 
 
@@ -361,7 +361,7 @@ class FrameModel:
             value, over, cover, of_beam = covered(value, room, of_beam, pixel_mm=pixel_mm)
             uncovered = 1.0 - cover
             # A cell that is covered says no more than that.
-            usable = usable & ~(over & (cover > _WHOLE))
+            usable = usable & ~(over & (cover > _WHOLLY_COVERED))
             by_gain = np.where(over, ambient * uncovered / (value + ambient), 1.0)
         total = value + ambient
         model = np.exp(frame.log_gain) * total

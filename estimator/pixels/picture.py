@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.image import clip_level
+from eyespot.estimator.detector.clipping import clip_level
 from eyespot.estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
 from eyespot.estimator.pixels.solver import PoseSolution
 from eyespot.formats.camera import GREY_WEIGHTS
@@ -29,10 +29,10 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Outline
 
 _LEAST = 1e-4  # full wells, of a channel
-_LIT = 0.25  # of the brightest cell; darker ones show the ambient light
+_LIT = 0.25  # over the brightest cell; darker ones show the ambient light
 _FEWEST_LIT = 20  # cells from which a mixture is chosen
-_MOST = 2.0  # of a channel's weight; larger ones would only add noise
-_RIDGE = 1e-4  # of the mean variance
+_MAX_CHANNEL_WEIGHT = 2.0  # larger ones would only add noise
+_RIDGE = 1e-4  # over the mean variance
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,9 +106,9 @@ def _most_even(residuals: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "c"]:
     spread += _RIDGE * np.trace(spread) * np.eye(len(spread))
     parts = np.linalg.solve(spread, np.ones(len(spread)))
     parts /= parts.sum()
-    if np.abs(parts).max() > _MOST:  # nearly equal channels: towards the plain mean
+    if np.abs(parts).max() > _MAX_CHANNEL_WEIGHT:  # nearly equal channels: towards the plain mean
         mean = 1.0 / len(parts)
-        parts = mean + (_MOST - mean) / (np.abs(parts).max() - mean) * (parts - mean)
+        parts = mean + (_MAX_CHANNEL_WEIGHT - mean) / (np.abs(parts).max() - mean) * (parts - mean)
     return parts
 
 
@@ -203,8 +203,8 @@ def _square(width_px: float) -> np.ndarray:
     return np.ones((round(width_px), round(width_px)), np.uint8)
 
 
-_MIDDLE = 0.7  # half of the side of a square about the spot's middle, over its semi-minor axis
-_LEAST_PX = 2.0  # of that
+_MIDDLE_HALF_SIDE = 0.7  # semi-minor axes: half the side of a square about the spot's middle
+_LEAST_HALF_SIDE_PX = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,7 +279,7 @@ class FramePixels:
 
     def _in_middle(self, pixels: np.ndarray, spot: Outline) -> np.ndarray:
         """Usable pixels about the middle of a spot, n x c."""
-        r = max(_MIDDLE * spot.semi_minor_px, _LEAST_PX)
+        r = max(_MIDDLE_HALF_SIDE * spot.semi_minor_px, _LEAST_HALF_SIDE_PX)
         rows, columns = (
             slice(max(round(at - r), 0), max(round(at + r) + 1, 0)) for at in (spot.y_px, spot.x_px)
         )

@@ -31,11 +31,11 @@ print has no grain, and a photograph's grain is all that it has in small."""
 _ENOUGH = 400
 """Cells that show a texture: each part's variance to a tenth, where they see enough of it. The time
 grows with the cube of their number."""
-_RANK = 1e-9  # of the largest derivative
+_RANK_TOLERANCE = 1e-9  # over the largest derivative
 _STARTS = np.log(10.0) * np.arange(-5.0, 2.0)
 """Logarithms of all variances over the usual ones, from which the estimate starts."""
-_NEAR = 0.1  # of the likeliest logarithms, or -2 log likelihoods: what the search stops at
-_STEP = 0.5  # of a logarithm, for second differences
+_SEARCH_TOLERANCE = 0.1  # of logarithms of variances, and of -2 log likelihoods
+_LOG_STEP = 0.5  # of second differences by the logarithms
 _NODES = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is taken
 
 
@@ -87,7 +87,7 @@ def texture_of(
     chosen = np.flatnonzero(weight > 0)
     chosen = chosen[:: math.ceil(chosen.size / _ENOUGH)]
     # What the fit leaves: its own directions say nothing of the texture.
-    left = null_space(slopes[:, chosen], rcond=_RANK).T
+    left = null_space(slopes[:, chosen], rcond=_RANK_TOLERANCE).T
     kernels = left @ _kernels(count, side_mm)[:, chosen[:, None], chosen] @ left.T
     noise, data = (left / weight[chosen]) @ left.T, left @ residual[chosen]
     precision = np.linalg.inv(_ANY**2 + _ALIKE**2 * np.eye(len(kernels)))
@@ -101,7 +101,11 @@ def texture_of(
 
     parts = np.eye(len(kernels))
     start = min((contrast * parts.sum(axis=0) for contrast in _STARTS), key=deviance)
-    near = {"initial_simplex": np.vstack([start, start + parts]), "xatol": _NEAR, "fatol": _NEAR}
+    near = {
+        "initial_simplex": np.vstack([start, start + parts]),
+        "xatol": _SEARCH_TOLERANCE,
+        "fatol": _SEARCH_TOLERANCE,
+    }
     off = minimize(deviance, start, method="Nelder-Mead", options=near).x
     return TextureVariances(np.square(CONTRASTS) * _mean_exponential(deviance, off))
 
@@ -115,7 +119,7 @@ def _mean_exponential(
     need not be normal: a wall may be as even as it likes, and one spot shows little of what is
     larger than it.
     """
-    steps = _STEP * np.eye(len(likeliest))
+    steps = _LOG_STEP * np.eye(len(likeliest))
     here = deviance(likeliest)
     there = np.array([deviance(likeliest + step) for step in steps])
     back = np.array([deviance(likeliest - step) for step in steps])
@@ -123,7 +127,7 @@ def _mean_exponential(
     for j, k in zip(*np.triu_indices(len(steps), 1), strict=True):
         both = deviance(likeliest + steps[j] + steps[k])
         curvature[j, k] = curvature[k, j] = both - there[j] - there[k] + here
-    precisions, axes = np.linalg.eigh(0.5 * curvature / _STEP**2)
+    precisions, axes = np.linalg.eigh(0.5 * curvature / _LOG_STEP**2)
     mean = np.exp(likeliest)
     for precision, axis in zip(precisions, axes.T, strict=True):
         steps = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)

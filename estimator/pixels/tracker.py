@@ -53,7 +53,7 @@ _LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the la
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0
 """Distances of the table of a lens's light."""
-_REACH = 1.05  # of a table over the light's envelope
+_TABLE_REACH = 1.05  # radii of the light's envelope that a lens's table covers
 _FINEST_PX = 1.0  # widest cell of a table; the mean light within a radius has no steps
 _KNOWN = 1e-4
 """Relative error of a lens's parameter that does not matter: it is a third of a micrometre in the
@@ -307,7 +307,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     light |= {
         "halvings": halvings_for(parameters, **light),
         "nearest": _NEAREST_MM,
-        "reach": _REACH,
+        "reach": _TABLE_REACH,
     }
 
     def compute() -> dict[str, Any]:

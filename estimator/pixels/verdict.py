@@ -51,14 +51,14 @@ _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
     [_X, _Y / 1.8, _X / 1.8, _Y]
 )
 """Terms of the third degree, without what terms of the first would explain."""
-_CUBIC_SHARE = 1.5  # of the third degree over those of the first and second
-_LEAST = 0.02  # of the shading's terms, below which the ambient light counts as even
+_CUBIC_SHARE = 1.5  # terms of the third degree over those of the first and second
+_EVEN_SHADING = 0.02  # terms of the shading below which the ambient light counts as even
 
 
 def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What errors of the ambient light may have done to the newest pose, in the terms of `POSE`."""
     size = float(np.linalg.norm(solution.newest.shade))
-    if size < _LEAST:
+    if size < _EVEN_SHADING:
         return np.zeros((POSE, POSE))
     shares = []  # of the ambient light in each cell's
     for frame in solution.frames:
@@ -132,7 +132,7 @@ def ghost_pull(solution: PoseSolution) -> Float[np.ndarray, "5"] | None:
     return solution.answer(list(found.share * found.added))
 
 
-_STEP_PX = 0.5  # of the numerical derivative
+_DIFFERENCE_STEP_PX = 0.5  # of the numerical derivative
 _PULL_SHARE = 0.3
 """Error of the pull, over its size: it is a linear forecast. On rendered drifts of up to 1.3 mm
 shifts and turns were within 10 to 30 % of it, mostly."""
@@ -154,7 +154,7 @@ def drift_covariance(
     changes, aside = [], np.zeros(3)
     for frame, drift in zip(solution.frames, drifts_px, strict=True):
         length, motion = float(np.linalg.norm(drift)), frame.cells.motion
-        part = _STEP_PX / max(length, _STEP_PX)
+        part = _DIFFERENCE_STEP_PX / max(length, _DIFFERENCE_STEP_PX)
         middle = motion.image_px(middle_px)
         (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
         aside = (there - here) / part

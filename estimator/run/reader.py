@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from eyespot.formats.microscope import MicroscopeFile
 
 _NO_POSES = PoseTrack(())
-_SPAN_S = 0.05  # of the poses that a velocity is taken from: ten of the rig's, half of a frame
+_VELOCITY_SPAN_S = 0.05  # a velocity is taken from ten of the rig's poses, half of a frame
 _ROBOT_MM = 0.005  # standard deviation of a place by the robot, against another one
 
 
@@ -202,7 +202,7 @@ class Reader(ABC, Generic[S, R]):
         pose, age_s = _pose_at(time_s, poses)
         if pose is None:
             return AT_REST
-        before, _ = poses.at(pose.time_s - _SPAN_S) or (pose, 0.0)
+        before, _ = poses.at(pose.time_s - _VELOCITY_SPAN_S) or (pose, 0.0)
         span_s = pose.time_s - before.time_s
         if span_s <= 0:
             return AT_REST

@@ -17,7 +17,7 @@ from eyespot.formats.whole_files import damage_reported
 DICOM = (".dcm", ".dicom")
 _MARK, _MARK_AT = b"DICM", 128
 
-_LEAST_BYTES = 8  # of a frame: compressed, the head of its item
+_MIN_FRAME_BYTES = 8  # a compressed frame has at least the head of its item
 _GREY = ("MONOCHROME1", "MONOCHROME2")
 _COLOURS = ("RGB", "YBR_FULL", "YBR_FULL_422", "YBR_RCT", "YBR_ICT")  # which pydicom makes RGB
 
@@ -41,7 +41,7 @@ def open_dicom(path: Path) -> Source:
         about = _description(path)
         check_pixels(about.Columns, about.Rows)
         count = int(about.get("NumberOfFrames") or 1)
-        if not 1 <= count <= path.stat().st_size // _LEAST_BYTES:
+        if not 1 <= count <= path.stat().st_size // _MIN_FRAME_BYTES:
             raise InputError(f"states {count} frames, which it has no room for")
         kind = about.PhotometricInterpretation
         if kind not in (*_GREY, *_COLOURS):

@@ -16,15 +16,15 @@ from eyespot.formats.inputs import InputError
 from eyespot.optics.viewing.eye import Eye
 from eyespot.optics.viewing.trace import Conic, Element, Iris, Medium, Refracting, TracedRays, trace
 
-TERMS = 28  # of a series in the squared distance t² from the axis, up to the widest t
+SERIES_TERMS = 28  # powers of the squared distance t² from the axis, up to the widest t
 SCANNED_MM = 14.0 / 400 * (1.0 + np.arange(400))
 """Aims t at which a path is tried for the widest that passes."""
 
 
 def radial_nodes(widest: Float[Array, ""]) -> tuple[Float[Array, "n"], Float[Array, "n n"]]:
     """Chebyshev's nodes t, and the matrix from values there to coefficients (Trefethen 2013)."""
-    angles = np.pi * (np.arange(TERMS) + 0.5) / TERMS
-    matrix = 2.0 / TERMS * np.cos(np.outer(np.arange(TERMS), angles))
+    angles = np.pi * (np.arange(SERIES_TERMS) + 0.5) / SERIES_TERMS
+    matrix = 2.0 / SERIES_TERMS * np.cos(np.outer(np.arange(SERIES_TERMS), angles))
     matrix[0] /= 2.0
     return widest * jnp.sqrt((jnp.asarray(np.cos(angles)) + 1.0) / 2.0), jnp.asarray(matrix)
 
