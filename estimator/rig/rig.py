@@ -12,7 +12,7 @@ from pydantic import Field
 
 from eyespot.estimator.distance.consistency import TipWay, disagreements
 from eyespot.estimator.distance.range import TipPose, WallMemory
-from eyespot.estimator.run import exit_codes
+from eyespot.estimator.run import frame_bugs
 from eyespot.estimator.run.offline import go_on
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import Reading
@@ -165,7 +165,7 @@ class ImageReader:
         except InputError as error:
             fault = f"{error}"
         except Exception as error:
-            exit_codes.note(error, name)
+            frame_bugs.note(error, name)
         counts = {"images": str(self._measured), "skipped_images": str(self._skipped)}
         return _output(reading, fault, counts, self._disagreement)
 

@@ -20,7 +20,7 @@ from rich.table import Table
 from eyespot.estimator.distance.consistency import TipWay, disagreements
 from eyespot.estimator.distance.range import WallMemory
 from eyespot.estimator.recording import Recording
-from eyespot.estimator.run.exit_codes import finish_first
+from eyespot.estimator.run.ctrl_c import finish_first
 from eyespot.estimator.run.progress_bar import say
 from eyespot.estimator.run.reader import Reader, Reading
 from eyespot.estimator.sources.source import Frame, Source

@@ -18,7 +18,7 @@ from eyespot.estimator.distance.budget import AT_REST, Budget, Budgets, ToolMoti
 from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.ghost import GhostWatch
-from eyespot.estimator.run import exit_codes
+from eyespot.estimator.run import frame_bugs
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack, Quaternion, Vector, turned
@@ -172,7 +172,7 @@ class Reader(ABC, Generic[S, R]):
         except InputError:
             raise
         except Exception as error:
-            exit_codes.note(error, name)
+            frame_bugs.note(error, name)
             self._state = TrackState(at_px=self.expected_px)
             reading = Reading(self.mode, NoSpot(Reason.INTERNAL_ERROR))
         self._start = None

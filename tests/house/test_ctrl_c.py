@@ -55,7 +55,7 @@ def left_of(group, patience_s=10.0):
 
 DROPPED = """
 import gc, sys, time
-from eyespot.estimator.run.exit_codes import ending_on_ctrl_c, end_now
+from eyespot.estimator.run.ctrl_c import ending_on_ctrl_c, end_now
 
 def collected(phase, info):
     time.sleep(0.01)  # so that nearly every Ctrl-C comes in here, where Python drops it
@@ -72,7 +72,7 @@ except KeyboardInterrupt:
 
 NATIVE = """
 import hashlib
-from eyespot.estimator.run.exit_codes import ending_on_ctrl_c
+from eyespot.estimator.run.ctrl_c import ending_on_ctrl_c
 
 with ending_on_ctrl_c():
     print("ready", flush=True)
@@ -87,8 +87,8 @@ def test_neither_a_callback_nor_native_code_swallows_ctrl_c(code):
 
 FINISHING = """
 import time
-from eyespot.estimator.run.exit_codes import ending_on_ctrl_c, finish_first
-from eyespot.estimator.run.exit_codes import PATIENCE_S
+from eyespot.estimator.run.ctrl_c import ending_on_ctrl_c, finish_first
+from eyespot.estimator.run.ctrl_c import PATIENCE_S
 
 with ending_on_ctrl_c():
     try:
