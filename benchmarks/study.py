@@ -49,7 +49,7 @@ from eyespot.formats.whole_files import (
 from eyespot.scenes import Scene, SceneError
 from eyespot.scenes.commands import Changes as Changes
 from eyespot.scenes.description.settings import OutsideWindow
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from eyespot.scenes.world.world import World
 
 OutputFolder = Annotated[

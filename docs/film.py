@@ -19,7 +19,7 @@ from eyespot.estimator import Ranger, SubpixelSettings, TrackState, measure
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import Spot
 from eyespot.scenes import load_scene, render_stack
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 
 _FILE = Path(__file__).with_name("film.gif")
 _SCENE = [

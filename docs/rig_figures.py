@@ -13,7 +13,7 @@ from pathlib import Path
 
 from eyespot.formats.calibration import write_calibration
 from eyespot.scenes import load_scene, render_stack
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 
 HERE = Path(__file__).parent
 PORT = 8123

@@ -241,7 +241,7 @@ def true_beam(stack: Stack) -> Calibration:
 @functools.cache
 def _beam(source: str) -> Calibration:
     from eyespot.scenes import Scene
-    from eyespot.scenes.world.labels import true_calibration
+    from eyespot.scenes.world.true_calibration import true_calibration
 
     return true_calibration(Scene.model_validate_json(source))
 

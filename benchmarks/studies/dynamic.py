@@ -27,7 +27,7 @@ from eyespot.formats.microscope import MicroscopeFile, read_microscope
 from eyespot.formats.poses import PoseTrack, read_poses
 from eyespot.formats.stack import Stack
 from eyespot.scenes import Scene
-from eyespot.scenes.world.labels import study_calibration, true_calibration
+from eyespot.scenes.world.true_calibration import study_calibration, true_calibration
 from eyespot.scenes.world.world import World
 
 # The scenes of the dynamic study: tips moving at several speeds, and the same without blur.

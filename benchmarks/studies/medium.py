@@ -25,7 +25,7 @@ from eyespot.formats.calibration import Calibration
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.scenes import Scene
-from eyespot.scenes.world.labels import study_calibration, true_calibration
+from eyespot.scenes.world.true_calibration import study_calibration, true_calibration
 from eyespot.scenes.world.world import Cone, World, lens_light
 
 # Half-maximum radius of a light in a medium against distance, in closed form.

@@ -39,7 +39,7 @@ from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stack import Stack
 from eyespot.formats.whole_files import written_whole
 from eyespot.scenes import Scene
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from eyespot.scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.

@@ -9,7 +9,7 @@ import numpy as np
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import SceneError
 from eyespot.scenes.machine.variant import load_mitsuba
-from eyespot.scenes.world.labels import uniform_irradiance
+from eyespot.scenes.world.exposure import uniform_irradiance
 from eyespot.scenes.world.world import Moment, World
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.

@@ -24,7 +24,8 @@ from eyespot.scenes.rendering.images import images_of
 from eyespot.scenes.rendering.render import Renderer
 from eyespot.scenes.stacks.bound import Bounds
 from eyespot.scenes.walls.picture import wall_colour
-from eyespot.scenes.world.labels import paper_exposure, spot_labels
+from eyespot.scenes.world.exposure import paper_exposure
+from eyespot.scenes.world.labels import spot_labels
 from eyespot.scenes.world.motion import frame_count, kinematics, longest_exposure
 from eyespot.scenes.world.world import World
 

@@ -18,7 +18,7 @@ from eyespot.benchmarks.predictions import (
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.scenes import changed, load_scene, render_stack, scene_toml
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from tests.support.command_line import printed
 
 UNCERTAIN = {

@@ -29,7 +29,7 @@ from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.scenes import Scene
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from tests.benchmarks.test_dataset import here
 
 WRITTEN = Path(__file__).parents[1] / "files-0.1" / "small-v1" / "train" / "0000"

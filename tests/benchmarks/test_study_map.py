@@ -13,7 +13,7 @@ from eyespot.benchmarks.studies.map import f2554, limits, mapped
 from eyespot.benchmarks.workspace import calibrated_cone, geometry_of_rig, workspace_of
 from eyespot.formats.rig import Rig
 from eyespot.scenes import Scene, changed
-from eyespot.scenes.world.labels import study_calibration, true_calibration
+from eyespot.scenes.world.true_calibration import study_calibration, true_calibration
 from eyespot.scenes.world.world import World
 
 NUMBERS = {

@@ -17,7 +17,7 @@ from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import Spot
 from eyespot.formats.stack import Stack
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from tests.support.command_line import printed
 
 pytestmark = pytest.mark.slow

@@ -26,7 +26,7 @@ from eyespot.formats.spots import NoSpot, Reason, read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.formats.stated import Stated
 from eyespot.scenes import load_scene, render_stack
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
 from tests.estimator.test_ranger import microscope as microscope_at
 from tests.support.command_line import printed, run

@@ -15,7 +15,7 @@ import numpy as np
 
 import eyespot
 from eyespot.formats.calibration import write_calibration
-from eyespot.scenes.world.labels import true_calibration
+from eyespot.scenes.world.true_calibration import true_calibration
 
 folder = Path(mkdtemp())
 place = ["source.kind=cone", "spot.eccentricity_mm=3", "spot.incidence_deg=0", "motion.frames=9"]
