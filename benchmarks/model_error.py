@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
@@ -229,16 +230,41 @@ CHOSEN_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 SHOWN = ("small_plane", "corrected", "exact")
 """Models of figures that have a panel for each; the CSV files have all."""
 
-MODEL_COLOURS = dict(
+COLOURS = {"planar": page.ORANGE} | dict(
     zip(COMPARED, (page.VERMILION, page.BLUE, page.GREEN, page.BLACK), strict=True)
 )
-COLOURS = {"planar": page.ORANGE} | MODEL_COLOURS
-TRIAL_COLOURS = (page.BLUE, page.ORANGE, page.GREEN)
+_LEAST_MM, _MOST_MM = 1e-3, 12.0
+"""Ends of a logarithmic axis of errors; smaller ones are drawn at its foot."""
 
 READING = "$d_r$, reading since contact (mm)"
 MEASURED = "measured $e_1'$ (px)"
 DISTANCE = "$d$, tip to wall along the beam (mm)"
 ECCENTRICITY = "eccentricity $c$ (mm)"
+
+
+def draw_largest_errors(
+    axes: Axes,
+    exact: pd.DataFrame,
+    measured: pd.DataFrame | None = None,
+    *,
+    models: Sequence[str] = tuple(COLOURS),
+    limits: Sequence[float] = (),
+) -> None:
+    """Draw the largest error over d against c: lines on exact contours, marks on measured spots.
+
+    With measured spots the line of `exact` is left out, which is right to rounding.
+    """
+    for limit in limits:
+        axes.axhline(limit, color=page.GREY, lw=0.8, ls=":")
+    for model in models:
+        style: dict[str, Any] = {"color": COLOURS[model], "label": model}
+        if measured is not None:
+            marks = largest_errors(page.where(measured, model=model))
+            axes.plot(marks, ls="", marker="o", ms=3.5, **style)
+            style["label"] = None
+        if measured is None or model != "exact":
+            axes.plot(largest_errors(page.where(exact, model=model)), **style)
+    axes.set(yscale="log", ylim=(_LEAST_MM, _MOST_MM))
 
 
 def pinhole_title(z_f_mm: float) -> str:

@@ -5,7 +5,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from itertools import product
-from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -20,7 +19,7 @@ from eyespot.estimator import (
     SubpixelSettings,
     track,
 )
-from eyespot.formats.spots import NoSpot, Spot, SpotRecord, write_spots
+from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stack import FrameLabels, Stack
 from eyespot.scenes import Scene, SceneError
 from eyespot.scenes.camera import CameraSensor
@@ -289,24 +288,11 @@ def spots_of(labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot]) ->
     return found.assign(used=found.outcome == USED)
 
 
-def track_stack(stack: Stack, way: Way, *, spots_file: Path) -> pd.DataFrame:
-    """Measure every frame of a stack in one way and write the spots file; see `spots_of`."""
+def track_stack(stack: Stack, way: Way) -> pd.DataFrame:
+    """Measure every frame of a stack in one way; see `spots_of`."""
     labels = stack.exposed(way.exposure)
     found = track(stack.images(way.exposure), way.settings, start=way.click(labels))
-    results = tuple(found)
-    write_results(spots_file, labels, results, mode=way.reader().mode)
-    return spots_of(labels, results)
-
-
-def write_results(
-    file: Path, labels: Sequence[FrameLabels], results: Sequence[Spot | NoSpot], *, mode: str
-) -> None:
-    """Write what was measured in a stack's frames as a spots file."""
-    records = []
-    for row, result in zip(labels, results, strict=True):
-        about: dict[str, Any] = row.model_dump(include={"frame", "file_name", "time_s"})
-        records.append(SpotRecord(mode=mode, result=result, **about))
-    write_spots(file, records)
+    return spots_of(labels, tuple(found))
 
 
 # Photographs of kept linear frames, taken and measured again without rendering or files.

@@ -123,10 +123,7 @@ def cut_outs(shown: Sequence[CutOut]) -> Figure:
     for n, one in enumerate(shown):
         left, top = (round(place) - one.half for place in one.true[:2])
         side = 2 * one.half
-        image = one.image.reshape(*one.image.shape[:2], -1)
-        if image.dtype != np.uint8:
-            bits = max(int(image.max()).bit_length(), 8)
-            image = (image >> (bits - 8)).astype(np.uint8)
+        image = in_8_bits(one.image.reshape(*one.image.shape[:2], -1))
         padded = np.pad(image, ((side, side), (side, side), (0, 0)))
         part = padded[top + side :, left + side :][:side, :side]
         axes.imshow(part, extent=(n, n + 1, 1, 0), cmap="gray")
@@ -141,6 +138,12 @@ def cut_outs(shown: Sequence[CutOut]) -> Figure:
     axes.set(xlim=(0, len(shown)), ylim=(1, 0))
     axes.set_axis_off()
     return figure
+
+
+def in_8_bits(image: np.ndarray) -> np.ndarray:
+    """The image without the lowest bits that 8 bits have no room for."""
+    bits = 8 if image.dtype == np.uint8 else max(int(image.max()).bit_length(), 8)
+    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:

@@ -33,8 +33,6 @@ _FEWER = 8
 """One c of so many is enough for `exact`, which has no error to be interpolated."""
 _DISTANCES = 12
 _SHOWN_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
-_LEAST_MM = 1e-3
-"""Smaller errors are drawn at the foot of a logarithmic axis."""
 
 
 def model_error(
@@ -106,12 +104,8 @@ def error_figure(errors: pd.DataFrame, tolerance: float) -> Figure:
         chosen = pairs.iloc[[0, -1]].drop_duplicates()
 
     def draw(axes: Axes, _: str, panel: tuple[float, float]) -> None:
-        axes.axhline(tolerance, color=page.GREY, lw=0.8, ls="--")
         here = page.where(shown, incidence_deg=panel[0], azimuth_deg=panel[1])
-        for model, colour in errors_of_models.COLOURS.items():
-            line = errors_of_models.largest_errors(page.where(here, model=model))
-            axes.plot(line.index, line, color=colour, label=model)
-        axes.set(yscale="log", ylim=(_LEAST_MM, None))
+        errors_of_models.draw_largest_errors(axes, here, limits=(tolerance,))
 
     return page.small_multiples(
         draw,

@@ -100,7 +100,8 @@ class Study:
 
     Attributes:
         space: ranges of c, d, tilt and azimuth: those of the rig, or usual ones.
-        options: of this study only, by their names on the command line without dashes.
+        options: of this study only, by their names on the command line without dashes; those that
+            are None are left out.
 
     Raises:
         InputError: the scene is not valid, the folder has other files, or another process uses it.
@@ -118,12 +119,17 @@ class Study:
         defaults: Sequence[str] = (),
         check: Callable[[Scene], None] = lambda scene: None,
         *,
-        options: Mapping[str, int | float | str] | None = None,
+        options: Mapping[str, Any] | None = None,
         rig: Path | None = None,
         varies: Sequence[str] = (),
         in_workspace: bool = False,
     ) -> None:
-        self.name, self.quick, self.options = name, quick, options or {}
+        self.name, self.quick = name, quick
+        self.options = {
+            key: str(v) if isinstance(v, Path) else v
+            for key, v in (options or {}).items()
+            if v is not None
+        }
         own = defaults if scene is None else ()
         seeded = () if seed is None else (f"seed={seed}",)
         self.rig = None if rig is None else read_rig(rig)
@@ -212,21 +218,12 @@ class Study:
 
     def tracked(self, trials: Mapping[str, Scene]) -> dict[str, pd.DataFrame]:
         """The spots of every trial in sub-pixel mode, by name (`paper.spots_of`)."""
-        return self.measured(
-            trials,
-            lambda name, stack: track_stack(stack, SUBPIXEL, spots_file=self.spots_file(name)),
-        )
+        return self.measured(trials, lambda name, stack: track_stack(stack, SUBPIXEL))
 
     def photographers(self, trials: Mapping[str, Scene]) -> dict[str, Photographer]:
         """Those who photograph the trials' linear frames again, by name."""
         stacks = self.stacks(trials)
         return {n: Photographer(scene=scene, stack=stacks[n]) for n, scene in trials.items()}
-
-    def spots_file(self, name: str) -> Path:
-        """The file of a stack's spots, in spots/."""
-        folder = self.folder / "spots"
-        folder.mkdir(exist_ok=True)
-        return folder / f"{name}.csv"
 
     def reader(self, stack: Stack, scene: Scene, mode: str, **options: Any) -> Reader:
         """A reader of a stack's frames that knows the true light of its scene."""

@@ -1,13 +1,13 @@
 """What a spec asked for against what its stacks have: of each parameter, and of each pair."""
 
 import itertools
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from pydantic import TypeAdapter
+from scipy import stats
 
 from eyespot.benchmarks.sets.read import LabelledSet
 from eyespot.benchmarks.sets.spec import Choice, Distribution, LogUniform, Uniform
@@ -48,14 +48,12 @@ def asked_and_drawn(labelled: LabelledSet) -> Asked:
     )
 
 
-def _quantiles(interval: Uniform | LogUniform, values: Sequence[float]) -> np.ndarray:
-    """Where values lie in an interval: 0 at its lower end, 1 at its upper, evenly if as asked."""
-    x = np.array(values, float)
+def _law(interval: Uniform | LogUniform) -> Any:
+    """The distribution of an interval, as SciPy has it."""
     if isinstance(interval, LogUniform):
-        low, high = np.log(interval.log_uniform)
-        return (np.log(x) - low) / (high - low)
+        return stats.loguniform(*interval.log_uniform)
     low, high = interval.uniform
-    return (x - low) / (high - low)
+    return stats.uniform(low, high - low)
 
 
 def _parameter(change: Distribution, values: Sequence[Any]) -> tuple[str, str, float]:
@@ -66,10 +64,7 @@ def _parameter(change: Distribution, values: Sequence[Any]) -> tuple[str, str, f
         share = np.array(counts) / len(values)
         return f"one of {len(counts)}", drawn, float(np.abs(share - 1 / len(counts)).max())
     (kind, (low, high)) = next(iter(change.model_dump().items()))
-    quantiles = np.sort(_quantiles(change, values))
-    steps = np.arange(len(values) + 1) / len(values)
-    # Kolmogorov's distance, from both sides of each step.
-    distance = max(np.abs(quantiles - steps[:-1]).max(), np.abs(quantiles - steps[1:]).max())
+    distance = stats.kstest(values, _law(change).cdf).statistic
     named = f"{kind.replace('_', '-')}, {low:g} to {high:g}"
     return named, f"{min(values):.4g} to {max(values):.4g}", float(distance)
 
@@ -79,9 +74,9 @@ def _cells(change: Distribution, values: Sequence[Any]) -> tuple[list[str], np.n
     if isinstance(change, Choice):
         places = [change.choice.index(value) for value in values]
         return [str(one) for one in change.choice], np.array(places)
-    upper = _quantiles(change, values) >= 0.5
     (low, high) = next(iter(change.model_dump().values()))
-    middle = math.sqrt(low * high) if isinstance(change, LogUniform) else (low + high) / 2
+    middle = _law(change).median()
+    upper = np.array(values) >= middle
     return [f"{low:g} to {middle:.4g}", f"{middle:.4g} to {high:g}"], upper.astype(int)
 
 

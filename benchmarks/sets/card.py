@@ -10,6 +10,7 @@ import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import tomli_w
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
@@ -30,10 +31,6 @@ _COLOURS = {
 _BINS, _COLUMNS = 24, 4
 _SAMPLES = 6  # images per split and condition
 _WIDTH_IN = 10.0
-_TILE_PX = 160  # width of a sample image
-_GAP, _CAPTION = 4, 18  # px
-_LEFT = 0.1  # fraction of the width for the names
-
 
 QUANTITIES = {
     "c_mm": ("c, eccentricity", "mm"),
@@ -77,59 +74,31 @@ def samples(rows: Sequence[Row], path: Path) -> None:
     for row in rows:
         name = "\n".join(filter(None, [row.planned.split, row.planned.condition]))
         groups.setdefault(name, []).append(row)
-    for name, group in groups.items():
-        # Evenly spread over the stacks and distances.
-        chosen = np.linspace(0, len(group) - 1, min(_SAMPLES, len(group))).round().astype(int)
-        groups[name] = [group[i] for i in chosen]
-    tiles = {name: [_tile(row) for row in group] for name, group in groups.items()}
-    widths, heights = zip(*(line[0][0].shape[1::-1] for line in tiles.values()), strict=True)
-    across, down = max(widths) + _GAP, max(heights) + _CAPTION
-    width, height = across * max(map(len, groups.values())), down * len(groups)
-    picture = np.full((height, width, 3), 255, np.uint8)
     with mpl.rc_context(page.STYLE):
-        figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN * (1 - _LEFT) * height / width))
-        axes = figure.add_axes((_LEFT, 0, 1 - _LEFT, 1), frameon=False)
-        for line, (name, group) in enumerate(groups.items()):
-            top = down * line
-            axes.text(-6, top + max(heights) / 2, name, ha="right", va="center", size=8)
-            for column, (row, (tile, step)) in enumerate(zip(group, tiles[name], strict=True)):
-                left, labels, (tall, wide) = across * column, row.labels, tile.shape[:2]
-                picture[top:, left:][:tall, :wide] = tile
-                # Pixel centres have integer coordinates in both images.
-                x, y = (
-                    (p + 0.5) / step - 0.5 for p in (labels.half_max_x_px, labels.half_max_y_px)
-                )
-                axes.add_patch(
-                    Ellipse(
-                        (x + left, y + top),
-                        2 * labels.half_max_semi_major_px / step,
-                        2 * labels.half_max_semi_minor_px / step,
-                        angle=math.degrees(labels.half_max_angle_rad),
-                        fill=False,
-                        color=page.ORANGE,
-                        lw=0.8,
-                        ls=(0, (3, 2)),
-                    )
-                )
-                text = f"$d$ {labels.d_mm:.1f}, $c$ {labels.c_mm:.1f} mm"
-                below: dict[str, Any] = {"ha": "center", "va": "top", "size": 7}
-                axes.text(left + wide / 2, top + tall + 1, text, **below)
-        axes.imshow(picture, interpolation="none")
-        axes.set_axis_off()
+        size = _WIDTH_IN, 1.5 * len(groups)
+        figure = Figure(figsize=size, layout="constrained")
+        lines = figure.subplots(len(groups), _SAMPLES, squeeze=False)
+        for axes in lines.flat:
+            axes.set_axis_off()
+        for (name, group), line in zip(groups.items(), lines, strict=True):
+            line[0].text(-0.05, 0.5, name, ha="right", va="center", transform=line[0].transAxes)
+            # Evenly spread over the stacks and distances.
+            chosen = np.linspace(0, len(group) - 1, min(_SAMPLES, len(group))).round().astype(int)
+            for axes, row in zip(line, [group[i] for i in chosen], strict=False):
+                _draw(axes, row)
         with written_whole(path, replace=True) as partial:
             figure.savefig(partial)
 
 
-def _tile(row: Row) -> tuple[np.ndarray, int]:
-    """The image in 8 bits and RGB, reduced by averaging, and the factor of the reduction."""
-    image = row.stack.image(row.labels)
-    if image.dtype != np.uint8:
-        bits = row.stack.described("scene.camera.bit_depth", int)
-        image = (image >> (bits - 8)).astype(np.uint8)
-    step = max(1, row.stack.described("scene.microscope.width_px", int) // _TILE_PX)
-    height, width = (step * (n // step) for n in image.shape[:2])
-    blocks = image[:height, :width].reshape(height // step, step, width // step, step, -1)
-    return np.asarray(blocks.mean(axis=(1, 3)).astype(np.uint8)), step
+def _draw(axes: Axes, row: Row) -> None:
+    """One image with its ellipse."""
+    of = row.labels
+    axes.imshow(page.in_8_bits(row.stack.image(of)), cmap="gray", vmin=0, vmax=255)
+    size = 2 * of.half_max_semi_major_px, 2 * of.half_max_semi_minor_px
+    style: dict[str, Any] = {"fill": False, "color": page.ORANGE, "lw": 0.8, "ls": (0, (3, 2))}
+    turned = math.degrees(of.half_max_angle_rad)
+    axes.add_patch(Ellipse((of.half_max_x_px, of.half_max_y_px), *size, angle=turned, **style))
+    axes.set_title(f"$d$ {of.d_mm:.1f}, $c$ {of.c_mm:.1f} mm", size=7)
 
 
 _LICENCES = {

@@ -328,7 +328,7 @@ def design(
     """
     asked = np.array([*limits_in(limits).values()]).T
     defaults = "source.medium=vitreous", "microscope.height_px=600"
-    options = {"goal": goal, "limits": limits} | ({} if dose is None else {"dose": dose})
+    options = {"goal": goal, "limits": limits, "dose": dose}
     study = Study("design", out, scene, changes, quick, seed, defaults, options=options, rig=rig)
     count, random, starts, steps = (4, 12, 1, 5) if quick else (6, 500, 2, 25)
     search = DropSearch(study.scene, count=count, goal=goal, dose=dose)

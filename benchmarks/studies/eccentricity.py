@@ -107,8 +107,6 @@ _NOISE_FREE = {
     "camera.jpeg_quality": 0,
 }
 
-_FEWEST_SPOTS = 3  # fewer do not determine c
-
 
 def trials(
     scene: Scene, space: WorkspaceKeys, *, quick: bool
@@ -142,26 +140,18 @@ def trials(
 
 def measure(
     study: Study, every: Mapping[str, Scene], noise_free: Mapping[str, Scene]
-) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame, np.ndarray]:
-    """Render, track and compare.
-
-    Returns errors of all models on every measured spot, and of small_plane with c fitted; the fits,
-    see `refitted`; errors by cause; and whether each frame has a spot that counts.
-    """
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Render and track: errors of all models on every spot that counts, and errors by cause."""
     tracked = study.tracked(
         {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}}
     )
     # Empty tables first, so that a run without spots has tables, too.
-    errors, refits, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [], [pd.DataFrame()]
+    errors, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [pd.DataFrame()]
     for name, scene in every.items():
         seen, geometry = tracked[name], geometry_of(scene)
         spots = seen[seen.used]
         if len(spots):
             errors.append(model_error.errors_of_spots(geometry, spots, optics.MODELS))
-        if len(spots) >= _FEWEST_SPOTS:
-            rows, refit = refitted(geometry, errors[-1], spots.semi_minor_px.to_numpy())
-            errors.append(rows)
-            refits.append(refit)
         if name in noise_free and (both := seen.used & tracked[f"{name}-noise-free"].used).any():
             fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
             columns = ["semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm"]
@@ -175,18 +165,11 @@ def measure(
             shares.append(error_causes.shares(geometry, medium=medium, c=c, d=d, shift=shift))
     return (
         pd.concat(errors[1:] or errors, ignore_index=True),
-        pd.DataFrame(refits),
         pd.concat(shares[1:] or shares, ignore_index=True),
-        np.concatenate([tracked[name].used for name in every]),
     )
 
 
 Tables = Mapping[str, pd.DataFrame]
-
-
-def with_true_c(errors: pd.DataFrame) -> pd.DataFrame:
-    """Errors without those of a fitted c."""
-    return errors[~errors.refit.astype(bool)]
 
 
 def limit_of(tables: Tables, model: str, height: float, incidence: float) -> float:
@@ -207,29 +190,20 @@ def pinhole_heights(scene: Scene) -> tuple[float, ...]:
 _GEOMETRIC = page.BLUE, page.VERMILION, page.ORANGE, page.BLACK, page.GREEN
 _OTHERS = page.SKY, page.PURPLE, "#8C6D31", "#B8B8B8", "#6E6E6E"
 _CAUSE_COLOURS = dict(zip(CAUSES, (*_GEOMETRIC, *_OTHERS), strict=True))
-_LEAST_MM = 1e-3  # smaller errors are drawn at the foot of a logarithmic axis
 
 
 def worst_errors(scene: Scene, tables: Tables) -> Figure:
     """Largest error over d against c: a panel for each pinhole (row) and incidence (column)."""
 
     def draw(axes: Axes, height: float, incidence: float) -> None:
-        for limit in LIMITS_MM:
-            axes.axhline(limit, color=page.GREY, lw=0.8, ls=":")
         exact, seen = (
             where(errors, z_f_mm=height, incidence_deg=incidence)
-            for errors in (tables["withdrawals"], with_true_c(tables["rendered"]))
+            for errors in (tables["withdrawals"], tables["rendered"])
         )
-        for model, colour in model_error.COLOURS.items():
-            line = model_error.largest_errors(where(exact, model=model, refit=False))
-            if model != "exact":  # right to rounding on its own contours
-                axes.plot(line, color=colour, label=model)
-            label = model if model == "exact" else None
-            marks = model_error.largest_errors(seen[seen.model == model])
-            axes.plot(marks, ls="", marker="o", ms=3.5, color=colour, label=label)
+        true_c = where(exact, refit=False)
+        model_error.draw_largest_errors(axes, true_c, seen, limits=LIMITS_MM)
         refit = model_error.largest_errors(exact[exact.refit])
         axes.plot(refit, color=page.VERMILION, ls="--", label="small_plane, c fitted")
-        axes.set(yscale="log", ylim=(_LEAST_MM, 12.0))
 
     return page.small_multiples(
         draw,
@@ -279,7 +253,7 @@ def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
 # The page.
 
 
-def _report(scene: Scene, space: WorkspaceKeys, tables: Tables, used: np.ndarray) -> page.Report:
+def _report(scene: Scene, space: WorkspaceKeys, tables: Tables) -> page.Report:
     heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
     reached = [limit_of(tables, "small_plane", height, incidence) for height in heights]
     places = (
@@ -324,7 +298,7 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables, used: np.ndarray
                 data="limits.csv",
             ),
         ],
-        claims=list(_claims(scene, tables, used)),
+        claims=list(_claims(scene, tables)),
         sections=[
             page.Section(
                 "The error that a fit of c hides",
@@ -361,15 +335,15 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables, used: np.ndarray
                 model_error.MODEL_ERROR
             ],
             "limits.csv": tables["limits"],
-            "refit.csv": pd.concat([refits, tables["rendered_refits"]]),
+            "refit.csv": refits,
             "causes.csv": tables["causes"],
             "eye.csv": tables["eye"],
         },
     )
 
 
-def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Claim]:
-    shares, errors = tables["causes"], with_true_c(tables["rendered"])
+def _claims(scene: Scene, tables: Tables) -> Iterator[page.Claim]:
+    shares = tables["causes"]
     for height in pinhole_heights(scene) if len(shares) else ():
         here = where(shares, z_f_mm=height, model="small_plane")
         if here.empty:
@@ -399,15 +373,6 @@ def _claims(scene: Scene, tables: Tables, used: np.ndarray) -> Iterator[page.Cla
         f"{listed(error_causes.LAYER_MM, 'g')} mm.",
         value=float(eye.tilted_mm.max()),
     )
-    if len(errors):
-        worst = tuple(statistics.largest(errors.error_mm[errors.model == m]) for m in optics.MODELS)
-        yield page.Claim(
-            name="rendered spots",
-            sentence=f"Largest errors over {used.sum()} spots: {listed(worst, '.3f')} mm "
-            f"({', '.join(optics.MODELS)}); k, b, c and r are given. {(~used).sum()} frames have "
-            "no spot that counts.",
-            value=worst,
-        )
 
 
 def _nearest(rows: pd.DataFrame, c: float, d: float) -> Any:
@@ -453,9 +418,7 @@ def eccentricity(study: Study) -> dict[str, pd.DataFrame]:
     least, most = study.space.eccentricity_mm or (0.0, 0.0)
     c = np.linspace(least, most, 17 if quick else 81)
     with study.timed("render and measure"):
-        rendered, rendered_refits, shares, used = measure(
-            study, *trials(base, study.space, quick=quick)
-        )
+        rendered, shares = measure(study, *trials(base, study.space, quick=quick))
     with study.timed("withdrawals on exact contours"):
         # Four pinholes, square to the wall and at the scene's incidence.
         found = []
@@ -474,9 +437,8 @@ def eccentricity(study: Study) -> dict[str, pd.DataFrame]:
         "refits": refits,
         "limits": limits(on_exact),
         "rendered": rendered,
-        "rendered_refits": rendered_refits,
         "causes": shares,
         "eye": pd.concat([error_causes.of_an_eye(own) for own in square], ignore_index=True),
     }
-    study.publish(_report, base, study.space, tables, used)
+    study.publish(_report, base, study.space, tables)
     return tables

@@ -24,16 +24,7 @@ from eyespot.benchmarks.model_error import ECCENTRICITY, Geometry
 from eyespot.benchmarks.reporting import number
 from eyespot.benchmarks.rig_uncertainty import NOISE_PX, UNTOLD, errors_at
 from eyespot.benchmarks.statistics import first_reached, rms
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-    geometry_of,
-)
+from eyespot.benchmarks.study import Study, command, geometry_of
 from eyespot.benchmarks.workspace import azimuths_deg, calibrated_cone
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.rig import Rig
@@ -297,17 +288,9 @@ VARIED = (
 """Keys of the scene that have no part in the study."""
 
 
+@command(defaults=("source.kind=cone",), varies=VARIED, in_workspace=True)
 def map(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    calibration: Path | None = None,
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
-    tolerance: PositiveFloat = 0.1,
+    study: Study, *, calibration: Path | None = None, tolerance: PositiveFloat = 0.1
 ) -> dict[str, pd.DataFrame]:
     """Say where in a rig's workspace which model can be trusted, and what limits it.
 
@@ -317,15 +300,11 @@ def map(
         calibration: Calibration file of the beam; a lens counts as its effective cone.
         tolerance: Largest error that is acceptable at 95 %, mm.
     """
-    cone, options = ("source.kind=cone",), {"tolerance": tolerance}
-    about: dict[str, Any] = {"options": options, "rig": rig, "varies": VARIED, "in_workspace": True}
-    fitted = None if calibration is None else read_calibration(calibration)
-    study = Study("map", out, scene, changes, quick, seed, cone, **about)
     geometry, own = geometry_of(study.scene), study.rig or Rig()
     geometry = geometry._replace(incidence=0.0, incidence_azimuth=0.0)
     covariance = None
-    if fitted is not None:
-        half_angle, b, covariance = calibrated_cone(fitted)
+    if calibration is not None:
+        half_angle, b, covariance = calibrated_cone(read_calibration(calibration))
         geometry = geometry._replace(half_angle=half_angle, apex_offset=b)
     with study.timed("errors"):
         errors = mapped(geometry, study.space, own, covariance, quick=quick)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from eyespot import scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.reporting import listed, number, rows_of, where
+from eyespot.benchmarks.reporting import number, rows_of, where
 from eyespot.benchmarks.study import Study, command
 from eyespot.calibration import Lines, fit_eccentricity, fit_lines
 from eyespot.scenes import Scene, SceneError
@@ -174,17 +174,6 @@ _FEWEST_SPOTS = 3
 OWN, POOLED = "each trial", "all trials"
 """Whose mean square error is split: the mean over each trial's own line, or the line of all."""
 _WAYS = (paper.LITERAL.name, paper.SUBPIXEL.name)
-_QUANTITIES = {
-    "delta_k": page.Column("δk, mm/px", 4),
-    "b": page.Column("b, mm", 2),
-    "r_squared": page.Column("R²", 4),
-    "rmse": page.Column("RMSE, mm"),
-    "c": page.Column("c, mm", 2),
-    "standard_deviation": page.Column("standard deviation, mm"),
-    "mean_absolute_error": page.Column("mean |error|, mm"),
-    "max_error": page.Column("largest |error|, mm"),
-}
-"""The quantities of Tables I and II."""
 
 
 # Fits.
@@ -292,6 +281,8 @@ def _causes_figure(causes: pd.DataFrame) -> Figure:
 
 # The page.
 
+_SPREAD = ["way", "quantity", "mean", "standard_deviation", "paper"]
+
 
 def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Report:
     spreads, rmse = _spreads(tables), causes.set_index(["scope", "cause"]).rmse_mm
@@ -315,25 +306,23 @@ def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Repor
                 "error.",
                 data="static_causes.csv",
             ),
-            _beside_the_paper(
-                spreads,
-                {paper.ALL_PLANES: paper.TABLE_I[paper.ALL_PLANES]},
-                "All planes of Table I with all causes, mean ± standard deviation over runs.",
+            page.Table(
+                where(spreads, trial=paper.ALL_PLANES),
+                _SPREAD,
+                "All planes of Table I with all causes: mean and standard deviation over runs.",
+                data="static_spread.csv",
             ),
         ],
         claims=list(_claims(causes)),
         sections=[
             page.Section(
                 "Tables I and II over many runs",
-                _beside_the_paper(
-                    spreads,
-                    paper.TABLE_I,
-                    "Table I with all causes, mean ± standard deviation over runs.",
-                ),
-                _beside_the_paper(
-                    spreads,
-                    paper.TABLE_II,
-                    "Table II with all causes: the small-plane model with each run's own δk and b.",
+                page.Table(
+                    spreads[spreads.trial.isin([*paper.TABLE_II])],
+                    ["trial", *_SPREAD],
+                    "Table II with all causes: the small-plane model with each run's own δk and b. "
+                    "The paper's c is the one that it fitted, and the true one here.",
+                    data="static_spread.csv",
                 ),
                 "The sizes of the causes are assumptions. A small cause adds an error in "
                 "proportion to the square of its size. The error without any cause is not zero, "
@@ -349,53 +338,18 @@ def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Repor
 
 
 def _claims(causes: pd.DataFrame) -> Iterator[page.Claim]:
-    own, of = (where(causes, scope=scope).set_index("cause") for scope in (OWN, POOLED))
-    part, error = 1e3 * of.part_mm2, 1e3 * of.standard_error_mm2
-    ordered = list(part[list(CAUSES)].sort_values(ascending=False).index)
-    yield page.Claim(
-        name="causes",
-        sentence=f"The cause {ordered[0]} adds most to the mean square error of all planes. In "
-        f"10⁻³ mm², {', '.join(ordered)} add {listed(part[ordered], '+.2f')} (standard errors over "
-        f"runs: {listed(error[ordered], '.2f')}). Together they add {part[TOGETHER]:+.2f} ± "
-        f"{error[TOGETHER]:.2f} beyond their sum. Without causes the error is {part[NONE]:.2f} "
-        f"(RMSE {of.rmse_mm[NONE]:.3f} mm), with all causes {part[ALL]:.2f} (RMSE "
-        f"{of.rmse_mm[ALL]:.3f} mm).",
-        value=part[ALL],
-    )
+    rmse = where(causes, cause=ALL).set_index("scope").rmse_mm
     printed = [row.rmse for row in paper.PAPERS_PLANES.values()]
-    low, high, pooled_rmse = min(printed), max(printed), paper.TABLE_I[paper.ALL_PLANES].rmse
+    low, high, pooled = min(printed), max(printed), paper.TABLE_I[paper.ALL_PLANES].rmse
     yield page.Claim(
         name="the paper's RMSE",
-        sentence=f"With all causes a trial's RMSE is {own.rmse_mm[ALL]:.3f} mm (the paper's "
-        f"trials: {low:.3f} to {high:.3f} mm). For all planes together it is "
-        f"{of.rmse_mm[ALL]:.3f} mm (the paper's: {pooled_rmse:.3f} mm).",
-        value=own.rmse_mm[ALL],
+        sentence=f"With all causes a trial's RMSE is {rmse[OWN]:.3f} mm (the paper's trials: "
+        f"{low:.3f} to {high:.3f} mm). For all planes together it is {rmse[POOLED]:.3f} mm (the "
+        f"paper's: {pooled:.3f} mm).",
+        value=rmse[OWN],
         low=low,
         high=high,
     )
-
-
-def _beside_the_paper(
-    spreads: pd.DataFrame, printed: Mapping[str, Any], caption: str
-) -> page.Table:
-    def text(quantity: str, *values: float) -> str:
-        return " ± ".join(number(value, _QUANTITIES[quantity].digits) for value in values)
-
-    shown = {
-        (row.way, row.trial, row.quantity): text(row.quantity, row.mean, row.standard_deviation)
-        for row in rows_of(spreads)
-    }
-    quantities = next(iter(printed.values()))._fields
-    for trial, row in printed.items():
-        shown |= {("paper", trial, q): text(q, getattr(row, q)) for q in quantities}
-    rows = [
-        (way, trial, *(shown.get((way, trial, quantity), "–") for quantity in quantities))
-        for way, trial in product((*_WAYS, "paper"), printed)
-    ]
-    columns = {name: page.Column(name) for name in ("way", "trial")}
-    columns |= {quantity: _QUANTITIES[quantity] for quantity in quantities}
-    table = pd.DataFrame(rows, columns=list(columns))
-    return page.Table(table, columns, caption, "static_spread.csv")
 
 
 # The command.

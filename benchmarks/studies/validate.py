@@ -34,10 +34,9 @@ _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # Parts of the range that are tried begin at 
 class ValidateFindings:
     """All results of a run.
 
-    `spots`: of every trial in every way, `paper.spots_of` with trial, source, kind, group, way and
-    the distance since contact by the fit that used the frame, `estimate_mm`; `planes`, `spheres`:
-    content of table_1.csv and table_2.csv; `analytic`, `rendered`: the models' errors on exact
-    contours and on spots of the ideal cone.
+    `spots`: of every trial in every way, `paper.spots_of` with trial, source, kind, group and way;
+    `planes`, `spheres`: content of table_1.csv and table_2.csv; `analytic`, `rendered`: the models'
+    errors on exact contours and on spots of the ideal cone.
     """
 
     stacks: Path
@@ -77,14 +76,13 @@ _SPHERES = (
 
 def fit_tables(
     trials: Sequence[paper.StaticTrial], spots: pd.DataFrame
-) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Tables I and II for every source and way with enough spots, beside the paper's values.
 
-    Before them the spots with `estimate_mm`. `c_expected_mm` is the c whose factor cos(phi) equals
-    the correct first-order factor of the true c, or 0 if that is above 1.
+    `c_expected_mm` is the c whose factor cos(phi) equals the correct first-order factor of the true
+    c, or 0 if that is above 1.
     """
     scenes, planes, spheres = {(t.source, t.group): t.scene for t in trials}, [], []
-    spots = spots.assign(estimate_mm=math.nan)
     for source, way in product(("lens", "cone"), paper.WAYS):
         seen = where(spots, used=True, source=source, way=way.name)
         enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
@@ -94,8 +92,6 @@ def fit_tables(
         for trial, rows in [*grouped(on_plane, "group"), (paper.ALL_PLANES, on_plane)]:
             e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
             line, papers = fit_plane(semi_minor_px=e, distance=d_r), paper.TABLE_I[trial]
-            if trial != paper.ALL_PLANES:
-                spots.loc[rows.index, "estimate_mm"] = line.delta_k * e + line.b
             slope = line.delta_k, line.delta_k_error, papers.delta_k
             scatter = line.r_squared, papers.r_squared, line.rmse, papers.rmse
             fitted = *slope, line.b, line.b_error, papers.b, *scatter, -line.b / line.delta_k
@@ -104,13 +100,14 @@ def fit_tables(
             scene, printed = scenes[source, trial], paper.TABLE_II[trial]
             c, r = scene.spot.eccentricity_mm, scene.phantom.radius_mm
             e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
-            scale = scene.microscope.scale_mm_px
-            given: dict[str, Any] = {"b": line.b, "scale": scale, "eye_radius": r}
-            fit = fit_eccentricity(semi_minor_px=e, distance=d_r, delta_k=line.delta_k, **given)
-            estimate = optics.small_plane_distance(
-                semi_minor_px=e, k=line.delta_k / scale, eccentricity=fit.c, **given
+            fit = fit_eccentricity(
+                semi_minor_px=e,
+                distance=d_r,
+                delta_k=line.delta_k,
+                b=line.b,
+                scale=scene.microscope.scale_mm_px,
+                eye_radius=r,
             )
-            spots.loc[rows.index, "estimate_mm"] = np.asarray(estimate)
             kappa = 1.0 / (scene.microscope.pinhole_height_mm + r)
             right = float(
                 optics.corrected_factor(
@@ -121,7 +118,7 @@ def fit_tables(
             beside = [getattr(of, size) for size in _SIZES for of in (fit, printed)]
             about = fit.spots, fit.converged, fit.at_bound
             spheres.append((source, way.name, trial, *places, *beside, *about))
-    return spots, pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
+    return pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
 
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
@@ -180,7 +177,7 @@ _SHORT = {"semi_minor_px": "measured_px"} | {
 # Of spots.csv: truth and measurement of every frame in every way.
 _SPOT_COLUMNS = (
     "trial source group way frame file_name c_mm d_mm d_r_mm visible_fraction saturated_fraction "
-    "outcome measured_px half_max_px cone_px estimate_mm residual_mm"
+    "outcome measured_px half_max_px cone_px"
 ).split()
 
 
@@ -192,9 +189,7 @@ def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFra
         trial, tables = by_name[name], []
         about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
         for way in paper.WAYS if trial.kind != "grid" else [paper.SUBPIXEL]:
-            file = study.spots_file(f"{name}-{way.slug}")
-            spots = paper.track_stack(stack, way, spots_file=file)
-            tables.append(spots.assign(**about, way=way.name))
+            tables.append(paper.track_stack(stack, way).assign(**about, way=way.name))
         return pd.concat(tables)
 
     found = study.measured({trial.name: trial.scene for trial in trials}, measure)
@@ -232,18 +227,9 @@ def error_by_eccentricity(findings: ValidateFindings) -> Figure:
     """Largest absolute error over all distances and tilts, a panel for each pinhole."""
 
     def draw(axes: Axes, _: str, height: float) -> None:
-        axes.axhline(ACCEPTABLE_ERROR_MM, color=page.VERMILION, lw=0.8, ls="--")
-        for model, marker in zip(model_error.SHOWN, "ovs", strict=True):
-            line, points = (
-                model_error.largest_errors(where(errors, model=model, z_f_mm=height))
-                for errors in (findings.analytic, findings.rendered)
-            )
-            colour = model_error.MODEL_COLOURS[model]
-            # On exact contours `exact` is right to rounding, too small for a logarithmic axis.
-            if model != "exact":
-                axes.plot(line, color=colour, lw=1)
-            axes.plot(points, color=colour, ls="", marker=marker, ms=4.5, label=model)
-        axes.set(yscale="log", ylim=(5e-4, 10.0))
+        errors = (where(own, z_f_mm=height) for own in (findings.analytic, findings.rendered))
+        limits = (ACCEPTABLE_ERROR_MM,)
+        model_error.draw_largest_errors(axes, *errors, models=model_error.SHOWN, limits=limits)
 
     return page.small_multiples(
         draw,
@@ -253,41 +239,6 @@ def error_by_eccentricity(findings: ValidateFindings) -> Figure:
         y="largest |estimate − $d$| (mm)",
         height=3.6,
         sharey=True,
-    )
-
-
-def plane_fit_figure(findings: ValidateFindings, spots: pd.DataFrame) -> Figure:
-    """d_r against e1' on the plane, with each trial's line and the line of all (Table I)."""
-
-    def draw(axes: Axes, source: str, way: str) -> None:
-        lines = paper.plane_rows(where(findings.planes, source=source, way=way))
-        if not lines:
-            return
-
-        def drawn(line: paper.PlaneRow, e: pd.Series, **style: Any) -> None:
-            ends = np.array([e.min(), e.max()])
-            axes.plot(ends, line.delta_k * ends + line.b, lw=1, **style)
-
-        own = where(spots, outcome=paper.USED, source=source, way=way)
-        own = own[own.group.isin(list(lines))]
-        of_trials = zip(grouped(own, "group"), model_error.TRIAL_COLOURS, "o^s", strict=False)
-        for (trial, rows), colour, marker in of_trials:
-            e, d = rows.measured_px, rows.d_r_mm
-            axes.plot(e, d, ls="", marker=marker, ms=3, mfc="none", color=colour, label=trial)
-            drawn(lines[trial], e, color=colour)
-        whole, e = paper.ALL_PLANES, own.measured_px
-        drawn(lines[whole], e, color=page.BLACK, ls="--", label=whole)
-        drawn(paper.TABLE_I[whole], e, color=page.GREY, ls=":", label=f"{whole} of the paper")
-
-    return page.small_multiples(
-        draw,
-        rows=findings.sources,
-        columns=[way.name for way in paper.WAYS if way.name in set(findings.planes.way)],
-        x=model_error.MEASURED,
-        y=model_error.READING,
-        legend_columns=5,
-        sharex=True,
-        sharey="row",
     )
 
 
@@ -346,15 +297,6 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
                 value=_met(criteria),
                 low=len(criteria),
             )
-    by_way = findings.spots.groupby("way").used
-    used, frames = ([int(n[way.name]) for way in paper.WAYS] for n in (by_way.sum(), by_way.size()))
-    yield page.Claim(
-        name="frames used",
-        sentence=f"The fits use {sum(used)} of {len(findings.spots)} measurements. By way of "
-        f"measuring ({'; '.join(way.name for way in paper.WAYS)}): {listed(used, 'd')} of "
-        f"{listed(frames, 'd')}.",
-        value=sum(used),
-    )
 
 
 def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
@@ -424,8 +366,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
 def report(findings: ValidateFindings) -> page.Report:
     """The report of a run; InputError if the stack of the film is missing or broken."""
     rendered, analytic = findings.rendered, findings.analytic
-    spots = findings.spots.assign(residual_mm=findings.spots.estimate_mm - findings.spots.d_r_mm)
-    spots = spots.rename(columns=_SHORT)[_SPOT_COLUMNS]
+    spots = findings.spots.rename(columns=_SHORT)[_SPOT_COLUMNS]
     # Up to which c each model keeps the acceptable error, by the pinhole's height; NaN: to the end.
     by_model = analytic.groupby(["model", "z_f_mm"])[["c_mm", "error_mm"]]
     kept = by_model.apply(model_error.limit_eccentricity, ACCEPTABLE_ERROR_MM).unstack()
@@ -459,7 +400,7 @@ def report(findings: ValidateFindings) -> page.Report:
                 "The paper's model fails with growing c, and sooner under a microscope (right) "
                 "than with its own pinhole on the eyeball's sphere (left). The largest error over "
                 "all distances and tilts, on exact contours (lines) and on spots measured in "
-                f"rendered frames (marks). Dashed: the {ACCEPTABLE_ERROR_MM:g} mm that the paper "
+                f"rendered frames (marks). Dotted: the {ACCEPTABLE_ERROR_MM:g} mm that the paper "
                 "calls acceptable. On exact contours the model exact has no error.",
                 data="model_error.csv",
             ),
@@ -475,7 +416,7 @@ def report(findings: ValidateFindings) -> page.Report:
             "distances, as in the paper's Table II, hides the error.",
         ],
         claims=list(claims(findings)),
-        sections=[_fits(findings, spots)],
+        sections=[_fits(findings)],
         data={
             "model_error.csv": pd.concat([analytic, rendered]),
             "rendered_accuracy.csv": model_error.accuracy(rendered),
@@ -487,7 +428,7 @@ def report(findings: ValidateFindings) -> page.Report:
     )
 
 
-def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
+def _fits(findings: ValidateFindings) -> page.Section:
     if findings.planes.empty:
         return page.Section("The paper's Tables I and II", "Too few spots for any fit.")
     about = ["source", "way", "trial"]
@@ -503,14 +444,6 @@ def _fits(findings: ValidateFindings, spots: pd.DataFrame) -> page.Section:
             "trials. −b/δk is the radius at contact in px. The paper calls b a diameter, but its "
             "value is minus the distance from the virtual apex to the tip.",
             data="table_1.csv",
-        ),
-        page.Picture(
-            "plane_fit",
-            plane_fit_figure(findings, spots),
-            "Reading d_r against the measured semi-minor axis e₁′ on the plane, with each trial's "
-            "line, the line of all trials and, dotted, the paper's. d_r is 0 at contact, where the "
-            "tip's rim touches.",
-            data="spots.csv",
         ),
         page.Table(
             findings.spheres,
@@ -548,7 +481,7 @@ def validate(
     with study.timed("render and measure"):
         spots = _measured_spots(study, sorted(trials, key=lambda trial: trial.source))
     with study.timed("fit and compare"):
-        spots, planes, spheres = fit_tables(trials, spots)
+        planes, spheres = fit_tables(trials, spots)
         # Each pinhole height and azimuth of the grid in one batch.
         used, rendered = spots[spots.used], []
         geometries = {t.name: geometry_of(t.scene) for t in trials if t.kind == "grid"}

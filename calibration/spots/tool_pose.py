@@ -130,24 +130,6 @@ def tool_pose_bound(
     return jnp.linalg.inv(rows.T @ rows)[:returned, :returned]
 
 
-def contour_mismatch_covariance(
-    contour: Float[Array, "points 2"], ellipse: optics.Ellipse, sigma_px: ScalarLike
-) -> Float[Array, "5 5"]:
-    """Covariance of `optics.ellipse_mismatch` for independent noise across the contour per point.
-
-    Args:
-        contour: px; its own noise has no effect to first order. The ellipse is fitted to it.
-        sigma_px: standard deviation of the noise, px.
-    """
-    across = contour_normals(contour)
-
-    def mismatch(shift: Float[Array, "points"]) -> Float[Array, "5"]:
-        return optics.ellipse_mismatch(contour + shift[:, None] * across, ellipse)
-
-    slopes = jax.jacrev(mismatch)(jnp.zeros(contour.shape[0]))
-    return sigma_px**2 * slopes @ slopes.T
-
-
 def fit_tool(
     tool: Tool,
     ellipses: optics.Ellipse,

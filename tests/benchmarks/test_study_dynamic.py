@@ -140,7 +140,7 @@ def drawn(*, blur: float, late: float) -> pd.DataFrame:
 
 def claimed(rows: pd.DataFrame) -> dict[str, Claim]:
     sizes = dynamic.spreads(rows, SPEEDS)
-    made = dynamic.report(rows, sizes, exposure_ms=20.0, camera_hz=30.0)
+    made = dynamic.report(rows, sizes, exposure_ms=20.0)
     return {claim.name: claim for claim in made.claims}
 
 

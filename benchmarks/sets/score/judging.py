@@ -1,5 +1,6 @@
 """Outcome and errors of each image, and their summary for all images and by condition."""
 
+import functools
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -209,52 +210,35 @@ def errors_of(judged: pd.DataFrame) -> pd.DataFrame:
 def error_summary(found: pd.DataFrame) -> pd.Series:
     """Errors of one quantity over images, in its unit: the columns stack, error and sigma.
 
-    The 95 % intervals are by a bootstrap over stacks for `rmse`, NaN for fewer than three stacks,
-    and exact (Clopper and Pearson 1934) for the parts within 1 σ and 2 σ of the `n_sigma` images
-    with a σ; these are 0.683 and 0.954 for normal errors and correct σ, as `z_std`, that of
-    error/σ, is 1.
+    The 95 % intervals are by a bootstrap over stacks, NaN for fewer than three stacks. The parts
+    within 1 σ and 2 σ are of the `n_sigma` images with a σ; they are 0.683 and 0.954 for normal
+    errors and correct σ, as `z_std`, that of error/σ, is 1.
     """
     errors, sigmas = found[["error", "sigma"]].to_numpy(float).T
     stated = (sigmas > 0) & np.isfinite(sigmas)
     z = errors[stated] / sigmas[stated]
-    low = high = math.nan
-    names, index = np.unique(found["stack"].to_numpy(str), return_inverse=True)
-    if names.size >= _FEWEST_STACKS:
-        # Stacks are resampled, because errors within a stack are correlated.
-        squares, images = np.bincount(index, errors**2), np.bincount(index)
-        drawn = np.random.default_rng(0).integers(names.size, size=(_RESAMPLED, names.size))
-        rmse = np.sqrt(squares[drawn].sum(axis=1) / images[drawn].sum(axis=1))
-        low, high = np.percentile(rmse, (2.5, 97.5)).tolist()
-    inside = dict[str, float]()
-    for k in (1, 2):
-        ends = (f"within_{k}_{name}" for name in ("sigma", "low", "high"))
-        inside |= zip(ends, _part(np.abs(z) <= k), strict=True)
+    resampled = _Resampled(found["stack"].to_numpy(str))
+    size = np.sqrt(resampled.mean(errors**2, np.ones_like(stated)))
+    parts = {
+        f"within_{k}_sigma": resampled.mean(np.abs(errors) <= k * sigmas, stated) for k in (1, 2)
+    }
     return pd.Series(
         {
             "n": errors.size,
             "bias": errors.mean(),
-            "rmse": math.sqrt(np.mean(errors**2)),
-            "rmse_low": low,
-            "rmse_high": high,
+            **_interval("rmse", size),
             "median_abs": np.median(np.abs(errors)),
             "max_abs": np.abs(errors).max(),
             "n_sigma": z.size,
             "z_mean": z.mean() if z.size else math.nan,
             "z_std": z.std(ddof=1) if z.size > 1 else math.nan,
-            **inside,
+            **{
+                name: value
+                for part, own in parts.items()
+                for name, value in _interval(part, own).items()
+            },
         }
     )
-
-
-def _part(inside: np.ndarray) -> tuple[float, float, float]:
-    """Fraction of true values, and its exact binomial 95 % interval."""
-    if not inside.size:
-        return math.nan, math.nan, math.nan
-    from scipy.stats import binomtest  # 0.5 s
-
-    result = binomtest(int(inside.sum()), inside.size)
-    interval = result.proportion_ci(0.95, method="exact")
-    return float(inside.mean()), float(interval.low), float(interval.high)
 
 
 _KEYS = ["estimator", "condition", "group"]
@@ -421,6 +405,17 @@ def _standing(own: pd.DataFrame, resampled: "_Resampled", quantity: str) -> dict
     }
 
 
+@functools.lru_cache(maxsize=32)
+def _draws(stacks: int) -> np.ndarray:
+    """How often each stack counts: once in the first row, then as drawn for each resample."""
+    times = np.ones((1, stacks), dtype=np.int32)
+    if stacks < _FEWEST_STACKS:
+        return times
+    rng = np.random.default_rng(0)
+    drawn = rng.multinomial(stacks, np.full(stacks, 1 / stacks), size=_RESAMPLED)
+    return np.concatenate([times, drawn.astype(np.int32)])
+
+
 class _Resampled:
     """The images as they are, and with stacks drawn with replacement, the same for all entries.
 
@@ -429,12 +424,7 @@ class _Resampled:
 
     def __init__(self, stacks: np.ndarray) -> None:
         names, self._stack = np.unique(stacks, return_inverse=True)
-        count = names.size
-        self._times = np.ones((1, count), dtype=np.int32)
-        if count >= _FEWEST_STACKS:
-            rng = np.random.default_rng(0)
-            drawn = rng.multinomial(count, np.full(count, 1 / count), size=_RESAMPLED)
-            self._times = np.concatenate([self._times, drawn.astype(np.int32)])
+        self._times = _draws(names.size)
 
     def mean(self, values: np.ndarray, counted: np.ndarray) -> np.ndarray:
         """Mean over the counted images: first of all of them, then of each resample."""
