@@ -307,9 +307,9 @@ def map(
         half_angle, b, covariance = calibrated_cone(read_calibration(calibration))
         geometry = geometry._replace(half_angle=half_angle, apex_offset=b)
     with study.timed("errors"):
-        errors = mapped(geometry, study.space, own, covariance, quick=quick)
+        errors = mapped(geometry, study.space, own, covariance, quick=study.quick)
     with study.timed("mirrored poses"):
         sigma = math.radians(own.robot.axis_sigma_deg)
-        mirrored = ambiguity(geometry, study.space, sigma_rad=sigma, quick=quick)
+        mirrored = ambiguity(geometry, study.space, sigma_rad=sigma, quick=study.quick)
     study.publish(_report, errors, mirrored, study.space, tolerance)
     return {"map": errors, "ambiguous": mirrored}
