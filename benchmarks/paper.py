@@ -22,7 +22,7 @@ from eyespot.estimator import (
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stack import FrameLabels, Stack
 from eyespot.scenes import Scene, SceneError
-from eyespot.scenes.camera import CameraSensor
+from eyespot.scenes.sensor import CameraSensor
 
 
 class PlaneRow(NamedTuple):

@@ -5,7 +5,7 @@ import inspect
 import re
 from collections.abc import Iterator, Mapping
 
-from eyespot.calibration.command.verdict import Fault, remedy
+from eyespot.calibration.command.fit_verdict import Fault, remedy
 from eyespot.estimator.distance.budget import Cause
 from eyespot.estimator.distance.range import WallMemory
 from eyespot.estimator.run import exit_codes

@@ -88,7 +88,7 @@ def response_of(curve: str | float, *, full_scale: float | None, limited_range: 
 
 
 class PathSeries(Strict):
-    """Lines of sight through a viewing path, as `optics.viewing.camera.PathCamera` has them."""
+    """Lines of sight through a viewing path, as `optics.viewing.projection.PathCamera` has them."""
 
     crossing: _Series = Field(description="Chebyshev coefficients of a.")
     steepness_per_mm: _Series = Field(description="Chebyshev coefficients of b, 1/mm.")
@@ -290,7 +290,7 @@ class MicroscopeFile(Strict):
         path = self.viewing_path
         if path is None:
             return self.pinhole()
-        from eyespot.optics.viewing.camera import PathCamera
+        from eyespot.optics.viewing.projection import PathCamera
 
         # The time to compile a pose grows with the terms: without those that move no line of sight
         # by more than 1e-7 mm (2e-5 px).

@@ -25,7 +25,7 @@ from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, 
 from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
-from eyespot.optics.viewing.camera import local_magnification
+from eyespot.optics.viewing.projection import local_magnification
 
 # Errors of every recipe in many eyes behind one viewing path.
 

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from eyespot import optics
-from eyespot.calibration.solvers import GAUSS_NEWTON, least_squares
+from eyespot.calibration.least_squares import GAUSS_NEWTON, least_squares
 from eyespot.calibration.spots.cone_trials import (
     NUISANCES,
     RETINA,
@@ -23,9 +23,9 @@ from eyespot.calibration.spots.cone_trials import (
 )
 from eyespot.formats.inputs import read_toml
 from eyespot.optics.irradiance import in_batches
-from eyespot.optics.viewing.camera import PathCamera, path_camera
 from eyespot.optics.viewing.eye import Eye, load_viewing_lens
 from eyespot.optics.viewing.path import viewing_path
+from eyespot.optics.viewing.projection import PathCamera, path_camera
 from eyespot.optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from eyespot.calibration.command.verdict import Fitted
+from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.estimator.distance.consistency import CONTRADICTION_SIGMAS
 from eyespot.formats.calibration import BEAM
 

@@ -41,13 +41,13 @@ def fit(
     """
     from rich.console import Console
 
+    from eyespot.calibration.command.fit_verdict import refusal
     from eyespot.calibration.command.fitting import (
         fit_recordings,
         opened_recordings,
         record_fit,
         table_of,
     )
-    from eyespot.calibration.command.verdict import refusal
     from eyespot.estimator.viewer import check_recording_path
     from eyespot.formats.calibration import write_calibration
 

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from eyespot import optics
 from eyespot.calibration.command.apart import CHANCE, compared
-from eyespot.calibration.command.verdict import Fitted
+from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.estimator import Ranger
 from eyespot.estimator.recording import Recording

@@ -11,7 +11,7 @@ from scipy.linalg import block_diag
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import cone_against_rig
-from eyespot.calibration.command.verdict import Fitted, bounds_hit
+from eyespot.calibration.command.fit_verdict import Fitted, bounds_hit
 from eyespot.calibration.pixels.data import CONE, UNITS
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import MISMATCHES, ConeFit, fit_cone

@@ -14,14 +14,14 @@ from eyespot import optics
 from eyespot.calibration.command.apart import OF_ONE
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import pixels_against_rig
+from eyespot.calibration.command.fit_verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.command.lens_guess import guessed_lenses
 from eyespot.calibration.command.models import cone_from, cone_start, free_core, known_cone
-from eyespot.calibration.command.verdict import Fitted, PixelResiduals, bounds_hit
+from eyespot.calibration.least_squares import propagated
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
 from eyespot.calibration.pixels.light import VIEW
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
-from eyespot.calibration.solvers import propagated
 from eyespot.calibration.spots.cone_trials import (
     JointPrior,
     Prior,

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eyespot.calibration.command.crossed import Crossed
-from eyespot.calibration.command.verdict import Doubt, Fault, Fitted, PixelResiduals
-from eyespot.calibration.solvers import SIGNIFICANCE, accepted_range, slow_waves
+from eyespot.calibration.command.fit_verdict import Doubt, Fault, Fitted, PixelResiduals
+from eyespot.calibration.least_squares import SIGNIFICANCE, accepted_range, slow_waves
 from eyespot.formats.page import PALETTE, STYLE, in_figure, templates
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")

@@ -10,13 +10,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from eyespot.calibration.least_squares import covariance_and_lost, propagated
+from eyespot.calibration.pixels.beam_solver import EVEN, BeamSolver, Point
 from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
 from eyespot.calibration.pixels.lens_light import ENCLOSED, NEAREST_MM, LinearLensLight
 from eyespot.calibration.pixels.light import STATES, VIEW, Cells
 from eyespot.calibration.pixels.misfit import Misfit, Pixels, found_misfit
-from eyespot.calibration.pixels.solver import EVEN, BeamSolver, Point
 from eyespot.calibration.recorded_trial import touch_of
-from eyespot.calibration.solvers import covariance_and_lost, propagated
 from eyespot.calibration.spots.cone_trials import LEAN_SIGMA, JointPrior, Prior
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.estimator.ghost import Ghost, strongest_ghost

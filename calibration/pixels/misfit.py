@@ -27,7 +27,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from eyespot.calibration.solvers import CHANCE
+from eyespot.calibration.least_squares import CHANCE
 
 _ZONES = (0.02, 0.2, 0.8)
 """Brightness over the frame's peak that separates dark, tail, edge and core."""

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float, Int
 
 from eyespot import optics
-from eyespot.calibration.solvers import (
+from eyespot.calibration.least_squares import (
     Solution,
     chance_alike,
     covariance_and_lost,

@@ -21,7 +21,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from eyespot import optics
-from eyespot.calibration.solvers import padded
+from eyespot.calibration.least_squares import padded
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from eyespot.formats.inputs import InputError
 

@@ -29,7 +29,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from scipy import stats
 
 from eyespot import optics
-from eyespot.calibration.solvers import GAUSS_NEWTON, Solution, huber, least_squares, padded
+from eyespot.calibration.least_squares import GAUSS_NEWTON, Solution, huber, least_squares, padded
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.formats.inputs import InputError
 

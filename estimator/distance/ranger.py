@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from eyespot.estimator.detector.ellipse import AffineEllipse
 from eyespot.estimator.detector.shape import spot_shape
-from eyespot.estimator.distance.cone import (
+from eyespot.estimator.distance.cone_range import (
     UNKNOWN_SIGMA_PX,
     AreaDistances,
     ConePoses,
@@ -172,7 +172,7 @@ class Ranger:
             at_x, at_y, _ = self._on_wall(eye, x, y, plane=False)
             c = np.hypot(at_x, at_y) if self.eccentricity_mm is None else self.eccentricity_mm
             if model == "corrected" and self._path is not None:
-                from eyespot.optics.viewing.camera import local_magnification
+                from eyespot.optics.viewing.projection import local_magnification
 
                 camera, wall = self._path
                 magnification = local_magnification(
@@ -222,7 +222,7 @@ class Ranger:
             return np.asarray(optics.plane_point(**seen, normal=normal))
         if self._path is None:
             return np.asarray(optics.eyeball_point(**seen))
-        from eyespot.optics.viewing.camera import wall_point
+        from eyespot.optics.viewing.projection import wall_point
 
         # A line of sight is given by the offset in mm.
         own = eye["scale"] / self.microscope.scale_mm_px

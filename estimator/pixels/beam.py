@@ -15,7 +15,7 @@ from scipy.fft import dct
 from scipy.special import j1
 
 from eyespot.estimator.camera_noise import USUAL_CUT, camera_noise
-from eyespot.estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
+from eyespot.estimator.pixels.frame_cells import COUNT, STILL, CellWindow, WallMotion
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.optics.instrument import BareFibre
 from eyespot.optics.wall_light.cells import Lattice, pixels_see, square_lattice

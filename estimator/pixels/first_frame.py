@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.pixels.beam import BeamLight, Sweep
-from eyespot.estimator.pixels.cells import COUNT, STILL, CellWindow, WallMotion
+from eyespot.estimator.pixels.frame_cells import COUNT, STILL, CellWindow, WallMotion
 from eyespot.estimator.pixels.frame_fit import (
     STEPS,
     outliers,
@@ -31,8 +31,8 @@ from eyespot.estimator.pixels.frame_model import (
     contrast,
     lit,
 )
-from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference, evener_mix
-from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver, together
+from eyespot.estimator.pixels.frame_pixels import FramePixels, Mix, Reference, evener_mix
+from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver, together
 from eyespot.estimator.pixels.texture import TextureVariances, texture_of
 from eyespot.formats.spots import Outline
 from eyespot.optics.wall_light.pose_light import BeamFrame

@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import map_coordinates
 from scipy.optimize import minimize
 
-from eyespot.estimator.pixels.cells import (
+from eyespot.estimator.pixels.frame_cells import (
     COUNT,
     SIDES,
     STILL,
@@ -31,7 +31,7 @@ from eyespot.estimator.pixels.cells import (
     rolled,
 )
 from eyespot.estimator.pixels.frame_model import FrameState, Linear, share
-from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver
+from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
 
 FARTHEST = 6
 """Cells, the longest shift that is searched for; 1 mm/s is two or three from frame to frame."""

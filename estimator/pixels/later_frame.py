@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.estimator.pixels.beam import Sweep
-from eyespot.estimator.pixels.cells import COUNT, CellLight, WallMotion
 from eyespot.estimator.pixels.first_frame import (
     MOVES_ON_PX,
     REACH,
@@ -23,10 +22,11 @@ from eyespot.estimator.pixels.first_frame import (
     reach_px,
     without_tool,
 )
+from eyespot.estimator.pixels.frame_cells import COUNT, CellLight, WallMotion
 from eyespot.estimator.pixels.frame_fit import fit_wherever, moved, remodelled
 from eyespot.estimator.pixels.frame_model import FrameState
-from eyespot.estimator.pixels.picture import Mix
-from eyespot.estimator.pixels.solver import Kept, PoseSolution, PoseSolver
+from eyespot.estimator.pixels.frame_pixels import Mix
+from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
 from eyespot.formats.spots import Outline
 
 _STAYS_PX = 0.1

@@ -14,9 +14,10 @@ from threadpoolctl import ThreadpoolController
 
 from eyespot import optics
 from eyespot.estimator.camera_noise import camera_noise
-from eyespot.estimator.distance.cone import calibrated_view
+from eyespot.estimator.distance.cone_range import calibrated_view
 from eyespot.estimator.distance.range import Range, WallMemory
 from eyespot.estimator.ghost import FRAMES_TO_DENY
+from eyespot.estimator.pixels.acceptance import flag_of, ghost_pull, range_of, shake_covariance
 from eyespot.estimator.pixels.beam import BeamLight, Sweep
 from eyespot.estimator.pixels.first_frame import (
     Hypothesis,
@@ -26,10 +27,9 @@ from eyespot.estimator.pixels.first_frame import (
 )
 from eyespot.estimator.pixels.frame_fit import FARTHEST
 from eyespot.estimator.pixels.frame_model import Direction, RobotPose
+from eyespot.estimator.pixels.frame_pixels import FramePixels, Mix, Reference
 from eyespot.estimator.pixels.later_frame import explained_with
-from eyespot.estimator.pixels.picture import FramePixels, Mix, Reference
-from eyespot.estimator.pixels.solver import PoseSolution
-from eyespot.estimator.pixels.verdict import flag_of, ghost_pull, range_of, shake_covariance
+from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.kept_arrays import kept_arrays

@@ -1,11 +1,3 @@
-from .camera import PathCamera as PathCamera
-from .camera import SideCamera as SideCamera
-from .camera import bare_path as bare_path
-from .camera import coaxial_falloff as coaxial_falloff
-from .camera import local_magnification as local_magnification
-from .camera import path_camera as path_camera
-from .camera import side_camera as side_camera
-from .camera import wall_point as wall_point
 from .eye import Eye as Eye
 from .eye import eye_names as eye_names
 from .eye import load_eye as load_eye
@@ -19,6 +11,14 @@ from .path import viewing_path as viewing_path
 from .pencil import Pencils as Pencils
 from .pencil import focal_depth as focal_depth
 from .pencil import pencils as pencils
+from .projection import PathCamera as PathCamera
+from .projection import SideCamera as SideCamera
+from .projection import bare_path as bare_path
+from .projection import coaxial_falloff as coaxial_falloff
+from .projection import local_magnification as local_magnification
+from .projection import path_camera as path_camera
+from .projection import side_camera as side_camera
+from .projection import wall_point as wall_point
 from .reflex import Reflex as Reflex
 from .reflex import reflexes as reflexes
 from .trace import MISSED as MISSED

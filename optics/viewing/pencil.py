@@ -5,8 +5,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
-from eyespot.optics.viewing.camera import PathCamera
 from eyespot.optics.viewing.path import ViewingPath, radial_nodes, series, skew_lines
+from eyespot.optics.viewing.projection import PathCamera
 
 
 class Pencils(eqx.Module):

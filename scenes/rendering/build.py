@@ -17,7 +17,7 @@ from jaxtyping import ArrayLike
 import eyespot.scenes.rendering.plugins  # noqa: F401
 from eyespot import optics
 from eyespot.formats.inputs import InputError
-from eyespot.optics.viewing.camera import PathCamera, coaxial_falloff
+from eyespot.optics.viewing.projection import PathCamera, coaxial_falloff
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import GAUGE_DIAMETER_MM, Phantom
 from eyespot.scenes.rendering.loaded_scene import rigid_transform

@@ -17,11 +17,11 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import fingerprint
 from eyespot.formats.stack import FrameLabels, Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import require_space, written_whole
-from eyespot.optics.viewing.camera import PathCamera
-from eyespot.scenes.camera import CameraSensor
+from eyespot.optics.viewing.projection import PathCamera
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.rendering.images import images_of
 from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.sensor import CameraSensor
 from eyespot.scenes.stacks.bound import Bounds
 from eyespot.scenes.walls.picture import wall_colour
 from eyespot.scenes.world.exposure import paper_exposure

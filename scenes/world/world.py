@@ -11,7 +11,7 @@ import numpy as np
 
 from eyespot import optics
 from eyespot.formats.kept_arrays import kept_arrays
-from eyespot.optics.viewing.camera import PathCamera
+from eyespot.optics.viewing.projection import PathCamera
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.settings import OutsideWindow, SceneError
 from eyespot.scenes.walls.picture import wall_colour, wall_spread

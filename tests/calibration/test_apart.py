@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from eyespot.calibration.command.apart import compared, together
-from eyespot.calibration.command.verdict import Fault, Fitted, doubts
+from eyespot.calibration.command.fit_verdict import Fault, Fitted, doubts
 
 # A lens: two shapes that a scale moves, one length that follows the other, one given exactly.
 NAMES = ("sag", "numerical_aperture", "glue_length", "glue_index")

@@ -15,9 +15,9 @@ from eyespot import optics
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import cone_against_rig
 from eyespot.calibration.command.crossed import as_stated, crossed, read_by_cone
+from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
-from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.estimator.recording import Recording

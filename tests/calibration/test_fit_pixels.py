@@ -11,9 +11,9 @@ import tomli_w
 import eyespot
 from eyespot import optics, scenes
 from eyespot.calibration.command.pixel_models import pixel_residuals
+from eyespot.calibration.least_squares import covariance_and_lost, propagated
 from eyespot.calibration.pixels.data import footage_of
 from eyespot.calibration.pixels.fit import fit_image
-from eyespot.calibration.solvers import covariance_and_lost, propagated
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import read_calibration

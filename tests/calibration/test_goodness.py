@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eyespot.calibration.command.fitting import MODELS
-from eyespot.calibration.command.verdict import (
+from eyespot.calibration.command.fit_verdict import (
     Fault,
     Fitted,
     PixelResiduals,
@@ -19,8 +18,9 @@ from eyespot.calibration.command.verdict import (
     remedy,
     verdict,
 )
+from eyespot.calibration.command.fitting import MODELS
+from eyespot.calibration.least_squares import slow_power
 from eyespot.calibration.pixels.misfit import Misfit
-from eyespot.calibration.solvers import slow_power
 
 BEND = np.linspace(-1, 1, 40) ** 2
 

@@ -39,8 +39,8 @@ from eyespot.optics.wall_light.lens import (
     lens_samples,
 )
 from eyespot.scenes import Renderer, Scene, render_stack
-from eyespot.scenes.camera import expose
 from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.sensor import expose
 from eyespot.scenes.world.world import World
 from tests.support.drawn.drawn_sets import with_false_labels
 from tests.support.drawn.made_up import a_footage, a_lens_table, a_microscope

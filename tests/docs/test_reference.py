@@ -13,7 +13,7 @@ import pytest
 
 from docs.generated import write_pages
 from docs.schemas import KINDS, rows_of, schema_of
-from eyespot.calibration.command.verdict import Fault
+from eyespot.calibration.command.fit_verdict import Fault
 from eyespot.estimator.distance.budget import Cause
 from eyespot.formats.spots import Reason
 from eyespot.scenes import Scene

@@ -12,7 +12,7 @@ from eyespot.estimator.detector.levels import Levels
 from eyespot.estimator.detector.saturated_flank import hidden_edge
 from eyespot.estimator.detector.tuning import RAYS
 from eyespot.estimator.photon_transfer import measured_noise
-from eyespot.estimator.pixels.picture import FramePixels
+from eyespot.estimator.pixels.frame_pixels import FramePixels
 from eyespot.estimator.run.options import Options
 from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import InputError

@@ -8,7 +8,7 @@ from eyespot.estimator.camera_noise import camera_noise
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import read_rig
-from eyespot.scenes.camera import CameraSensor
+from eyespot.scenes.sensor import CameraSensor
 from tests.support.command_line import printed
 from tests.support.drawn.made_up import a_microscope_file
 from tests.support.drawn.scene_tables import scene_of

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from eyespot import optics
 from eyespot.estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
-from eyespot.estimator.pixels.cells import COUNT, STILL, CellLight, CellWindow, rolled
+from eyespot.estimator.pixels.frame_cells import COUNT, STILL, CellLight, CellWindow, rolled
 from eyespot.estimator.pixels.frame_fit import registered
 from eyespot.estimator.pixels.frame_model import (
     OWN,
@@ -21,7 +21,7 @@ from eyespot.estimator.pixels.frame_model import (
     RobotPose,
     motion_between,
 )
-from eyespot.estimator.pixels.picture import _most_even
+from eyespot.estimator.pixels.frame_pixels import _most_even
 from eyespot.estimator.pixels.texture import LENGTHS_MM, TextureVariances, texture_of
 from eyespot.estimator.pixels.tracker import _like
 from eyespot.formats.spots import Outline

@@ -42,7 +42,7 @@ MAY_BE_IMPORTED_BY = {
 # Where a spot becomes a distance, and the microscope that the others see the eye through.
 LATE_USERS_OF_OPTICS = {
     "eyespot.estimator.distance.budget",
-    "eyespot.estimator.distance.cone",
+    "eyespot.estimator.distance.cone_range",
     "eyespot.estimator.distance.lens_range",
     "eyespot.estimator.distance.ranger",
     "eyespot.formats.microscope",

@@ -18,7 +18,7 @@ import tomli_w
 
 from eyespot import optics
 from eyespot.calibration.bridge import FLOAT32_LEVENBERG_MARQUARDT, render_as_jax
-from eyespot.calibration.solvers import least_squares
+from eyespot.calibration.least_squares import least_squares
 from eyespot.scenes import Scene, World, load_mitsuba
 from eyespot.scenes.world.world import LensLight
 from tests.support.drawn.made_up import DOME

@@ -7,7 +7,8 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import poisson
 
-from eyespot.scenes.camera import (
+from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.sensor import (
     after_jpeg,
     demosaiced,
     expose,
@@ -16,7 +17,6 @@ from eyespot.scenes.camera import (
     metered_exposure,
     mosaic,
 )
-from eyespot.scenes.description.settings import CameraSettings
 
 SIDE = 512
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eyespot import scenes
-from eyespot.optics.viewing.camera import PathCamera
+from eyespot.optics.viewing.projection import PathCamera
 from eyespot.scenes.rendering.render import Renderer
 from eyespot.scenes.world.labels import spot_labels
 from eyespot.scenes.world.world import World

@@ -18,7 +18,7 @@ from eyespot.scenes import (
     render_stack,
     write_preview,
 )
-from eyespot.scenes.camera import after_jpeg
+from eyespot.scenes.sensor import after_jpeg
 from eyespot.scenes.world.world import World
 from tests.support.drawn.drawn_spots import spot_in
 from tests.support.drawn.scene_tables import BARE, scene_of

@@ -22,8 +22,8 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.spots import Spot
 from eyespot.formats.stated import Stated
 from eyespot.scenes import Scene, World, load_scene
-from eyespot.scenes.camera import CameraSensor
 from eyespot.scenes.rendering.images import Images
+from eyespot.scenes.sensor import CameraSensor
 from tests.support.drawn.made_up import a_calibration, a_microscope
 
 K, B, RADIUS, SCALE = 20.0, -5.117, 11.5, 0.0067

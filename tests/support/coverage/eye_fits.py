@@ -22,8 +22,8 @@ from jaxtyping import Array
 from eyespot import optics
 from eyespot.benchmarks.studies.eye_paths import cameras, drawn
 from eyespot.calibration.command.choices import Choices
+from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.models import fit_eye
-from eyespot.calibration.command.verdict import Fitted
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.estimator.distance.ranger import Ranger
@@ -32,7 +32,7 @@ from eyespot.estimator.sources.source import Source
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot
-from eyespot.optics.viewing.camera import PathCamera
+from eyespot.optics.viewing.projection import PathCamera
 from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117

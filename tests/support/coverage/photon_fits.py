@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from eyespot.calibration.command.verdict import Fitted, PixelResiduals, doubts, verdict
+from eyespot.calibration.command.fit_verdict import Fitted, PixelResiduals, doubts, verdict
 from eyespot.calibration.pixels.fit import ImageFit, fit_image
 from tests.support.files.fit_files import collected, summary
 from tests.support.light.photon_frames import footage_of, photographed, widened

@@ -32,8 +32,8 @@ from jaxtyping import Float
 
 from eyespot.estimator.distance.range import Range, TipPose, WallMemory
 from eyespot.estimator.ghost import GHOST_SIGMAS, strongest_ghost
-from eyespot.estimator.pixels.cells import COUNT, SIDES, WallMotion
 from eyespot.estimator.pixels.first_frame import Hypothesis
+from eyespot.estimator.pixels.frame_cells import COUNT, SIDES, WallMotion
 from eyespot.estimator.pixels.frame_model import (
     BLOOM_SIGMA_PX,
     BLUR,
@@ -41,7 +41,7 @@ from eyespot.estimator.pixels.frame_model import (
     halo,
     lit,
 )
-from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.formats.spots import Outline, Reason
 from eyespot.optics.wall_light.pose_light import POSE

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from eyespot.calibration.least_squares import accepted_range, slow_waves
 from eyespot.calibration.pixels.fit import Failure
 from eyespot.calibration.pixels.misfit import Misfit
 from eyespot.calibration.recorded_trial import RecordedTrial
-from eyespot.calibration.solvers import accepted_range, slow_waves
 from eyespot.formats.calibration import QUANTITIES
 
 

@@ -26,6 +26,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation
 from scipy.optimize import brentq
 
+from eyespot.calibration.least_squares import MOST_STEPS, Minimum, NormalEquations, minimise
 from eyespot.calibration.pixels.data import Footage, possible
 from eyespot.calibration.pixels.lens_light import (
     CAP,
@@ -38,7 +39,6 @@ from eyespot.calibration.pixels.lens_light import (
     cap_slopes,
 )
 from eyespot.calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
-from eyespot.calibration.solvers import MOST_STEPS, Minimum, NormalEquations, minimise
 from eyespot.calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.lens import TABLE_ERROR

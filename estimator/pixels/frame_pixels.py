@@ -22,8 +22,15 @@ from jaxtyping import Bool, Float
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.estimator.pixels.cells import COUNT, SHADES, STILL, CellLight, CellWindow, WallMotion
-from eyespot.estimator.pixels.solver import PoseSolution
+from eyespot.estimator.pixels.frame_cells import (
+    COUNT,
+    SHADES,
+    STILL,
+    CellLight,
+    CellWindow,
+    WallMotion,
+)
+from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.formats.camera import GREY_WEIGHTS
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Outline
