@@ -267,11 +267,12 @@ def command(
     check: Callable[[Scene], None] = lambda scene: None,
     varies: Sequence[str] = (),
     in_workspace: bool = False,
+    with_scene: bool = True,
 ) -> Callable[[Callable[..., T]], Callable[..., T]]:
     """Make a function of a study its command, which takes what every study takes and opens it.
 
     The function's own parameters follow those of every study, and are its options. The arguments
-    are as of `Study`.
+    are as of `Study`; a study may have no scene that could be given or changed.
     """
 
     def made(function: Callable[..., T]) -> Callable[..., T]:
@@ -300,6 +301,8 @@ def command(
             return function(study, **given)
 
         shared = [*inspect.signature(run).parameters.values()][:-1]
+        if not with_scene:
+            shared = [one for one in shared if one.name in ("out", "quick", "seed")]
         functools.update_wrapper(run, function)
         run.__signature__ = inspect.Signature([*shared, *own])  # type: ignore[attr-defined]
         return run

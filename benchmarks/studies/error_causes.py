@@ -11,7 +11,8 @@ world, and added in every other as they are: what noise and edges do to a contou
 size and light, which the geometric links change by a few per cent.
 """
 
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -65,25 +66,11 @@ class Links(NamedTuple):
 REAL = Links(*(True for _ in LINKS))
 
 
-class CauseEye(NamedTuple):
-    """One geometry, or what a model takes it for: `Geometry` with a c (mm).
-
-    Instead of z_F it has kappa = 1/(z_F + r), 1/mm.
-    """
-
-    scale: Float[Array, ""]
-    inverse_working_distance: Float[Array, ""]
-    radius: Float[Array, ""]
-    half_angle: Float[Array, ""]
-    apex_offset: Float[Array, ""]
-    incidence: Float[Array, ""]
-    incidence_azimuth: Float[Array, ""]
-    eccentricity: Float[Array, ""]
-
-
-def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -> Float[Array, ""]:
-    """e1' of the spot's contour at a distance (mm) along the beam, px."""
-    contour = _contour(eye, distance, links)
+def semi_minor(
+    eye: Geometry, c: Float[Array, ""], distance: Float[Array, ""], links: Links = REAL
+) -> Float[Array, ""]:
+    """e1' of the spot's contour at c and at a distance (mm) along the beam, px."""
+    contour = _contour(eye, c, distance, links)
     ellipse = optics.ellipse_of_contour(contour)
     # Half of the contour's width across its longer axis.
     turn = ellipse.angle + 0.5 * jnp.pi
@@ -93,29 +80,28 @@ def semi_minor(eye: CauseEye, distance: Float[Array, ""], links: Links = REAL) -
 
 
 def distances(
-    believed: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
+    believed: Geometry, c: Float[Array, ""], semi_minor_px: Float[Array, ""], links: Links = REAL
 ) -> dict[str, Float[Array, ""]]:
     """Distance by every model, mm, from e1' (px) seen through these links.
 
-    `believed` is the geometry as the models take it; their terms are switched with the links.
+    `believed` and c are the geometry as the models take it; their terms are switched with the
+    links.
     """
     # The stereographic formula is exact for a square beam and a pinhole on the sphere.
-    on_the_sphere = believed._replace(
-        inverse_working_distance=0.5 / believed.radius, incidence=jnp.zeros_like(believed.incidence)
-    )
-    both = jax.tree.map(lambda *values: jnp.stack(values), on_the_sphere, believed)
-    stereographic, exact = jax.vmap(lambda eye: inverse(eye, semi_minor_px, links))(both)
-    closed = closed_forms(believed, semi_minor_px, links)
+    special: dict[str, Any] = {"pinhole_height": believed.eye_radius, "incidence": 0.0}
+    both = jax.tree.map(lambda *v: jnp.stack(v), believed._replace(**special), believed)
+    stereographic, exact = jax.vmap(lambda eye: inverse(eye, c, semi_minor_px, links))(both)
+    closed = closed_forms(believed, c, semi_minor_px, links)
     return {**closed, "stereographic": stereographic, "exact": exact}
 
 
 def closed_forms(
-    believed: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
+    believed: Geometry, c: Float[Array, ""], semi_minor_px: Float[Array, ""], links: Links = REAL
 ) -> dict[str, Float[Array, ""]]:
     """`distances` by planar, small_plane and corrected."""
     k, b = optics.slope(believed.half_angle), believed.apex_offset
-    radius, c = believed.radius, believed.eccentricity
-    kappa = jnp.where(links.magnification, believed.inverse_working_distance, 0.0)
+    radius = believed.eye_radius
+    kappa = jnp.where(links.magnification, 1.0 / (believed.pinhole_height + radius), 0.0)
     cos_phi = optics.paper_foreshortening(eccentricity=c, eye_radius=radius)
     curved = jnp.where(links.sagitta, radius, jnp.inf)
     spot = believed.scale * semi_minor_px
@@ -138,7 +124,7 @@ def closed_forms(
 
 
 def inverse(
-    eye: CauseEye, semi_minor_px: Float[Array, ""], links: Links = REAL
+    eye: Geometry, c: Float[Array, ""], semi_minor_px: Float[Array, ""], links: Links = REAL
 ) -> Float[Array, ""]:
     """Distance at which the chain gives a semi-minor axis, mm.
 
@@ -150,7 +136,7 @@ def inverse(
 
     def secant(step: int, state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         before, miss_before, reach = state
-        miss = reach * semi_minor_px / semi_minor(eye, reach + apex, links) - reach
+        miss = reach * semi_minor_px / semi_minor(eye, c, reach + apex, links) - reach
         change = miss - miss_before
         # The first step has no secant yet, and a settled distance has none any more.
         plain = (step == 0) | (change == 0)
@@ -163,33 +149,25 @@ def inverse(
     return reach + apex
 
 
-def _contour(eye: CauseEye, distance: Float[Array, ""], links: Links) -> Float[Array, "n 2"]:
+def _contour(
+    eye: Geometry, c: Float[Array, ""], distance: Float[Array, ""], links: Links
+) -> Float[Array, "n 2"]:
     """Image of the spot's edge, px; the meridian of O is the x axis."""
-    sphere = optics.Sphere(eye.radius)
+    seen: dict[str, Any] = {
+        "pinhole_height": jnp.where(links.magnification, eye.pinhole_height, jnp.inf),
+        "incidence": jnp.where(links.incidence, eye.incidence, 0.0),
+    }
+    eye = eye._replace(**seen)
+    sphere, view = eye.world
     # Without foreshortening the spot is the one at the pole, moved to O without turning it.
-    c = jnp.where(links.foreshortening, eye.eccentricity, 0.0)
-    beam = optics.beam_at_spot(
-        sphere,
-        eccentricity=c,
-        distance=distance,
-        incidence=jnp.where(links.incidence, eye.incidence, 0.0),
-        incidence_azimuth=eye.incidence_azimuth,
-        half_angle=eye.half_angle,
-        apex_offset=eye.apex_offset,
-    )
-    here, there = (sphere.frame_at(eccentricity=at, azimuth=0.0) for at in (c, eye.eccentricity))
+    at = jnp.where(links.foreshortening, c, 0.0)
+    beam = optics.beam_at_spot(sphere, eccentricity=at, distance=distance, **eye.beam)
+    here, there = (sphere.frame_at(eccentricity=of, azimuth=0.0) for of in (at, c))
     tangent = optics.Plane(point=here.origin, inward=-here.outward)
     curved, flat = (
         optics.cone_contour(beam, wall, points=_POINTS).point for wall in (sphere, tangent)
     )
     edge = jnp.where(links.sagitta, curved, flat) + there.origin - here.origin
-    view = optics.Microscope(
-        scale=eye.scale,
-        inverse_working_distance=jnp.where(links.magnification, eye.inverse_working_distance, 0.0),
-        pole_height=-eye.radius,
-        principal_point=jnp.zeros(2),
-        distortion=jnp.zeros(5),
-    )
     return view.project(edge)
 
 
@@ -251,7 +229,7 @@ def shares(
     rendering adds to e1', px, 3 x n: by the edge and its light, by pixels and noise, and by a wall
     that spreads light.
     """
-    worth = worths(eyes(geometry, c=c), d=d, shift=shift)
+    worth = worths(geometry, c=c, d=d, shift=shift)
     values = shapley_values(worth)
     spot, m, p = (index.ravel() for index in np.indices(values.shape))
     return pd.DataFrame(
@@ -266,30 +244,27 @@ def shares(
     )
 
 
-def eyes(geometry: Geometry, *, c: np.ndarray) -> CauseEye:
-    """The geometry at each eccentricity (mm) as the chain takes it: arrays of n."""
-    kappa = 1.0 / (geometry.pinhole_height + geometry.eye_radius)
-    columns = (geometry.scale, kappa, *geometry[2:], c)
-    return CauseEye(*(jnp.broadcast_to(jnp.asarray(v, float), c.shape) for v in columns))
-
-
-def worths(eye: CauseEye, *, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
+def worths(geometry: Geometry, *, c: np.ndarray, d: np.ndarray, shift: np.ndarray) -> np.ndarray:
     """Error of every model with every set of causes, mm: n x models x 1,024."""
-    return np.asarray(in_batches(_worths, (eye, d, shift.T), size=_AT_A_TIME))
+    spots = c, d, shift.T
+    return np.asarray(in_batches(lambda of: _worths(geometry, *of), spots, size=_AT_A_TIME))
 
 
 @jax.jit
-def _worths(spots: tuple[CauseEye, Array, Array]) -> Float[Array, "n models sets"]:
+def _worths(
+    geometry: Geometry, c: Float[Array, "n"], d: Float[Array, "n"], shift: Float[Array, "n 3"]
+) -> Float[Array, "n models sets"]:
     sets = jnp.asarray(coalitions(len(CAUSES)))
 
-    def of(eye: CauseEye, d: Array, shift: Array) -> Float[Array, "models sets"]:
-        return jax.vmap(lambda causes: _model_errors(eye, d, shift, causes), out_axes=1)(sets)
+    def of(c: Array, d: Array, shift: Array) -> Float[Array, "models sets"]:
+        return jax.vmap(lambda one: _model_errors(geometry, c, d, shift, one), out_axes=1)(sets)
 
-    return jax.vmap(of)(*spots)
+    return jax.vmap(of)(c, d, shift)
 
 
 def _model_errors(
-    eye: CauseEye,
+    eye: Geometry,
+    c: Float[Array, ""],
     d: Float[Array, ""],
     shift: Float[Array, "3"],
     causes: Float[Array, "10"],
@@ -297,12 +272,14 @@ def _model_errors(
     """Every model's error with one set of causes, mm."""
     links = Links(*causes[: len(LINKS)])
     *shifted, r_on, c_on = causes[len(LINKS) :]
-    seen = semi_minor(eye, d, links) + jnp.stack(shifted) @ shift
-    # The working distance is the microscope's, so it does not change with the wrong r.
-    believed = eye._replace(
-        radius=eye.radius + r_on * WRONG_R_MM, eccentricity=eye.eccentricity + c_on * WRONG_C_MM
-    )
-    found = distances(believed, seen, links)
+    seen = semi_minor(eye, c, d, links) + jnp.stack(shifted) @ shift
+    larger = r_on * WRONG_R_MM
+    wrong: dict[str, Any] = {
+        "eye_radius": eye.eye_radius + larger,
+        # The working distance is the microscope's, so it does not change with the wrong r.
+        "pinhole_height": eye.pinhole_height - larger,
+    }
+    found = distances(eye._replace(**wrong), c + c_on * WRONG_C_MM, seen, links)
     return jnp.stack([found[model] for model in optics.MODELS]) - d
 
 
@@ -351,14 +328,7 @@ def _on_ellipsoid(
     d: Array,
 ) -> Float[Array, "n"]:
     """e1' of spots on an ellipsoid whose pole is where the sphere's is, px."""
-    height = geometry.pinhole_height + geometry.eye_radius
-    view = optics.Microscope(
-        scale=jnp.asarray(geometry.scale),
-        inverse_working_distance=jnp.asarray(1.0 / height),
-        pole_height=-semi_axes[2],
-        principal_point=jnp.zeros(2),
-        distortion=jnp.zeros(5),
-    )
+    view = replace(geometry.world[1], pole_height=-semi_axes[2])
     wall = optics.Ellipsoid(semi_axes, shift=(aside, 0.0), tilt=lean)
 
     def seen(c: Array, azimuth: Array, d: Array) -> Array:

@@ -22,7 +22,7 @@ from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
 from eyespot.benchmarks.statistics import coalitions, first_reached, shapley_values
 from eyespot.benchmarks.studies import eye_paths
 from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
-from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study
+from eyespot.benchmarks.study import Study, command
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
 from eyespot.optics.viewing.projection import local_magnification
@@ -500,12 +500,13 @@ def _claims(tables: Tables, medians: Mapping[str, np.ndarray]) -> Iterator[page.
 # The command.
 
 
-def eye(*, out: OutputFolder, quick: Quick = False, seed: Seed = None) -> Tables:
+@command(with_scene=False)
+def eye(study: Study) -> Tables:
     """Look through contact and wide-field lenses into many eyes: the error of each model.
 
     Exact contours only; nothing is rendered. To repeat a run, start it again with a new folder.
     """
-    study = Study("eye", out, quick=quick, seed=seed)
+    quick = study.quick
     random = eye_paths.drawn(_QUICK_EYES if quick else _EYES, study.seed)
     distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
     spots = eye_paths.grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)

@@ -28,7 +28,7 @@ from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.statistics import largest
-from eyespot.benchmarks.study import OutputFolder, Quick, Seed, Study
+from eyespot.benchmarks.study import Study, command
 from eyespot.optics.viewing import (
     ThinLens,
     bare_path,
@@ -472,14 +472,12 @@ def _claims(noise: pd.DataFrame, wrong: pd.DataFrame) -> Iterator[page.Claim]:
     )
 
 
-def sensors(
-    *, out: OutputFolder, quick: Quick = False, seed: Seed = None
-) -> dict[str, pd.DataFrame]:
+@command(with_scene=False)
+def sensors(study: Study) -> dict[str, pd.DataFrame]:
     """Read one distance from the spot, from the instrument's shadow and from a stereo pair."""
-    study = Study("sensors", out, quick=quick, seed=seed)
-    cameras = {path: views(path) for path in [*PATHS][: 2 if quick else None]}
+    cameras = {path: views(path) for path in [*PATHS][: 2 if study.quick else None]}
     with study.timed("exact marks"):
-        how: dict[str, Any] = {"draws": 50 if quick else 200, "seed": study.seed}
+        how: dict[str, Any] = {"draws": 50 if study.quick else 200, "seed": study.seed}
         found = [expected(path, seen, cameras["pinhole"], **how) for path, seen in cameras.items()]
         noise, wrong = (pd.concat(of, ignore_index=True) for of in zip(*found, strict=True))
     study.publish(_report, noise, wrong)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from cyclopts.types import NonNegativeInt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -18,7 +17,7 @@ from eyespot.benchmarks import model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
-from eyespot.benchmarks.study import LightSource, OutputFolder, Quick, Study, geometry_of
+from eyespot.benchmarks.study import LightSource, Study, command, geometry_of
 from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
 from eyespot.formats.stack import Stack, read_stack
 
@@ -460,19 +459,10 @@ def _fits(findings: ValidateFindings) -> page.Section:
 # The command.
 
 
-def validate(
-    *,
-    out: OutputFolder,
-    quick: Quick = False,
-    seed: NonNegativeInt = 0,
-    source: LightSource = "both",
-) -> ValidateFindings:
-    """Repeat the paper's static experiment on rendered images and write a report.
-
-    Args:
-        seed: Random seed of noise and wall texture.
-    """
-    study = Study("validate", out, quick=quick, seed=seed, options={"source": source})
+@command(with_scene=False)
+def validate(study: Study, *, source: LightSource = "both") -> ValidateFindings:
+    """Repeat the paper's static experiment on rendered images and write a report."""
+    quick, seed = study.quick, study.seed
     sources = ("lens", "cone") if source == "both" else (source,)
     trials = [
         t for kind in sources for t in paper.paper_trials(source=kind, quick=quick, seed=seed)

@@ -15,7 +15,7 @@ from eyespot.benchmarks.model_error import MODEL_ERROR, Geometry, readings
 from eyespot.benchmarks.statistics import coalitions, shapley_values
 from eyespot.benchmarks.studies import eccentricity, error_causes
 from eyespot.benchmarks.studies.eccentricity import LIMITS_MM
-from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM, CauseEye
+from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -38,23 +38,23 @@ def geometry(*, z_f: float, incidence_deg: float = 0.0) -> Geometry:
     )
 
 
-def eyes(**columns: object) -> CauseEye:
-    """Eyes that differ in the given fields, one array each."""
-    shared = error_causes.eyes(geometry(z_f=200.0, incidence_deg=30.0), c=np.full(5, 4.0))
-    return shared._replace(**{name: jnp.asarray(values) for name, values in columns.items()})
-
-
 @pytest.fixture(scope="module")
 def worths():
     """Worth of every set of causes in five geometries at d = 4 mm."""
-    tilt = math.radians(30.0)
-    eye = eyes(
-        inverse_working_distance=[1 / 211.5, 0.0, 1 / 211.5, 1 / 211.5, 1 / 11.5],
-        incidence=[tilt, tilt, 0.0, tilt, 0.0],
-        eccentricity=[4.0, 4.0, 4.0, 0.0, 3.0],
-    )
-    shift = np.tile([[EDGE_PX], [PIXELS_PX], [SPREAD_PX]], 5)
-    return error_causes.worths(eye, d=np.full(5, 4.0), shift=shift)
+    shift = np.array([[EDGE_PX], [PIXELS_PX], [SPREAD_PX]])
+    found = [
+        error_causes.worths(
+            geometry(z_f=z_f, incidence_deg=tilt), c=np.array([c]), d=np.array([4.0]), shift=shift
+        )
+        for z_f, tilt, c in (
+            (200.0, 30.0, 4.0),
+            (math.inf, 30.0, 4.0),
+            (200.0, 0.0, 4.0),
+            (200.0, 30.0, 0.0),
+            (0.0, 0.0, 3.0),
+        )
+    ]
+    return np.concatenate(found)
 
 
 def share(worths: np.ndarray, where: int, model: str, cause: str) -> float:
@@ -66,43 +66,25 @@ def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inve
     rng = np.random.default_rng(3)
     n = 64
     columns = {
-        "inverse_working_distance": rng.choice([0.0, 1 / 211.5, 1 / 23.0, 1 / 11.5], n),
-        "radius": rng.uniform(10.5, 12.5, n),
+        "scale": np.full(n, SCALE),
+        "pinhole_height": rng.choice([math.inf, 200.0, 11.5, 0.0], n),
+        "eye_radius": rng.uniform(10.5, 12.5, n),
         "half_angle": np.radians(rng.uniform(2.0, 8.0, n)),
         "incidence": np.radians(rng.uniform(0.0, 45.0, n)),
         "incidence_azimuth": rng.uniform(0.0, 6.28, n),
-        "eccentricity": rng.uniform(0.0, 8.0, n),
     }
     columns["apex_offset"] = -0.256 / np.tan(columns["half_angle"])
-    eye = CauseEye(
-        **{k: jnp.asarray(v) for k, v in {"scale": np.full(n, SCALE), **columns}.items()}
-    )
-    d = jnp.asarray(rng.uniform(0.5, 6.0, n))
-
-    def exact(eye: CauseEye, d: jax.Array) -> jax.Array:
-        camera = optics.microscope(
-            scale=eye.scale,
-            pinhole_height=1 / eye.inverse_working_distance - eye.radius,
-            eye_radius=eye.radius,
-        )
-        return optics.exact_semi_minor(
-            optics.Sphere(eye.radius),
-            camera,
-            distance=d,
-            eccentricity=eye.eccentricity,
-            incidence=eye.incidence,
-            incidence_azimuth=eye.incidence_azimuth,
-            half_angle=eye.half_angle,
-            apex_offset=eye.apex_offset,
-        )
+    eye = Geometry(**{name: jnp.asarray(values) for name, values in columns.items()})  # type: ignore[arg-type]
+    c, d = (jnp.asarray(rng.uniform(*ends, n)) for ends in ((0.0, 8.0), (0.5, 6.0)))
 
     @jax.jit
     @jax.vmap
-    def both(eye: CauseEye, d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        seen = exact(eye, d)
-        return seen, error_causes.semi_minor(eye, d), error_causes.inverse(eye, seen)
+    def both(eye: Geometry, c: jax.Array, d: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        wall, camera = eye.world
+        seen = optics.exact_semi_minor(wall, camera, distance=d, eccentricity=c, **eye.beam)
+        return seen, error_causes.semi_minor(eye, c, d), error_causes.inverse(eye, c, seen)
 
-    expected, found, back = map(np.asarray, both(eye, d))
+    expected, found, back = map(np.asarray, both(eye, c, d))
     # Both converge spectrally in the number of points, 64 and 128: 3e-12 is what was left.
     assert found == pytest.approx(expected, rel=1e-10)
     # 1e-10 of 60 px, 0.13 mm of distance to a px, and as much again for the secant.
