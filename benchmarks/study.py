@@ -268,11 +268,13 @@ def command(
     varies: Sequence[str] = (),
     in_workspace: bool = False,
     with_scene: bool = True,
+    check_options: Callable[..., object] = lambda **given: None,
 ) -> Callable[[Callable[..., T]], Callable[..., T]]:
     """Make a function of a study its command, which takes what every study takes and opens it.
 
     The function's own parameters follow those of every study, and are its options. The arguments
-    are as of `Study`; a study may have no scene that could be given or changed.
+    are as of `Study`; a study may have no scene that could be given or changed, and `check_options`
+    raises if its options are wrong.
     """
 
     def made(function: Callable[..., T]) -> Callable[..., T]:
@@ -291,6 +293,7 @@ def command(
             **given: Any,
         ) -> T:
             given = {option.name: option.default for option in own} | given
+            check_options(**given)  # before a folder is made
             about: dict[str, Any] = {
                 "options": {key.replace("_", "-"): value for key, value in given.items()},
                 "rig": rig,

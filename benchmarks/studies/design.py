@@ -26,26 +26,10 @@ from matplotlib.axes import Axes
 from threadpoolctl import threadpool_limits
 
 from eyespot import optics, scenes
+from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import withdrawal
-from eyespot.benchmarks.reporting import (
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    small_multiples,
-)
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import (
-    Changes,
-    OutputFolder,
-    Quick,
-    RigFile,
-    Seed,
-    StartingScene,
-    Study,
-)
+from eyespot.benchmarks.study import Study, command
 from eyespot.estimator import Frame, Reader
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import Stack
@@ -191,13 +175,13 @@ def measured(study: Study, lenses: Mapping[str, Path], peak: float) -> pd.DataFr
 # The tables.
 
 LIGHTS = {
-    "light": Column("light"),
-    "worst_mm": Column("worst σ, µm", 1, 1e3),
-    "outline_mm": Column("worst by outline, µm", 1, 1e3),
-    "for_50_um_mj_mm2": Column("dose for 50 µm, µJ/mm²", 3, 1e3),
-    "for_20_um_mj_mm2": Column("dose for 20 µm, µJ/mm²", 3, 1e3),
-    "irradiance_mw_mm2": Column("irradiance, mW/mm²", 1),
-    "photons": Column("10¹² photons a frame", 1, 1e-12),
+    "light": page.Column("light"),
+    "worst_mm": page.Column("worst σ, µm", 1, 1e3),
+    "outline_mm": page.Column("worst by outline, µm", 1, 1e3),
+    "for_50_um_mj_mm2": page.Column("dose for 50 µm, µJ/mm²", 3, 1e3),
+    "for_20_um_mj_mm2": page.Column("dose for 20 µm, µJ/mm²", 3, 1e3),
+    "irradiance_mw_mm2": page.Column("irradiance, mW/mm²", 1),
+    "photons": page.Column("10¹² photons a frame", 1, 1e-12),
 }
 CAPTION = "Irradiance: at the nearest distance. Photons: 550 nm, farthest. Nothing about safety."
 DOSES = np.logspace(-5, 0, 11)  # over the one at which drops are sought
@@ -241,7 +225,9 @@ def tables_of(search: DropSearch, best: Mapping[str, float]) -> dict[str, pd.Dat
 # The page.
 
 
-def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose: float) -> Report:
+def _report(
+    tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose: float
+) -> page.Report:
     best = tables["lights"].iloc[0]
     numbers = ", ".join(f"{name.replace('_', ' ')} {x:.3f}" for name, x in drop.items())
     shown = {  # table, abscissa and its label, ordinate
@@ -257,10 +243,10 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         axes.set(yscale="log", xscale="log" if table == "dose" else "linear")
 
     x, y = (lambda column: shown[column][2]), "standard deviation of d (µm)"
-    figure = small_multiples(draw, columns=list(shown), x=x, y=y)
+    figure = page.small_multiples(draw, columns=list(shown), x=x, y=y)
     scores = tables["drops"].groupby("way").score
     gain = math.exp(scores.min()["gradient"] - scores.min()["best random"])
-    optimum = Claim(
+    optimum = page.Claim(
         name="optimum",
         sentence=f"The optimum's σ is {gain:.2f} of that of the best of "
         f"{scores.size()['random']} random drops.",
@@ -271,7 +257,7 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
     for (lens, mode), rows in blind.groupby(["lens", "mode"], sort=False):
         found = rows[rows.doubt == ""]
         ratio = rms(found.error_mm / found.sigma_mm)
-        claim = Claim(
+        claim = page.Claim(
             name=f"{lens}, {mode}".replace("_", " "),
             sentence=f"In {len(found)} of {len(rows)} frames read blind, d is off by "
             f"{ratio:.2f} times its bound (RMS), {1e3 * rms(found.error_mm):.1f} µm.",
@@ -280,10 +266,10 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
             high=1.2 if mode == "pixels" else math.inf,
         )
         claims.append(claim)
-    made = {str(x): Column(f"{100 * x:+g} %: σ, µm".replace("-", "−"), 1, 1e3) for x in OFF_BY}
-    made, otherwise = {"number": Column("number")} | made, "One number of it, made otherwise."
-    tolerance = Table(tables["tolerance"], made, otherwise, data="tolerance.csv")
-    return Report(
+    made = {str(x): page.Column(f"{100 * x:+g} %: σ, µm".replace("-", "−"), 1, 1e3) for x in OFF_BY}
+    made, otherwise = {"number": page.Column("number")} | made, "One number of it, made otherwise."
+    tolerance = page.Table(tables["tolerance"], made, otherwise, data="tolerance.csv")
+    return page.Report(
         title="Which drop of glue measures the distance best, and how little light does it need?",
         answer=f"The best drop measures every distance to {1e3 * best.worst_mm:.1f} µm (standard "
         f"deviation) in one frame of an unknown wall with {1e3 * dose:.1f} µJ/mm² on the retina, "
@@ -291,11 +277,13 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
         lead=f"The drop: {numbers} (lengths in mm). The bound of one frame was made small along "
         "its gradient.",
         first=[
-            Picture("sigma", figure, "All light, outline alone, less light.", data="sigma.csv"),
-            Table(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
+            page.Picture(
+                "sigma", figure, "All light, outline alone, less light.", data="sigma.csv"
+            ),
+            page.Table(tables["lights"], LIGHTS, CAPTION, data="lights.csv"),
         ],
         claims=claims,
-        sections=[Section("How exactly must the drop be made?", tolerance)],
+        sections=[page.Section("How exactly must the drop be made?", tolerance)],
         data={f"{name}.csv": table for name, table in tables.items()},
     )
 
@@ -304,18 +292,12 @@ def _report(tables: Mapping[str, pd.DataFrame], drop: Mapping[str, float], dose:
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # for matrices this small, two take longer
+@command(
+    defaults=("source.medium=vitreous", "microscope.height_px=600"),
+    check_options=lambda limits, **others: limits_in(limits),
+)
 def design(
-    scene: StartingScene = None,
-    /,
-    *,
-    rig: RigFile = None,
-    out: OutputFolder,
-    goal: Goal = "worst",
-    dose: float | None = None,
-    limits: str = "",
-    changes: Changes = (),
-    quick: Quick = False,
-    seed: Seed = None,
+    study: Study, *, goal: Goal = "worst", dose: float | None = None, limits: str = ""
 ) -> pd.DataFrame:
     """Seek the drop of glue that measures distances best, and how little light it needs.
 
@@ -326,10 +308,7 @@ def design(
         dose: Radiant exposure of the brightest place, mJ/mm² a frame (default: as metered).
         limits: Limits of the drop, such as "sag=0:0.1 core_radius=0.25".
     """
-    asked = np.array([*limits_in(limits).values()]).T
-    defaults = "source.medium=vitreous", "microscope.height_px=600"
-    options = {"goal": goal, "limits": limits, "dose": dose}
-    study = Study("design", out, scene, changes, quick, seed, defaults, options=options, rig=rig)
+    asked, quick = np.array([*limits_in(limits).values()]).T, study.quick
     count, random, starts, steps = (4, 12, 1, 5) if quick else (6, 500, 2, 25)
     search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only

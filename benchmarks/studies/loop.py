@@ -20,15 +20,7 @@ from matplotlib.axes import Axes
 from scipy.linalg import expm
 
 from eyespot import scenes
-from eyespot.benchmarks.reporting import (
-    Claim,
-    Column,
-    Picture,
-    Report,
-    Section,
-    Table,
-    small_multiples,
-)
+from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.study import Study, command
 from eyespot.estimator import Frame
@@ -240,12 +232,12 @@ ASSUMED: dict[str, dict[str, Any]] = {
 """What is assumed of the hand, the wall, the robot and the sensor, one at a time otherwise."""
 
 COLUMNS = {
-    "run": Column("run"),
-    "rms_mm": Column("error, RMS, mm"),
-    "p95_mm": Column("95 %, mm"),
-    "largest_mm": Column("largest, mm"),
-    "nearest_mm": Column("nearest to the wall, mm", 2),
-    "farthest_mm": Column("farthest, mm", 2),
+    "run": page.Column("run"),
+    "rms_mm": page.Column("error, RMS, mm"),
+    "p95_mm": page.Column("95 %, mm"),
+    "largest_mm": page.Column("largest, mm"),
+    "nearest_mm": page.Column("nearest to the wall, mm", 2),
+    "farthest_mm": page.Column("farthest, mm", 2),
 }
 
 # The page.
@@ -253,7 +245,7 @@ COLUMNS = {
 
 def _report(
     errors: pd.DataFrame, assumed: pd.DataFrame, rows: pd.DataFrame, film: np.ndarray
-) -> Report:
+) -> page.Report:
     by_run = errors.set_index("run")
     inks = {str(name): f"C{k}" for k, name in enumerate(by_run.index)}
 
@@ -276,23 +268,25 @@ def _report(
         axes.set_xticks([*mine[key]], [f"{x:g}" for x in mine[key]], minor=False)
         axes.minorticks_off()
 
-    strip = small_multiples(draw_film, columns=[""], legend_columns=0)
+    strip = page.small_multiples(draw_film, columns=[""], legend_columns=0)
     panels, x, y = ["sensors", "dark fibre"], "time (s)", "distance (mm)"
-    kept = small_multiples(draw, columns=panels, x=x, y=y, sharey=True)
+    kept = page.small_multiples(draw, columns=panels, x=x, y=y, sharey=True)
     labels = {key: f"{name} ({unit})" for key, (name, unit, _) in VARIED.items()}
     how: dict[str, Any] = {"title": lambda *_: "", "x": labels.__getitem__, "sharey": True}
-    depends = small_multiples(draw_errors, columns=list(labels), y="error (mm)", **how)
-    alone = Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
+    depends = page.small_multiples(draw_errors, columns=list(labels), y="error (mm)", **how)
+    alone = page.Picture("errors", depends, "RMS (solid) and largest error (dotted).", "runs.csv")
     speed, (ideal, outline, pixels, paper) = by_run.speed_mm_s.iloc[0], by_run.rms_mm.iloc[:4]
     said = "The distance is kept to {:.3f} mm (RMS). On a phantom 0.1 mm was published in 2021."
     claims = [
-        Claim(name=name, sentence=said.format(error), value=error, high=high)
+        page.Claim(name=name, sentence=said.format(error), value=error, high=high)
         for name, high in {"sub-pixel": 0.1, "pixels": 0.1, "literal": math.inf}.items()
         for error in [by_run.rms_mm[name]]
     ]
     touch = int((by_run.nearest_mm <= 0).sum())
-    contacts = Claim(name="contacts", sentence=f"{touch} runs touch the wall.", value=touch, high=0)
-    return Report(
+    contacts = page.Claim(
+        name="contacts", sentence=f"{touch} runs touch the wall.", value=touch, high=0
+    )
+    return page.Report(
         title="What distance can a robot keep with this sensor?",
         answer=f"At {speed:g} mm/s along the wall, {SET_MM:g} mm are kept to {outline:.3f} mm "
         f"(RMS) by the outline, to {pixels:.3f} mm by all pixels, to {paper:.3f} mm by the paper's "
@@ -303,18 +297,18 @@ def _report(
         f"{1e3 * LoopRun.tremor_mm:g} µm (RMS), and that calibration and microscope have no "
         "error. The last table has what the first three are worth.",
         first=[
-            Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
-            Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
-            Table(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
-            Table(
+            page.Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
+            page.Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
+            page.Table(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
+            page.Table(
                 assumed,
-                {**COLUMNS, "run": Column("a perfect sensor, and")},
+                {**COLUMNS, "run": page.Column("a perfect sensor, and")},
                 "What the assumptions are worth.",
                 data="assumed.csv",
             ),
         ],
         claims=[contacts, *claims],
-        sections=[Section("What the error depends on", alone)] if len(errors) > 7 else [],
+        sections=[page.Section("What the error depends on", alone)] if len(errors) > 7 else [],
         data={"runs.csv": errors, "assumed.csv": assumed, "loop.csv": rows},
     )
 

@@ -39,6 +39,7 @@ CAUSES = {
 """The causes and their sizes, which are assumptions: the paper does not report them."""
 NONE, TOGETHER, ALL = "none", "together", "all"
 """No cause; what all causes together add beyond their sum; all causes."""
+SIZES = {NONE: "the light and pixels", **CAUSES, TOGETHER: "beyond their sum", ALL: ""}
 EVEN = -1  # number of the even wall among the textures
 
 Measured = tuple[np.ndarray, np.ndarray]
@@ -241,16 +242,12 @@ def parts(variants: Mapping[str, Measured], *, texture: np.ndarray) -> pd.DataFr
     for scope, of in squares.items():
         alone = {name: of[name] - of[NONE] for name in CAUSES if name in of}
         together = of[ALL] - of[NONE] - sum(alone.values())
-        for cause, size, part, whole in (
-            (NONE, "the light and pixels", of[NONE], of[NONE]),
-            *((name, CAUSES[name], part, of[name]) for name, part in alone.items()),
-            (TOGETHER, "beyond their sum", together, np.array([np.nan])),
-            (ALL, "", of[ALL], of[ALL]),
-        ):
+        for cause, part in {NONE: of[NONE], **alone, TOGETHER: together, ALL: of[ALL]}.items():
             sample = pd.Series(part)
             if cause == "texture":
                 sample = sample.groupby(texture).mean()
-            rows.append((scope, cause, size, part.mean(), sample.sem(), whole.mean() ** 0.5))
+            whole = of[cause].mean() ** 0.5 if cause in of else np.nan
+            rows.append((scope, cause, SIZES[cause], part.mean(), sample.sem(), whole))
     columns = ["scope", "cause", "size", "part_mm2", "standard_error_mm2", "rmse_mm"]
     return pd.DataFrame(rows, columns=columns)
 
