@@ -263,6 +263,8 @@ def hollow_share(
 ) -> float:
     """Area of dark places behind a visible edge, over the area inside the edge.
 
+    1 for a ring: a straight shaft hides the light behind some of the edge, never behind most of it.
+
     Args:
         seen: (RAYS,) rays on which its edge is visible.
     """
@@ -278,6 +280,9 @@ def hollow_share(
     area = np.count_nonzero(inside)
     if np.count_nonzero(dark) <= Hollow.SHARE * area:
         return 0.0
+    behind = (np.abs(_RADIUS - Hollow.BEHIND) < 2 / Hollow.SIDE) & seen[_RAY] & ~np.isnan(light)
+    if np.count_nonzero(dark & behind) > Hollow.RING * np.count_nonzero(behind):
+        return 1.0
     thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
     passable = np.where(inside, dark | np.isnan(light), ~seen[_RAY])
     return np.count_nonzero(thick & ~_reached_from_outside(passable)) / area

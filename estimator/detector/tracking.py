@@ -28,7 +28,14 @@ from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
 from eyespot.estimator.detector.measuring import rim_on
 from eyespot.estimator.detector.settings import SubpixelSettings
 from eyespot.estimator.detector.tuning import Faint, Refine, Small, Verdict
-from eyespot.estimator.detector.verdict import Sighting, continues, is_part_of, one_of, sighting_in
+from eyespot.estimator.detector.verdict import (
+    Sighting,
+    continues,
+    is_part_of,
+    is_rival,
+    one_of,
+    sighting_in,
+)
 from eyespot.estimator.frame_window import Window, checked_frame, without_repeats
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Outline, Reason, Spot
@@ -187,6 +194,7 @@ def _anywhere(
     """The one spot of the whole frame; a small one only if there is no larger one."""
     seen: list[Sighting] = []
     failures: list[NoSpot] = []
+    unmeasured: list[Region] = []
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
@@ -194,11 +202,15 @@ def _anywhere(
             return NoSpot(Reason.AMBIGUOUS)
         elif not any(is_part_of(region, sighting) for sighting in seen):
             sighting = sighting_in(region)
-            if isinstance(sighting, NoSpot):
-                failures.append(sighting)
-            else:
+            if not isinstance(sighting, NoSpot):
                 seen.append(sighting)
+                continue
+            failures.append(sighting)
+            if sighting.reason in (Reason.SATURATED, Reason.CLIPPED):
+                unmeasured.append(region)
     found = one_of(seen, failures)
+    if found and any(is_rival(region, found) for region in unmeasured):
+        return NoSpot(Reason.AMBIGUOUS)
     if found or found.reason not in (Reason.NONE_FOUND, Reason.TOO_SMALL):
         return found
     for region in small_regions_in(frame, Window.whole(frame), settings):

@@ -260,6 +260,10 @@ class Hollow:
 
     SHARE = 0.02  # of the ellipse's area: shafts at any angle leave 0.019, letters 0.03 and more
     SIDE = 48  # of the grid of pixels that spans the ellipse: a thin shaft is five wide
+    BEHIND = 0.6  # radii: where the light behind the edge is looked at
+    # Share of the visible edge behind which it is dark there (derived: a shaft of half a diameter
+    # through the middle makes 0.44 dark, and hides a third of the edge).
+    RING = 0.6
 
 
 class Trimming:
@@ -285,7 +289,9 @@ class FieldStop:
     """
 
     SMALLEST = 0.25  # radius over the frame's shorter side (0.27 and more)
-    ROUND = 1.015  # longest axis over the shortest (up to 1.005, where its rim is in view)
+    # Longest axis over the shortest (up to 1.005, where its rim is in view; 1.03 by a camera's
+    # pixels that are not quite square). A spot square to the wall is as round.
+    ROUND = 1.03
     DARK = 0.09  # of the peak: light round it (up to 0.084)
     DIM = 0.2  # of the peak: the same where it is plain; stray light, or a curve that lifts black
     # Unevenness of that light over the disc's. A spot's wall goes on round it: 0.48 and more on

@@ -283,6 +283,12 @@ def is_part_of(region: Region, sighting: Sighting) -> bool:
     return distance < reach * spot.semi_major_px
 
 
+def is_rival(region: Region, sighting: Sighting) -> bool:
+    """Whether a region that could not be measured may be the spot instead: another lamp, say."""
+    large = region.area_px > Verdict.RIVAL * sighting.area_px
+    return large and not is_part_of(region, sighting)
+
+
 _NOTHING = NoSpot(Reason.NONE_FOUND)
 _NEARNESS = (
     Reason.NONE_FOUND,

@@ -89,6 +89,32 @@ def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides():
         assert _near(spot, truth)
 
 
+def test_beside_a_saturated_disc_as_large_none_is_chosen_but_a_start_point_decides():
+    # The other may be the spot, in too much light; or both are lamps of one cluster.
+    left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
+    rng = np.random.default_rng(5)
+    measurable = frame_of(replace(_SCENE, truth=left, noise=0.0), rng)
+    other = replace(_SCENE, truth=right, noise=0.0, amplitude=2000.0)
+    frame = np.maximum(measurable, frame_of(other, rng))
+    result, _ = measure(frame, TrackState(), SubpixelSettings())
+    assert result == NoSpot(Reason.AMBIGUOUS)
+    settings = SubpixelSettings(search_half_width_px=120)
+    (spot,) = track([frame], settings, start=(left.x + 10, left.y - 10))
+    assert _near(spot, left)
+
+
+def test_a_ring_that_the_frame_cuts_is_no_spot_with_a_shaft_over_it():
+    whole = replace(_TRUTH, y=-10.0, semi_major=120.0, semi_minor=110.0)
+    hole = replace(whole, semi_major=96.0, semi_minor=88.0)
+    rng = np.random.default_rng(6)
+    disc, inner = (frame_of(replace(_SCENE, truth=t, noise=0.0), rng) for t in (whole, hole))
+    ring = disc.astype(int) - inner + 10
+    result, _ = measure(ring.astype(np.uint8), TrackState(), SubpixelSettings(min_coverage=0.4))
+    assert isinstance(result, NoSpot)
+    (spot,) = track([disc], SubpixelSettings(min_coverage=0.4))
+    assert isinstance(spot, Spot)
+
+
 def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one():
     left, right = replace(_TRUTH, x=200), replace(_TRUTH, x=430)
     rng = np.random.default_rng(6)
