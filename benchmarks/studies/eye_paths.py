@@ -303,8 +303,6 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         boresight_sigmas=nothing,
         size_sigmas=SIZE_PER_MM * jnp.array(WITHDRAWALS_C_MM),
         kind="eyeball",
-        data=5 * minor.size,
-        numbers=tuple(range(count)),
     )
 
     def pinhole(unknown: Float[Array, "3"]) -> Pinhole:
@@ -326,7 +324,7 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         return jnp.concatenate([missed, jnp.ravel(own[:, 1:3]) / _ANYWHERE_PX, eye[2:]])
 
     start = jnp.zeros(3 + count * len(_FREE))
-    solution = least_squares(residuals, start, count=every.data, solver=GAUSS_NEWTON)
+    solution = least_squares(residuals, start, count=5 * minor.size, solver=GAUSS_NEWTON)
     return pinhole(solution.parameters[:3])
 
 

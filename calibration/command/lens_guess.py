@@ -35,7 +35,7 @@ _RING_ERROR = 0.03
 _ALIKE, _FOREIGN = 1.0, 9.0
 """Mean square error of a spot's rings, median over the spots, in the unit above: below the first a
 lens is taken at once, and beyond the second it is no lens of these spots. Of five true lenses (14,
-15, 28, 30 and 32 of `tests.support.coverage.random_fits`) it was 0.03 to 0.9, of wrong minima 2 to
+15, 28, 30 and 32 of `random_fits` in v0.2.1) it was 0.03 to 0.9, of wrong minima 2 to
 9, and of the best lenses for two cones 25 and 32."""
 
 

@@ -100,7 +100,7 @@ root is the step in standard errors."""
 _OTHER_SAGS = (0.3, 3.0)
 """Factors of the sag for further starts. Two drops can have nearly the same light, and a drop that
 focuses it near the tip is found from flatter ones only (numbers 42 and 41 of
-`tests.support.coverage.photon_fits coverage`)."""
+`photon_fits coverage` in v0.2.1)."""
 _POOR, _MISSED = 1.0, 0.25
 """Chi squared per cell above which a fit in wide cells, and then one in small cells, is not that of
 the right beam. Its unit is an error of 1 % of a frame's peak, so the latter is one of 0.5 %. Of

@@ -28,7 +28,7 @@ _REACH = {True: 1.6, False: 1.05}
 _FINEST_PX = 0.17
 """Width of a table's cells, in pixels, below which they are not halved. The model averages over
 pixels, but wide cells blur a sharp image of the core. On counted photons (number 1 of
-`tests.support.coverage.photon_fits coverage`) a whole pixel biases NA by a standard error, 0.25 px
+`photon_fits coverage` in v0.2.1) a whole pixel biases NA by a standard error, 0.25 px
 by 0.3 and 0.17 px by 0.05, compared with 0.1 px."""
 _HALVINGS = 6
 """Least number of halvings of a table's cells: tables of one shape need one compilation for all
@@ -40,7 +40,7 @@ _FIRST_ORDER = 0.01
 """The same for the rounds that learn the noise: the light is right to the square, 1e-4."""
 _NEAR_BY = 0.002
 """Relative change up to which a table is computed from the last one. Up to 5 % the fit of a sharp
-image of the core (`tests.support.coverage.photon_fits examples`) had a sag ten sigma of the noise
+image of the core (`photon_fits examples` in v0.2.1) had a sag ten sigma of the noise
 off."""
 _KEPT = 4
 """Tables that are kept: a fit goes back to one after a step that went too far, or from a start that
@@ -50,7 +50,7 @@ ENCLOSED = 1.0 + 1e-4  # least rim of a cap over its core
 CLEAR = 1.003
 """Rim over the core from which on the light's derivatives are those of a rim that cuts off nothing.
 At 1.0001 an invisible rim seemed known 7 times, at 1.001 twice as well as from 1.002 on (seed 100
-of `tests.support.coverage.random_fits lenses`)."""
+of `random_fits lenses` in v0.2.1)."""
 
 
 class LinearLensLight:

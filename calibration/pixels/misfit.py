@@ -37,7 +37,7 @@ _HALVES = ("earlier", "later")
 _SHAPE = (len(_ZONE_NAMES), len(_SIDES))
 _HIDDEN = 4.0
 """c: the fit hides the part of a misfit that looks like its parameters. This factor makes the bias
-of every departure in tests/support/coverage/photon_fits.py less than twice its standard error."""
+of every departure of `photon_fits` in v0.2.1 less than twice its standard error."""
 _BLOCK_PX = 16
 """Side of the blocks of a frame, that of the largest squares that are fitted as one datum."""
 _NEGLIGIBLE = 1e-9  # relative; smaller eigenvalues are rounding errors

@@ -176,8 +176,13 @@ def fit_cone(
     prior_means, prior_weights = prior_terms(PARAMETERS, own, joint_prior)
     nothing = [0.0] * len(trials)
     missed = size_sigmas or nothing, outline_sigmas or nothing
+    of_kinds = [
+        [number for number, trial in enumerate(trials) if trial.kind == kind]
+        for kind in sorted({trial.kind for trial in trials})
+    ]
     groups = [
-        TrialGroup.of(trials, kind, *missed) for kind in sorted({trial.kind for trial in trials})
+        TrialGroup.of([trials[n] for n in own], *([part[n] for n in own] for part in missed))
+        for own in of_kinds
     ]
     # Nuisances are deviations from their expected values, in standard deviations.
     begin = jnp.concatenate(
@@ -187,7 +192,8 @@ def fit_cone(
         ]
     )
     priors_held = int(np.sum(prior_weights.any(axis=1)))
-    count = sum(group.data for group in groups) + priors_held + HELD * len(trials)
+    frames = sum(trial.readings.size for trial in trials)
+    count = 5 * frames + priors_held + HELD * len(trials)
     # Arrays replace names here, and a step for each parameter that is not free moves nothing, so
     # that one compilation serves all choices.
     stepped = np.array([[name == own for own in free] for name in PARAMETERS]) * sizes
@@ -210,7 +216,7 @@ def fit_cone(
         name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
     }
     left = np.asarray(solution.residuals)
-    rows = _rows(groups, trials)
+    rows = _rows(groups, of_kinds, trials)
     residuals = _along_image(left, rows, trials)
     chi_squared = float(np.sum(np.square(left)))
     degrees = count - found.size
@@ -234,7 +240,7 @@ def fit_cone(
             columns=cone,
             degrees_of_freedom=degrees,
         )
-    numbers = [number for group in groups for number in group.numbers]
+    numbers = [number for own in of_kinds for number in own]
     nuisances = [f"{name} of trial {number + 1}" for number in numbers for name in NUISANCES]
     covariance, undetermined = covariance_and_lost(
         (information - of_priors) / growth + of_priors,
@@ -277,12 +283,14 @@ def fit_cone(
     )
 
 
-def _rows(groups: list[TrialGroup], trials: Sequence[ConeTrial]) -> list[Int[np.ndarray, "n 5"]]:
+def _rows(
+    groups: list[TrialGroup], of_kinds: list[list[int]], trials: Sequence[ConeTrial]
+) -> list[Int[np.ndarray, "n 5"]]:
     """Where the residuals of each trial's frames are in those of `_solve`."""
     found: dict[int, np.ndarray] = {}
     at = len(PARAMETERS)
-    for group in groups:
-        for number in group.numbers:
+    for group, numbers in zip(groups, of_kinds, strict=True):
+        for number in numbers:
             frames = trials[number].readings.size
             found[number] = at + np.arange(5 * frames).reshape(frames, 5)
             at += 5 * group.readings.shape[1] + HELD

@@ -175,8 +175,6 @@ class TrialGroup(eqx.Module):
     boresight_sigmas: Float[Array, "trials"]
     size_sigmas: Float[Array, "trials"]
     kind: str = eqx.field(static=True)
-    data: int = eqx.field(static=True)
-    numbers: tuple[int, ...] = eqx.field(static=True)
     coverage: Float[Array, "trials n"] | None = None
     """None: all ellipses are wholly visible."""
     rates: Float[Array, "trials n 2"] | None = None
@@ -190,14 +188,11 @@ class TrialGroup(eqx.Module):
     @classmethod
     def of(
         cls,
-        of_all_kinds: Sequence[ConeTrial],
-        kind: str,
+        trials: Sequence[ConeTrial],
         size_sigmas: Sequence[float],
         outline_sigmas: Sequence[float],
     ) -> "TrialGroup":
-        """The trials on one kind of wall."""
-        numbers = tuple(n for n, trial in enumerate(of_all_kinds) if trial.kind == kind)
-        trials = [of_all_kinds[n] for n in numbers]
+        """The trials, which are on one kind of wall."""
         longest = max(trial.readings.size for trial in trials)
         longest += -longest % _PADDING
 
@@ -209,8 +204,7 @@ class TrialGroup(eqx.Module):
             *(stacked(leaves) for leaves in zip(*(t.ellipses for t in trials), strict=True))
         )
         covariances = stacked([t.covariances for t in trials])
-        missed = jnp.array([outline_sigmas[n] for n in numbers])
-        whitening = jax.vmap(whitening_of)(ellipses, covariances, missed)
+        whitening = _whitening_of_each(ellipses, covariances, jnp.array(outline_sigmas))
         frames = np.array([t.readings.size for t in trials])
         real = np.arange(longest) < frames[:, None]
         return cls(
@@ -230,10 +224,8 @@ class TrialGroup(eqx.Module):
             touch_sigmas=jnp.array([t.touch.sigma for t in trials]),
             lean_sigmas=jnp.full(len(trials), LEAN_SIGMA),
             boresight_sigmas=jnp.full(len(trials), BORESIGHT_SIGMA),
-            size_sigmas=jnp.array([size_sigmas[n] for n in numbers]),
-            kind=kind,
-            data=5 * int(frames.sum()),
-            numbers=numbers,
+            size_sigmas=jnp.array(size_sigmas),
+            kind=trials[0].kind,
         )
 
 
@@ -249,6 +241,9 @@ def whitening_of(
     """
     shape = jax.vmap(optics.mismatch_covariance)(ellipses, covariances)
     return jnp.linalg.inv(jnp.linalg.cholesky(shape + jnp.square(missed) * jnp.eye(5)))
+
+
+_whitening_of_each = jax.jit(jax.vmap(whitening_of))
 
 
 def wandering_boresight(
@@ -274,6 +269,7 @@ def wandering_boresight(
     return frame @ (beam / jnp.linalg.norm(beam) - axis)
 
 
+@eqx.filter_jit
 def first_nuisances(
     group: TrialGroup, camera: optics.Microscope, values: Mapping[str, ScalarLike]
 ) -> Float[Array, "trials 8"]:
@@ -349,11 +345,7 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
                 half_angle=values["half_angle"],
                 apex_offset=values["b"],
             )
-            contour = optics.spot_contour(beam, wall, view, points=_POINTS)
-            tool = view.project(jnp.stack([spot, beam.tip]))
-            seen = None if coverage is None else _seen_beside(tool, contour, ellipse, coverage)
-            # Its third term is the relative difference in size.
-            return whiten @ optics.ellipse_mismatch(contour, ellipse, seen).at[2].add(larger)
+            return whiten @ _mismatch(wall, view, beam, spot, ellipse, coverage).at[2].add(larger)
 
         frames = jax.vmap(of_frame)(
             trial.ellipses, trial.whitening, trial.coverage, trial.readings, trial.rates
@@ -363,6 +355,22 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
 
     places = spots(group, camera, values, nuisances)
     return jnp.ravel(jax.vmap(of_trial)(group, places, nuisances))
+
+
+@eqx.filter_jit  # Traced once for trials and frames of any number.
+def _mismatch(
+    wall: optics.Surface,
+    view: optics.Microscope,
+    beam: optics.Beam,
+    spot: Float[Array, "3"],
+    ellipse: optics.Ellipse,
+    coverage: Float[Array, ""] | None,
+) -> Float[Array, "5"]:
+    """Mismatch of one frame's ellipse; its third term is the relative difference in size."""
+    contour = optics.spot_contour(beam, wall, view, points=_POINTS)
+    tool = view.project(jnp.stack([spot, beam.tip]))
+    seen = None if coverage is None else _seen_beside(tool, contour, ellipse, coverage)
+    return optics.ellipse_mismatch(contour, ellipse, seen)
 
 
 def _seen_beside(
@@ -393,8 +401,8 @@ RETINA = Prior(13.0, 1.0)
 SIZE_SIGMA = 0.0001
 """Part by which the sizes of a trial's spots are off alike, as the texture of its wall pulls their
 edges: 0.007 of 75 px. More frames do not average it out. With it 88 random withdrawals over drawn
-retinas, printed paper and a photograph (seeds 0 to 174 of `tests.support.coverage.random_fits
-cones`) have the errors that they state; with half of it they are 1.3 times as large."""
+retinas, printed paper and a photograph (seeds 0 to 174 of `random_fits cones`
+in v0.2.1) have the errors that they state; with half of it they are 1.3 times as large."""
 
 SIZE_PER_MM = 0.00065
 """Part by which the best pinhole over a sphere misses the size of a spot, per mm of c.
