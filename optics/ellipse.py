@@ -59,20 +59,25 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"], *, reweightings: int
     Returns:
         The ellipse; exact (to rounding) if the contour is one.
     """
-
-    def refit(_: int, ellipse: Ellipse) -> Ellipse:
-        return _fit(contour, steps_of_eccentric_angle(contour, ellipse))
-
     xp = array_namespace(contour)
-    ellipse = _fit(contour, xp.ones(contour.shape[:-1]))
+    state = contour, _fit(contour, xp.ones(contour.shape[:-1]))
     if xp is np:
         for step in range(reweightings):
-            ellipse = refit(step, ellipse)
-        return ellipse
+            state = _refitted(step, state)
+        return state[1]
     from jax.lax import fori_loop
 
-    # Unrolled, the loop would take seconds to compile wherever it is used.
-    return fori_loop(0, reweightings, refit, ellipse)
+    # Unrolled, the loop would take seconds to compile wherever it is used; and with a function of
+    # this call's own it would be compiled at every call outside of jit.
+    return fori_loop(0, reweightings, _refitted, state)[1]
+
+
+def _refitted(
+    _: int, state: tuple[Float[Array, "*batch n 2"], Ellipse]
+) -> tuple[Float[Array, "*batch n 2"], Ellipse]:
+    """The contour, and its ellipse with the weights that the last one has."""
+    contour, ellipse = state
+    return contour, _fit(contour, steps_of_eccentric_angle(contour, ellipse))
 
 
 def ellipse_points(ellipse: Ellipse, angles: Float[Array, "n"]) -> Float[Array, "*batch n 2"]:
