@@ -25,7 +25,7 @@ test: $(LIBRARIES) ## run the tests
 	.venv/bin/pytest -n 2 --dist loadfile --no-loadscope-reorder --durations 15
 
 test-slow: $(LIBRARIES) ## run the tests that the default run leaves out
-	.venv/bin/pytest -m 'slow and not gpu'
+	.venv/bin/pytest -m 'slow and not gpu' -n 2 --dist loadfile --no-loadscope-reorder --durations 15
 
 test-wheel: $(PACKAGES) ## build the wheel, install it in a fresh environment, run it there
 	.venv/bin/pytest -m wheel

@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy import stats
@@ -13,7 +12,6 @@ from eyespot.calibration.command.models import fit_eye
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.inputs import InputError
-from eyespot.optics import viewing
 from tests.support.command_line import call, printed
 from tests.support.coverage import eye_fits
 from tests.support.drawn.made_up import DOME, a_microscope_file, a_spot
@@ -31,7 +29,7 @@ def eye():
 def withdrawn(eye, c, azimuth, *, errors=1.0, seed=4):
     camera, semi_axes = eye
     places = [(c, azimuth, eye_fits.TILT, 1.0, d) for d in eye_fits.DISTANCES]
-    ellipses, axes = map(np.asarray, eye_fits._seen(camera, semi_axes, jnp.array(places)))
+    ellipses, axes = eye_fits.seen(camera, semi_axes, places)
     return eye_fits.recording(ellipses, axes[0], np.random.default_rng([seed, int(c)]), errors)
 
 
@@ -49,40 +47,13 @@ def test_three_withdrawals_make_distances_right_within_their_sigma(eye):
     assert ranger.model == "area"
     noise = np.random.default_rng(1)
     places = [(3.0, 5.5, tilt, 0.0, d) for tilt in (0.0, 0.4) for d in (1.0, 4.0)]
-    ellipses, axes = map(np.asarray, eye_fits._seen(camera, semi_axes, jnp.array(places)))
+    ellipses, axes = eye_fits.seen(camera, semi_axes, places)
     for ellipse, axis, (*_, d) in zip(ellipses, axes, places, strict=True):
         spot = eye_fits.measured(ellipse, noise)
         read = ranger.distance(spot, axis=axis, axis_sigma_rad=1e-3)
         assert abs(read.distance_mm - d) < 3 * read.sigma_mm
         # Half of 0.1 mm, the limit of the study: two standard deviations stay within it.
         assert read.sigma_mm < 0.05
-
-
-@pytest.mark.slow
-def test_four_withdrawals_serve_navarros_eye_up_to_5_mm_at_every_tilt():
-    """Through a flat contact lens, its pupil wide open: `area` is off by at most 0.05 mm.
-
-    `test_eye_rendered` has the other models, square to the wall.
-    """
-    path = viewing.viewing_path(
-        viewing.load_eye("navarro", wavelength_nm=555.0),
-        viewing.load_viewing_lens("flat"),
-        pinhole_distance=203.0,
-        pupil_radius=50.0,
-    )
-    eye = viewing.path_camera(path, scale=0.0067), path.retina_semi_axes
-    trials = [withdrawn(eye, c, 2.0 * c) for c in (0.5, 2.0, 3.5, 5.0)]
-    fit = eye_fits.fitted(trials, CONE)
-    own = eye_fits.calibration(fit.values, fit.covariance, fit.calibration_model)
-    table = eye_fits.MICROSCOPE.changed(scale_mm_px=0.0067, eye_radius_mm=12.0)
-    area = Ranger(own, table, model="area")
-    tilts = [(0.0, 0.0), *((math.radians(30.0), towards) for towards in (0.0, 1.57, 3.14))]
-    places = [(c, 0.9, *tilt, d) for c in range(1, 6) for tilt in tilts for d in (1.0, 3.0, 5.0)]
-    ellipses, axes = map(np.asarray, eye_fits._seen(*eye, jnp.array(places)))
-    for ellipse, axis, (c, _, tilt, _, d) in zip(ellipses, axes, places, strict=True):
-        # The noise of the spots is left out: the calibration's is in the distances.
-        spot = eye_fits.measured(ellipse, np.random.default_rng(0), errors=0.0)
-        assert abs(area.distance(spot, axis=axis).distance_mm - d) < 0.08, (c, tilt, d)
 
 
 @pytest.mark.slow
@@ -164,13 +135,13 @@ def test_the_command_writes_a_calibration_that_track_reads(eye, tmp_path):
 
 
 @pytest.mark.slow
-def test_stated_intervals_hold_the_truth_in_200_random_eyes():
+def test_stated_intervals_hold_the_truth_in_40_random_eyes():
     """d read at three places elsewhere in each eye; limits that hold in 99 % of such tests.
 
     The interval of kappa is wider than the spread: it contains the prior of the retina's radius,
     whose error the best pinhole shares. So only too few hits count against it.
     """
-    count = 200
+    count = 40
     found = eye_fits.pulls(eye_fits.calibrated_eyes(count))
     level = 0.01 / (2 * len(found.columns))
     for name, pull in found.items():

@@ -151,7 +151,7 @@ def test_c_is_what_scipy_finds(c):
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    runs = 200
+    runs = 100
     hits = dict.fromkeys(("delta_k", "b", "c"), 0)
     axis, exact = sphere_data(4.0)
     for seed in range(runs):

@@ -1,12 +1,6 @@
-"""Standard errors of lens fits hold for light that comes from elsewhere, also if it is unusual.
+"""Standard errors of lens fits hold for light that comes from elsewhere, also if it is unusual."""
 
-Hours of fits, each a line in a file of pytest's cache, so that a run that was killed goes on.
-`python -m tests.support.coverage.photon_fits` prints the same as tables.
-"""
-
-import hashlib
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,26 +8,20 @@ import tomli_w
 from scipy import ndimage, stats
 
 import eyespot
-from eyespot import calibration, optics
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.formats.calibration import read_calibration
 from tests.support.command_line import printed
-from tests.support.coverage import photon_fits
-from tests.support.coverage.photon_fits import PARAMETERS, fitted, random_recording
+from tests.support.coverage.photon_fits import (
+    PARAMETERS,
+    departures,
+    fitted,
+    random_recording,
+    results,
+)
 from tests.support.files.fit_files import assert_within, pulls
 from tests.support.light.photon_frames import View, footage_of, photographed, write_photons
 from tests.support.light.photon_stacks import Recording, half_maximum, poses
 from tests.support.light.photons import Drop
-
-
-@pytest.fixture
-def results(request):
-    """Fits of a kind; their file is new for every version of the code that is tested."""
-    packages = (Path(module.__file__ or "").parent for module in (calibration, optics))
-    files = [Path(__file__), *sorted(path for root in packages for path in root.rglob("*.py"))]
-    version = hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()[:12]
-    folder = request.config.cache.mkdir("photon_fits")
-    return lambda kind: photon_fits.results(kind, folder / f"{kind}-{version}.jsonl")
 
 
 @pytest.mark.slow
@@ -56,7 +44,7 @@ def test_a_rim_that_no_light_shows_stays_around_the_core(rim, sag):
 def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
     drop = Drop(core=0.25, aperture=0.30, sag=0.07, rim=0.04, aperture_na=0.15)
     askew = Recording(drop=drop, beam_off=(math.radians(1.2), math.radians(1.6)))
-    fit, _ = fitted(askew, seed=2)
+    fit = fitted(askew, seed=2)
     assert fit.converged
     truth = {"sag": drop.sag, "numerical_aperture": drop.aperture_na}
     truth |= {"sensitivity": askew.sensitivity}
@@ -86,17 +74,17 @@ def test_a_beam_two_degrees_off_the_motion_does_not_change_the_lens():
 )
 def test_a_lens_is_within_its_standard_errors_where_it_was_not(number):
     recording = random_recording(number)
-    fit, _ = fitted(recording, seed=number)
+    fit = fitted(recording, seed=number)
     assert fit.converged
     truth = {"sag": recording.drop.sag, "numerical_aperture": recording.drop.aperture_na}
     assert_within(fit, truth, 3)
 
 
-@pytest.mark.slow  # an hour or more on two cores
-def test_intervals_contain_the_lens_as_often_as_they_say(results):
-    rows = results("coverage")
+@pytest.mark.slow  # half a minute a fit
+def test_intervals_contain_the_lens_as_often_as_they_say():
+    rows = results(map(random_recording, range(8)))
     accepted = rows[rows.good.astype(bool)]
-    assert len(accepted) > 0.9 * len(rows)
+    assert len(accepted) >= 7
     for name in PARAMETERS:
         z = pulls(accepted, name)
         for sigmas in (1.0, 1.959964):
@@ -104,12 +92,12 @@ def test_intervals_contain_the_lens_as_often_as_they_say(results):
             share = math.erf(sigmas / math.sqrt(2))
             low, high = stats.binom.ppf([0.005, 0.995], z.size, share)
             assert low <= np.sum(z < sigmas) <= high, f"{name}, {sigmas} sigma"
-        assert np.mean(z < 3.0) >= 0.99, name
+        assert z.max() < 3.5, name  # of 24 errors one exceeds it in 90 such tests
 
 
-@pytest.mark.slow  # half an hour on two cores
-def test_light_that_the_model_does_not_know_is_refused_or_contained_in_sigma(results):
-    rows = results("departures")
+@pytest.mark.slow  # half a minute a fit
+def test_light_that_the_model_does_not_know_is_refused_or_contained_in_sigma():
+    rows = results(departures())
     for parameter in PARAMETERS:
         # Twice: the noise, whose own share of the error is as large if nothing is enlarged.
         assert pulls(rows[rows.good.astype(bool)], parameter).max() < 2, parameter

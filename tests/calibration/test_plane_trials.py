@@ -1,13 +1,12 @@
 """One line for trials that differ by their touches and the plane's tilt."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 from eyespot import optics
 from eyespot.calibration import Prior, fit_plane
 from eyespot.calibration.spots.paper import PlaneTrial, fit_plane_trials
+from tests.support.drawn.exact_spots import exact_spots
 
 DELTA_K, B = 0.134, -5.117
 AXIS = np.linspace(38.0, 83.0, 40)
@@ -56,24 +55,13 @@ def test_the_tilt_of_a_plane_is_seen_in_exact_contours():
     )
     distance = np.linspace(0.5, 6.0, 12)
 
-    def ellipse(d, azimuth):
-        beam = optics.beam_at_spot(
-            wall,
-            eccentricity=3.0,
-            azimuth=azimuth,
-            incidence=0.5,
-            incidence_azimuth=0.7,
-            distance=d,
-            half_angle=np.arctan(1 / 20),
-            apex_offset=B,
-        )
-        return optics.spot_ellipse(beam, wall, eye)
-
-    along = jax.jit(jax.vmap(ellipse, in_axes=(0, None)))
-    seen = [along(jnp.asarray(distance), np.arctan2(y, x)) for x, y in PLACES]
+    seen = [
+        exact_spots(wall, eye, [(3.0, np.arctan2(y, x), 0.5, 0.7, d) for d in distance])[0]
+        for x, y in PLACES
+    ]
     trials = [
         PlaneTrial(
-            semi_minor_px=np.asarray(ellipses.semi_minor),
+            semi_minor_px=ellipses.semi_minor,
             readings=distance,
             minor_axes=np.stack([np.sin(ellipses.angle), np.cos(ellipses.angle)], axis=-1),
             place=place,

@@ -30,7 +30,8 @@ from eyespot.scenes.world.true_calibration import true_calibration
 from tests.estimator.test_ranger import R_EYE, SCALE, B, K, calibration, covariance_of, spot
 from tests.estimator.test_ranger import microscope as microscope_at
 from tests.support.command_line import printed, run
-from tests.support.coverage import budget_coverage
+from tests.support.coverage.budget_coverage import held_intervals, seen_spots
+from tests.support.drawn.exact_spots import exact_spots
 
 HALF_ANGLE = math.atan(1 / K)
 LEANING = (0.0, 0.1, math.sqrt(0.99))  # normal of a plane wall
@@ -90,37 +91,19 @@ def test_the_contour_in_numpy_is_that_of_optics(height, normal):
         wall = optics.Plane(point=np.array([0.0, 0.0, -R_EYE]), inward=np.array(normal))
     view = optics.microscope(scale=SCALE, pinhole_height=height, eye_radius=R_EYE)
     eye = optics.ConeView(K, B, SCALE, R_EYE, 1 / (height + R_EYE), normal)
-    for c, incidence, azimuth, distance in [(0.5, 0.0, 0.0, 1.0), (3.0, 0.5, 2.0, 4.0)]:
-        beam = optics.beam_at_spot(
-            wall,
-            eccentricity=c,
-            azimuth=1.0,
-            incidence=incidence,
-            incidence_azimuth=azimuth,
-            distance=distance,
-            half_angle=HALF_ANGLE,
-            apex_offset=B,
+    distance = np.array([1.0, 4.0])
+    exact, beams = exact_spots(wall, view, [(0.5, 1.0, 0.0, 0.0, 1.0), (3.0, 1.0, 0.5, 2.0, 4.0)])
+    spots = beams.tip + distance[:, None] * beams.axis
+    seen = eye.spot_ellipse(spot=spots, axis=beams.axis, distance=distance)
+    # 32 generators instead of 128: 3e-4 px at most, which is 5e-5 mm of the distance.
+    for ours, theirs in zip(seen[:3], exact[:3], strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-3)
+    for by_area in (False, True):
+        size = np.sqrt(exact.semi_major * exact.semi_minor) if by_area else exact.semi_minor
+        found, _ = eye.distance_of(
+            at_px=exact.centre, size_px=size, axis=beams.axis, by_area=by_area
         )
-        exact = optics.spot_ellipse(beam, wall, view)
-        axis = np.asarray(beam.axis)[None]
-        seen = eye.spot_ellipse(
-            spot=np.asarray(beam.tip)[None] + distance * axis,
-            axis=axis,
-            distance=np.array([distance]),
-        )
-        # 32 generators instead of 128: 3e-4 px at most, which is 5e-5 mm of the distance.
-        np.testing.assert_allclose(seen.centre[0], exact.centre, atol=1e-3)
-        np.testing.assert_allclose(seen.semi_major[0], exact.semi_major, atol=1e-3)
-        np.testing.assert_allclose(seen.semi_minor[0], exact.semi_minor, atol=1e-3)
-        for by_area in (False, True):
-            size = math.sqrt(exact.semi_major * exact.semi_minor) if by_area else exact.semi_minor
-            found, _ = eye.distance_of(
-                at_px=np.asarray(exact.centre)[None],
-                size_px=np.array([float(size)]),
-                axis=axis,
-                by_area=by_area,
-            )
-            assert found[0] == pytest.approx(distance, abs=1e-4)
+        np.testing.assert_allclose(found, distance, atol=1e-4)
 
 
 def test_degrees_of_freedom_are_those_of_the_gums_end_gauge():
@@ -195,20 +178,12 @@ def test_the_correction_is_the_error_that_the_study_finds(model):
         geometry, (model,), c=np.array([c]), d=np.array([d]), semi_minor_px=np.array([exact])
     ).error_mm
     view = microscope()
-    beam = optics.beam_at_spot(
-        view.wall(),
-        eccentricity=c,
-        distance=d,
-        incidence=incidence,
-        incidence_azimuth=towards,
-        half_angle=HALF_ANGLE,
-        apex_offset=B,
-    )
-    ellipse = optics.spot_ellipse(beam, view.wall(), view.ideal_microscope())
-    seen = spot(*ellipse.centre, ellipse.semi_major, ellipse.semi_minor)
+    place = (c, 0.0, incidence, towards, d)
+    ellipses, beams = exact_spots(view.wall(), view.ideal_microscope(), [place])
+    seen = spot(*ellipses.centre[0], ellipses.semi_major[0], ellipses.semi_minor[0])
     ranger = Ranger(calibration(), view, model=model, eccentricity_mm=c)
     found = ranger.distance(seen)
-    budget = Budgets(ranger, Stated()).of(seen, found, axis=np.asarray(beam.axis))
+    budget = Budgets(ranger, Stated()).of(seen, found, axis=beams.axis[0])
     assert budget is not None
     assert found.distance_mm - d == pytest.approx(error, abs=1e-9)
     # The contour in NumPy: 1e-3 px of 60 at most.
@@ -470,8 +445,7 @@ def test_a_spots_file_has_the_interval_which_contains_the_truth_where_the_model_
 
 @pytest.mark.slow
 def test_intervals_cover_what_they_state():
-    spots = list(budget_coverage.seen_spots(2000, seed=1))
-    found = budget_coverage.readings(spots, seed=1)
-    assert len(found) > 1900
-    # The standard deviation of a share of 95 % among 2,000 is 0.5 %.
-    assert 0.93 <= found.inside.mean() <= 0.97
+    held = held_intervals(list(seen_spots(480, seed=1)), seed=1)
+    assert len(held) > 456
+    # The standard deviation of a share of 95 % among 480 is 1 %.
+    assert 0.92 <= np.mean(held) <= 0.98

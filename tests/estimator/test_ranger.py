@@ -19,6 +19,7 @@ from eyespot.formats.camera import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Reason
 from tests.support.command_line import run_python
+from tests.support.drawn.exact_spots import exact_spots
 from tests.support.drawn.made_up import CONE, a_calibration, a_microscope, a_spot
 from tests.support.light.photon_stacks import Recording, direct_light, half_maximum
 from tests.support.light.photons import Drop, counted_light
@@ -538,10 +539,10 @@ def test_a_radius_that_the_lens_never_has_is_nowhere():
 @pytest.mark.parametrize("wall", ["plane", "tilted plane"])
 def test_exact_takes_the_planes_shape(wall):
     view = microscope(200.0, plane_normal=NORMALS[wall])
-    beam = beam_at(4.0, wall=wall)
-    ellipse = optics.spot_ellipse(beam, WALLS[wall], view.ideal_microscope())
-    seen = spot(*ellipse.centre, *ellipse[1:])
-    result = Ranger(calibration(), view, model="exact").distance(seen, axis=np.asarray(beam.axis))
+    place = (3.0, 0.7, 0.5, 0.4, 4.0)
+    ellipses, beams = exact_spots(WALLS[wall], view.ideal_microscope(), [place])
+    seen = spot(*ellipses.centre[0], *(own[0] for own in ellipses[1:]))
+    result = Ranger(calibration(), view, model="exact").distance(seen, axis=beams.axis[0])
     # 1e-7 px, as above; on a sphere the same ellipse would be 0.024 mm off.
     assert result.distance_mm == pytest.approx(4.0, abs=2e-8)
 

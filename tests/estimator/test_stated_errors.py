@@ -20,7 +20,7 @@ from tests.support.drawn.own_frames import (
 
 
 @pytest.mark.parametrize(
-    ("seed", "number"), [(11, 6), pytest.param(2611, 150, marks=pytest.mark.slow)]
+    ("seed", "number"), [(11, 6), pytest.param(2611, 50, marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("name", LOOKALIKES)
 def test_what_only_looks_like_a_spot_is_none(name, seed, number):

@@ -2,8 +2,6 @@
 
 import math
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -12,6 +10,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.microscope import PathSeries
 from eyespot.optics import viewing
 from tests.estimator.test_ranger import B, K, calibration, spot
+from tests.support.drawn.exact_spots import exact_spots
 from tests.support.drawn.made_up import a_microscope
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -48,28 +47,11 @@ def file_of(camera, **changed):
     return a_microscope(**given | changed)
 
 
-@jax.jit
-def _seen(camera, c, azimuth, incidence, towards, d):
-    wall = optics.Ellipsoid(jnp.full(3, 12.0))
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=c,
-        azimuth=azimuth,
-        incidence=incidence,
-        incidence_azimuth=towards,
-        distance=d,
-        half_angle=jnp.arctan(1 / K),
-        apex_offset=B,
-    )
-    return optics.spot_ellipse(beam, wall, camera), beam.axis
-
-
 def seen(camera, c, d, *, incidence_deg=0.0, towards_deg=0.0):
-    ellipse, axis = _seen(
-        camera, c, 0.7, math.radians(incidence_deg), math.radians(towards_deg), float(d)
-    )
-    axes = float(ellipse.semi_major), float(ellipse.semi_minor)
-    return spot(*np.asarray(ellipse.centre), *axes, float(ellipse.angle)), np.asarray(axis)
+    place = (c, 0.7, math.radians(incidence_deg), math.radians(towards_deg), d)
+    ellipses, beams = exact_spots(optics.Ellipsoid(np.full(3, 12.0)), camera, [place])
+    (centre,), (major,), (minor,), (angle,) = ellipses
+    return spot(*centre, major, minor, angle), beams.axis[0]
 
 
 ALL_TILTS = [(0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0)]

@@ -13,7 +13,6 @@ from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.spots import read_spots
 from tests.support.command_line import run
 from tests.support.drawn.drawn_recording import write_video
-from tests.support.drawn.drawn_sets import write_set
 from tests.support.drawn.drawn_spots import spot_image
 
 ASCII = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONIOENCODING": "ascii"}
@@ -68,10 +67,3 @@ def test_a_terminal_without_greek_letters_ends_nothing(tmp_path, png):
     ended = eyespot("track", tmp_path, "--out", out, **ASCII)
     assert ended.returncode == 0, ended.stderr
     assert read_spots(out)[0].file_name == "é σ.png"
-
-
-def test_a_score_is_printed_where_there_is_no_sigma(tmp_path):
-    strange = write_set(tmp_path / os.fsdecode(b"\xe9t\xe9"))
-    ended = eyespot("score", strange, "--mode", "subpixel", "--out", tmp_path / "out", **ASCII)
-    assert ended.returncode == 0, ended.stderr
-    assert b"Wrote" in ended.stdout

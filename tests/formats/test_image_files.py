@@ -467,11 +467,11 @@ def test_a_tiff_damaged_in_its_first_page_is_refused(tmp_path, light, at):
 
 
 @pytest.mark.slow
-def test_a_thousand_tiffs_at_random_are_right_or_refused(tmp_path, light):
+def test_200_tiffs_at_random_are_right_or_refused(tmp_path, light):
     rng = np.random.default_rng(0)
     path = tmp_path / "a.tif"
     refused = 0
-    for number in range(1000):
+    for _ in range(200):
         bits = int(rng.choice([8, 10, 12, 14, 16]))
         most = 2**bits - 1
         values = samples(light, bits)
@@ -521,9 +521,8 @@ def test_a_thousand_tiffs_at_random_are_right_or_refused(tmp_path, light):
             refused += 1
             assert "mosaic" in str(error) or "whether it is alpha" in str(error), options
             continue
-        print(number, bits, options)
-        assert error_px(frame) < TOLERANCE_PX
-    assert refused < 400
+        assert error_px(frame) < TOLERANCE_PX, (bits, options)
+    assert refused < 80
 
 
 def test_a_decoder_that_is_not_installed_is_not_called_a_damaged_image(monkeypatch):

@@ -375,7 +375,7 @@ def test_the_samples_are_read(folder):
 
 @pytest.mark.parametrize("kind", [*TARGETS, *VALUES])
 @pytest.mark.parametrize(
-    "seeds", [range(12), pytest.param(range(1000, 1400), marks=[pytest.mark.slow])]
+    "seeds", [range(12), pytest.param(range(1000, 1030), marks=[pytest.mark.slow])]
 )
 def test_a_mutated_input_is_answered_with_one_message(folder, kind, seeds):
     found = {seed: fault_with(folder, kind, seed) for seed in seeds}
@@ -430,7 +430,7 @@ def test_a_command_ends_with_2_and_leaves_nothing(folder, kind):
     there, (file, form, _), found = removed_results(), TARGETS[kind], []
     usual_s = outcome(folder, COMMANDS[kind])[2]
     removed_results()
-    for seed in range(-(-500 // len(COMMANDS))):
+    for seed in range(3):
         rng = np.random.default_rng([seed, 7])
         with spoilt(folder / file, rng, form):
             code, words, spent_s = outcome(folder, COMMANDS[kind])

@@ -1,6 +1,7 @@
 """Who may import whom, what an import must not load, and what the packages' faces offer."""
 
 import ast
+import functools
 import subprocess
 import sys
 from collections import defaultdict
@@ -58,6 +59,11 @@ class Import(NamedTuple):
     names: tuple[str, ...] = ()
 
 
+def name_of(node):
+    """`c` of a name `c` and of an attribute `a.b.c`."""
+    return getattr(node, "attr", getattr(node, "id", ""))
+
+
 def imports_of(tree):
     """Every absolute import, `importlib.import_module("...")` among them.
 
@@ -66,7 +72,7 @@ def imports_of(tree):
 
     def visit(node, late):
         children = ast.iter_child_nodes(node)
-        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING"):
+        if isinstance(node, ast.If) and name_of(node.test) == "TYPE_CHECKING":
             children = iter(node.orelse)
         elif isinstance(node, ast.Import):
             yield from (Import(alias.name, node.lineno, late) for alias in node.names)
@@ -77,7 +83,7 @@ def imports_of(tree):
             else:
                 yield Import(node.module or "", node.lineno, late, names)
         elif isinstance(node, ast.Call) and node.args and isinstance(node.args[0], ast.Constant):
-            if ast.unparse(node.func).endswith(("import_module", "__import__")):
+            if name_of(node.func) in ("import_module", "__import__"):
                 yield Import(str(node.args[0].value), node.lineno, late)
         late = late or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
         for child in children:
@@ -94,8 +100,18 @@ def module_of(path):
 MODULES = {
     module_of(path): path for package in PACKAGES for path in sorted((HOME / package).rglob("*.py"))
 }
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
-IMPORTS = {name: imports_of(tree) for name, tree in TREES.items()}
+
+
+@functools.cache
+def trees():
+    return {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in MODULES.items()}
+
+
+@functools.cache
+def imports():
+    return {name: imports_of(tree) for name, tree in trees().items()}
+
+
 ROOMS = {module for module, path in MODULES.items() if path.name == "__init__.py"}
 
 
@@ -135,7 +151,7 @@ def homes_imported_by(module):
     """Modules of its own package that a module imports, late ones included."""
     homes = {
         home_of(found.module, name)
-        for found in IMPORTS[module]
+        for found in imports()[module]
         if top(found.module) == top(module)
         for name in found.names or ("",)
     }
@@ -195,8 +211,8 @@ def test_our_packages_have_one_name():
 def test_a_package_imports_only_what_the_table_allows():
     assert not [
         f"{module}:{found.line} imports {found.module}"
-        for module, imports in IMPORTS.items()
-        for found in imports
+        for module, found_in_it in imports().items()
+        for found in found_in_it
         if not allowed(top(module), top(found.module))
     ]
 
@@ -205,10 +221,10 @@ def test_optics_is_imported_late_and_only_where_a_spot_becomes_a_distance():
     found = {
         module: [
             one
-            for one in imports
+            for one in found_in_it
             if one.module.startswith(("eyespot.optics", "eyespot.estimator.pixels"))
         ]
-        for module, imports in IMPORTS.items()
+        for module, found_in_it in imports().items()
         # The mode pixels needs optics from its first line on, so it is imported late as a whole.
         if top(module) in ("formats", "estimator")
         and not module.startswith("eyespot.estimator.pixels")
@@ -221,8 +237,8 @@ def test_optics_is_imported_late_and_only_where_a_spot_becomes_a_distance():
 def test_scenes_take_progress_and_recordings_from_the_estimator_and_nothing_else():
     taken = {
         f"{found.module}.{name}"
-        for module, imports in IMPORTS.items()
-        for found in imports
+        for module, found_in_it in imports().items()
+        for found in found_in_it
         if top(module) == "scenes" and top(found.module) == "estimator"
         for name in found.names
     }
@@ -266,7 +282,7 @@ def test_every_import_is_declared_and_every_dependency_is_used():
 def test_a_class_name_has_one_meaning():
     """In all packages; a leading underscore makes no other name."""
     homes = defaultdict(list)
-    for module, tree in TREES.items():
+    for module, tree in trees().items():
         for node in ast.walk(tree):
             if isinstance(node, ast.ClassDef):
                 homes[node.name.lstrip("_")].append(module)
@@ -277,11 +293,11 @@ def test_what_a_user_can_correct_is_an_input_error():
     """`raise ValueError` would be reported as a bug: only an InputError is bad input."""
     raised = [
         f"{module}:{node.lineno}"
-        for module, tree in TREES.items()
+        for module, tree in trees().items()
         for node in ast.walk(tree)
         if isinstance(node, ast.Raise)
         and isinstance(node.exc, ast.Call)
-        and ast.unparse(node.exc.func) == "ValueError"
+        and name_of(node.exc.func) == "ValueError"
     ]
     assert raised == []
 

@@ -43,6 +43,7 @@ def stopped_often(*arguments: str) -> dict[str, tuple[int, int]]:
     return {name: (int(killed), int(full)) for name, killed, full in found}
 
 
+# Half a minute: some eighty processes are stopped, and each leaves its work to another one.
 def test_a_stopped_writer_leaves_what_the_same_command_finishes():
     found = stopped_often("--quick")
     assert list(found) == ["stack", "set", "run", "scene", "coco", "hdf5", "rosbag2"]

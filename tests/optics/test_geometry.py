@@ -234,7 +234,7 @@ GEOMETRIES = {
 }
 
 
-@pytest.mark.parametrize("examples", [60, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [60, pytest.param(2000, marks=pytest.mark.slow)])
 def test_exact_distance_inverts_the_exact_contour(examples):
     @given(**GEOMETRIES)
     @settings(max_examples=examples)

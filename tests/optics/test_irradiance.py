@@ -236,7 +236,7 @@ def light(vector):
 SLOPE = jax.jit(lambda vector, along: jax.jvp(light, (vector,), (along,))[1])
 
 
-@pytest.mark.slow  # half a minute to compile; test_image_fit.py has the slopes of what fits use
+@pytest.mark.slow  # half a minute to compile
 @pytest.mark.parametrize(
     ("core", "sag", "length", "medium"),
     [

@@ -20,7 +20,7 @@ def exact(height, *, d, c):
     return exact_semi_minor(optics.Sphere(R_EYE), eye, distance=d, eccentricity=c, **CONE)
 
 
-# Without jit, JAX compiles the loop in `ellipse_of_contour` again at every call.
+# One program each, instead of one for each operation.
 exact_semi_minor = jax.jit(optics.exact_semi_minor)
 
 

@@ -2,7 +2,7 @@
 
 import inspect
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import jax
@@ -66,12 +66,18 @@ def seen(x):
     return optics.spot_contour(beam(x), WALL, camera())
 
 
+@cache
+def clean():
+    """The contour of `BEAM`, a constant in what is traced."""
+    with jax.ensure_compile_time_eval():
+        return np.asarray(seen(AT_BEAM))
+
+
 def lens(x):
     return optics.glue_lens(**dict(zip(LENS, x, strict=True)))
 
 
 AT_BEAM, AT_LENS = list(BEAM.values()), list(LENS.values())
-CLEAN = seen(AT_BEAM)
 MEASURED = optics.Ellipse(jnp.array([3.0, 4.0]), jnp.array(60.0), jnp.array(50.0), jnp.array(0.3))
 
 FORMS = [of(partial(optics.closed_form_distance, model)) for model in optics.CLOSED_FORMS]
@@ -93,7 +99,8 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
     ),
     "microscope": of(
-        partial(optics.microscope, eye_radius=R_EYE), {"scale": SCALE, "pinhole_height": 90.0}
+        partial(optics.microscope, eye_radius=R_EYE),
+        {"scale": SCALE, "pinhole_height": 90.0},
     ),
     "refract": (
         lambda x: optics.refract(
@@ -165,7 +172,7 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
     ),
     "distance_by_area": (
         lambda x: optics.distance_by_area(
-            optics.ellipse_of_contour(x[0] * CLEAN),
+            optics.ellipse_of_contour(x[0] * clean()),
             WALL,
             camera(),
             axis=optics.beam_at_spot(WALL, **BEAM).axis,
@@ -179,13 +186,13 @@ SLOW: dict[str, tuple[Callable, list[float]]] = {
     ),
     "pose_from_contour": (
         lambda x: optics.pose_from_contour(
-            CLEAN * x[0], WALL, camera(), sigma_px=0.05, **POSE_CONE
+            clean() * x[0], WALL, camera(), sigma_px=0.05, **POSE_CONE
         ).best[:3],
         [1.0],
     ),
     "pose_from_ellipse": (
         lambda x: optics.pose_from_ellipse(
-            optics.ellipse_of_contour(CLEAN * x[0]),
+            optics.ellipse_of_contour(clean() * x[0]),
             WALL,
             camera(),
             covariance=jnp.diag(jnp.array([1e-4, 1e-4, 1e-4, 1e-4, 1e-5])),

@@ -1,7 +1,5 @@
 """Many random eyes calibrated as at the table, and distances read with each calibration.
 
-    python -m tests.support.coverage.eye_fits 200
-
 Withdrawals at three eccentricities through an unknown eye and a viewing lens, by a robot whose axis
 errs by half a degree and whose touches err by 0.05 mm; then spots elsewhere in the same eye. The
 spots come from rays traced through the surfaces of each eye onto its own ellipsoidal retina. The
@@ -9,10 +7,8 @@ fit knows none of these.
 """
 
 import math
-import sys
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -33,6 +29,7 @@ from eyespot.formats.calibration import Calibration
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot
 from eyespot.optics.viewing.projection import PathCamera
+from tests.support.drawn.exact_spots import Place, exact_spots
 from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot
 
 HALF_ANGLE, B = math.atan(1 / 20), -5.117
@@ -51,29 +48,14 @@ MICROSCOPE = a_microscope(
 """What the table knows of the microscope: a pinhole far above, and a scale that is 3 % off."""
 
 
-@eqx.filter_jit
-def _seen(camera, semi_axes, places):
-    """Ellipses and axes of beams at (c, azimuth, incidence, its azimuth, d)."""
-    retina = optics.Ellipsoid(semi_axes)
-
-    def one(place):
-        c, azimuth, incidence, towards, d = place
-        beam = optics.beam_at_spot(
-            retina,
-            eccentricity=c,
-            azimuth=azimuth,
-            incidence=incidence,
-            incidence_azimuth=towards,
-            distance=d,
-            half_angle=HALF_ANGLE,
-            apex_offset=B,
-        )
-        ellipse = optics.spot_ellipse(beam, retina, camera, points=48)
-        return jnp.array(
-            [*ellipse.centre, ellipse.semi_major, ellipse.semi_minor, ellipse.angle]
-        ), beam.axis
-
-    return jax.lax.map(one, places)
+def seen(
+    camera: PathCamera, semi_axes: Array, places: list[Place]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ellipses, n x 5, and axes of beams at (c, azimuth, incidence, its azimuth, d)."""
+    ellipses, beams = exact_spots(
+        optics.Ellipsoid(semi_axes), camera, places, half_angle=HALF_ANGLE, b=B
+    )
+    return np.column_stack(ellipses), beams.axis
 
 
 RIG = Rig().changed({"robot.scale_sigma": 0.0, "robot.clock_sigma_s": 0.0})
@@ -176,7 +158,7 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
             READ_C_MM, *(2 * np.pi * noise.random((2, 3))), *noise.random((2, 3)), strict=True
         )
     ]
-    ellipses, axes = map(np.asarray, _seen(camera, semi_axes, jnp.array(withdrawn + read)))
+    ellipses, axes = seen(camera, semi_axes, withdrawn + read)
 
     def trials(errors: float) -> list[RecordedTrial]:
         return [
@@ -202,14 +184,13 @@ def _calibrated(camera: PathCamera, semi_axes: Array, noise: np.random.Generator
         "errors_mm": np.array([r.distance_mm for r in ranges]) - [row[-1] for row in read],
         "sigmas_mm": np.array([r.sigma_mm for r in ranges]),
         "kappa_pull": (fit.values[kappa] - best.values[kappa]) / own.sigma(kappa),
-        "good": (fit.chi_squared or math.nan) / fit.degrees_of_freedom,
     }
 
 
-def measured(ellipse: np.ndarray, noise: np.random.Generator, *, errors: float = 1.0) -> Spot:
-    """A spot; `errors` 0 leaves out the noise."""
+def measured(ellipse: np.ndarray, noise: np.random.Generator) -> Spot:
+    """A spot with noise."""
     matrix = covariance(ellipse)
-    shift = errors * np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
+    shift = np.sqrt(np.diag(matrix)) * noise.standard_normal(5)
     return a_spot(*(ellipse + shift).tolist(), covariance=matrix)
 
 
@@ -218,25 +199,3 @@ def pulls(found: pd.DataFrame) -> pd.DataFrame:
     names = [f"d at c = {c:g} mm" for c in READ_C_MM]
     table = pd.DataFrame([*(found.errors_mm / found.sigmas_mm)], columns=names)
     return table.assign(kappa=found.kappa_pull)
-
-
-def main() -> None:
-    """Print coverage and errors for each viewing path."""
-    count = int(sys.argv[1])
-    for path in ("flat, phakic", "flat, aphakic"):
-        found = calibrated_eyes(count, path=path)
-        print(
-            f"{path}: {count} eyes, chi squared/n {found.good.median():.2f}, at most "
-            f"{found.good.max():.2f}"
-        )
-        for name, pull in pulls(found).items():
-            inside = [100 * np.mean(np.abs(pull) < z) for z in (1.0, 1.959964)]
-            print(f"  {name}: {inside[0]:.1f} % within sigma, {inside[1]:.1f} % within 1.96 sigma")
-        errors, sigmas = np.abs([*found.errors_mm]), [*found.sigmas_mm]
-        for c, column, sigma in zip(READ_C_MM, errors.T, np.median(sigmas, axis=0), strict=True):
-            half, most = np.quantile(column, [0.5, 0.95])
-            print(f"  c = {c:g} mm: |error| {half:.3f} (95 %: {most:.3f}) mm, sigma {sigma:.3f} mm")
-
-
-if __name__ == "__main__":
-    main()

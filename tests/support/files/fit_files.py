@@ -1,7 +1,6 @@
-"""Files to fit to; and fits by the hundred, a line of JSON each, so that a killed run goes on."""
+"""Files to fit to; what fits find against the truth."""
 
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import pandas as pd
 
 from eyespot.calibration.pixels.fit import ImageFit
 from eyespot.formats.calibration import Calibration
-from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
 from eyespot.formats.stack import KINEMATICS
 
@@ -25,25 +23,6 @@ def a_recording(file: Path, spots: Iterable[Spot], times_s: Iterable[float], pos
     beside = file.with_name(f"{file.stem}-poses.csv")
     np.savetxt(beside, poses, delimiter=",", header=",".join(KINEMATICS), comments="")
     return str(beside)
-
-
-def collected(file: Path, fits: Mapping[str, Callable[[], dict[str, Any]]]) -> pd.DataFrame:
-    """Results by name: those in the file, and those that it lacked, which it then has too."""
-    for name, fit in fits.items():
-        if name in _in(file):
-            continue
-        try:
-            row = fit()
-        except InputError as error:  # a scene that is impossible, or a fit that cannot begin
-            row = {"good": False, "said": str(error)}
-        with file.open("a") as appended:
-            appended.write(json.dumps({"name": name, **row}) + "\n")
-    return pd.DataFrame.from_dict(_in(file), orient="index")
-
-
-def _in(file: Path) -> dict[str, dict[str, Any]]:
-    lines = file.read_text().splitlines() if file.exists() else []
-    return {row.pop("name"): row for row in map(json.loads, lines)}
 
 
 def assert_within(found: ImageFit | Calibration, truth: Mapping[str, float], sigmas: float) -> None:
@@ -61,17 +40,3 @@ def pulls(rows: pd.DataFrame, name: str) -> np.ndarray:
     pairs = [np.array(pair, float).reshape(-1, 2) for pair in rows[name].dropna()]
     error, sigma = np.concatenate([*pairs, np.zeros((0, 2))]).T
     return np.abs(error / sigma)[np.isfinite(error / sigma)]
-
-
-def summary(rows: pd.DataFrame, names: Iterable[str]) -> str:
-    """What was accepted, shares of errors within 1, 1.96, 3 and 4 sigma, and what was refused."""
-    good = rows[rows.good.astype(bool)]
-    lines = [f"{len(good)} of {len(rows)} accepted; median {rows.seconds.median():.0f} s a fit."]
-    for title, own in (("accepted", good), ("all", rows)):
-        for name in (name for name in names if name in own):
-            z = pulls(own, name)
-            within = ", ".join(f"{np.mean(z < n):.1%} within {n:g}" for n in (1, 1.96, 3, 4))
-            lines.append(f"{name}, {title}: {z.size} errors, {within} sigma; largest {z.max():.1f}")
-    refused = rows[~rows.good.astype(bool)]
-    said = (f"refused {name}: {' '.join(str(said).split())}" for name, said in refused.said.items())
-    return "\n".join([*lines, *said])
