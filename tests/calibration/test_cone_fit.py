@@ -11,6 +11,7 @@ from eyespot.calibration.spots.cone_fit import HALVES
 from tests.support.drawn.exact_spots import exact_spots
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
+# A fit of other numbers of trials is a program of its own, which JAX traces for 5 to 20 s.
 
 TRUE = {
     "half_angle": float(np.arctan(1 / 20)),

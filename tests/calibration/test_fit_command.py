@@ -28,7 +28,8 @@ from tests.support.drawn.made_up import a_microscope_file, a_spot
 from tests.support.drawn.scene_tables import scene_of
 from tests.support.files.fit_files import a_recording, assert_within
 
-pytestmark = pytest.mark.usefixtures("fast_compilation")  # as test_cone_fit: they share programs
+# As test_cone_fit, with which it shares programs; the first fit of a kind takes 8 s to trace.
+pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067

@@ -1,6 +1,7 @@
 """The mode pixels on rendered frames: its poses are within their stated errors, or there is none.
 
-One file has all of them, because a process compiles the renderer and the light once.
+One file has all of them, because a process compiles the renderer and the light once; the first
+test of each kind of wall and beam takes more than 5 s by it.
 """
 
 import dataclasses

@@ -96,7 +96,7 @@ MISSPELT = {
 }
 
 
-def test_what_is_misspelt_is_named_before_anything_is_loaded():
+def test_what_is_misspelt_is_named_before_anything_is_loaded():  # 7 s: it starts from nothing
     for words, text in said_by_each([*MISSPELT]).items():
         *lines, ended = text.splitlines()
         assert ended == "ended 2 False", text
@@ -200,7 +200,7 @@ def test_ctrl_c_ends_with_the_exit_code_of_an_interrupt(monkeypatch):
     assert run("version").exit_code == 130  # 128 + SIGINT
 
 
-def test_doctor_finds_the_main_variant_working():
+def test_doctor_finds_the_main_variant_working():  # 6 s: it imports and renders in a process
     outcome = run_process("doctor")
     assert outcome.exit_code == 0, outcome.stdout
     line = next(line for line in outcome.stdout.splitlines() if "llvm_ad_rgb" in line)

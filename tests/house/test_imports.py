@@ -208,7 +208,7 @@ def test_our_packages_have_one_name():
     assert said.returncode == 1, said.stdout + said.stderr
 
 
-def test_a_package_imports_only_what_the_table_allows():
+def test_a_package_imports_only_what_the_table_allows():  # 5 s: 280 files are parsed, once
     assert not [
         f"{module}:{found.line} imports {found.module}"
         for module, found_in_it in imports().items()
