@@ -306,7 +306,8 @@ def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Repor
             page.Table(
                 where(spreads, trial=paper.ALL_PLANES),
                 _SPREAD,
-                "All planes of Table I with all causes: mean and standard deviation over runs.",
+                "All planes of Table I with all causes: mean and standard deviation over runs; "
+                "delta_k in mm/px, b and rmse in mm.",
                 data="static_spread.csv",
             ),
         ],
@@ -317,8 +318,8 @@ def _report(runs: int, tables: pd.DataFrame, causes: pd.DataFrame) -> page.Repor
                 page.Table(
                     spreads[spreads.trial.isin([*paper.TABLE_II])],
                     ["trial", *_SPREAD],
-                    "Table II with all causes: the small-plane model with each run's own δk and b. "
-                    "The paper's c is the one that it fitted, and the true one here.",
+                    "Table II with all causes, mm: the small-plane model with each run's own δk "
+                    "and b. The paper's c is the one that it fitted, and the true one here.",
                     data="static_spread.csv",
                 ),
                 "The sizes of the causes are assumptions. A small cause adds an error in "
