@@ -135,9 +135,9 @@ def test_a_core_narrower_than_the_cap_sends_light_where_brute_force_says(
 
 
 @pytest.mark.slow
-def test_no_light_of_a_hundred_lenses_is_lost():
+def test_no_light_of_thirty_lenses_is_lost():
     lost, profile = [], []
-    for seed in range(1000, 1100):
+    for seed in range(1000, 1030):
         lens, medium = random_lens(np.random.default_rng(seed)), (AIR, VITREOUS)[seed % 2]
         light = LensField(lens, medium)
         power = float(transmitted_power(lens, medium_index=medium))
