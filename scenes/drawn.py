@@ -8,12 +8,10 @@ import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import ndtr
 
-from eyespot.formats.kept_arrays import kept_arrays
 from eyespot.formats.spots import Spot
 from eyespot.scenes.walls.fundus import fundus
 
@@ -152,14 +150,7 @@ def any_truth(rng: np.random.Generator, semi_minor: float, axis_ratio: float = 1
 
 @functools.lru_cache(maxsize=4)
 def _retina(seed: int) -> np.ndarray:
-    """One of four that are kept, as it takes seconds to draw one."""
-
-    def drawn() -> dict[str, np.ndarray]:
-        size_mm = _RETINA_PX * _SCALE_MM_PX
-        return {"wall": fundus(seed=seed, extent_mm=size_mm, pixels=_RETINA_PX)}
-
-    inputs, code = (seed, _SCALE_MM_PX, _RETINA_PX), [Path(fundus.__code__.co_filename)]
-    return kept_arrays("retina", ["wall"], drawn, inputs=inputs, code=code)["wall"]
+    return fundus(seed=seed, extent_mm=_RETINA_PX * _SCALE_MM_PX, pixels=_RETINA_PX)
 
 
 def any_wall(rng: np.random.Generator, shape: tuple[int, int] = SHAPE) -> np.ndarray:
