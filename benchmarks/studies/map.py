@@ -280,6 +280,7 @@ def _claims(errors: pd.DataFrame, mirrored: pd.DataFrame) -> Iterator[page.Claim
 VARIED = (
     *("spot.eccentricity_mm", "spot.azimuth_deg", "spot.incidence_azimuth_deg", "motion"),
     *("exposures", "camera", "source.power_mw", "phantom.coat", "phantom.texture_seed"),
+    "rig_errors",
     *("instrument.gauge", "instrument.visible", "instrument.fibre_length_mm"),
     *("microscope.width_px", "microscope.height_px", "microscope.samples"),
     *("microscope.window_offset_px", "microscope.illumination_mw_mm2", "microscope.vignetting"),
