@@ -351,7 +351,11 @@ def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
         fit = fit_edge(patch, whole, ellipse, *levels)
     if fit and fit.levels.width <= Refine.BROAD:
         lit, half, width = fit.seen & ~fit.shaded, fit.levels.half, fit.levels.width
-        if hollow_share(patch, fit.ellipse, lit, half, width) > Hollow.SHARE:
+        # The first ellipse may have been a piece's, and its patch too small for the whole.
+        reach = np.abs(fit.ellipse.centre - ellipse.centre) + fit.ellipse.half_extent()
+        beyond = bool((reach > Capture.REACH * np.array(ellipse.half_extent())).any())
+        around = patch_round(region, fit.ellipse) if beyond else patch
+        if hollow_share(around, fit.ellipse, lit, half, width) > Hollow.SHARE:
             return NoSpot(Reason.NONE_FOUND)  # as letters are
     return fit
 

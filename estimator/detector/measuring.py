@@ -331,14 +331,20 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
         return NoSpot(Reason.NONE_FOUND)
     contour = Patch(light.astype(np.float32), window.x0, window.y0)
     half = spot.background + spot.amplitude / 2
-    along = np.nan_to_num(contour.unwrapped(spot.ellipse, np.ones(1))[:, 0], nan=half) - half
+    radii = np.array([Small.MIDDLE, 1.0])
+    inner, along = np.nan_to_num(contour.unwrapped(spot.ellipse, radii) - half).T
     corners = max(ring_variance(along, slice(k, k + 1)) for k in range(3, Verdict.CORNERS.stop))
     cornered = 2 / RAYS * corners > (Small.CORNERED * spot.amplitude) ** 2
-    if cornered or spot.ellipse.axes()[1] > Small.OPENING_PX / 2:
+    hollow = inner.mean() < 0 and not clipped.any()  # clipped light has lost its middle
+    if cornered or hollow or spot.ellipse.axes()[1] > Small.OPENING_PX / 2:
         return NoSpot(Reason.NONE_FOUND)
     area = math.pi * abs(np.linalg.det(spot.ellipse.shape))
     hidden = np.count_nonzero(left_out) > Saturated.MOST_HIDDEN * area
-    return NoSpot(Reason.SATURATED) if hidden else spot
+    # A flat top at the limit is clipped as a whole, though noise or JPEG leave some pixels below.
+    ceiling = region.settings.response.ceiling(region.channel, region.clips, region.full_scale)
+    top = spot.background + spot.amplitude
+    flat = spot.edge_width < Refine.BROAD and top > ceiling - Small.AT_LIMIT * spot.noise
+    return NoSpot(Reason.SATURATED) if hidden or (clipped.any() and flat) else spot
 
 
 class MeasuredRegion(NamedTuple):

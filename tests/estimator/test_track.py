@@ -112,6 +112,21 @@ def test_a_ring_that_the_frame_cuts_is_no_spot_with_a_shaft_over_it():
     assert isinstance(spot, Spot)
 
 
+@pytest.mark.parametrize("hole", [0.3, 0.45])
+def test_a_small_ring_is_no_spot(hole):
+    rng = np.random.default_rng(7)
+    whole = replace(_TRUTH, semi_major=12.0, semi_minor=11.0)
+    inside = replace(whole, semi_major=12.0 * hole, semi_minor=11.0 * hole)
+    disc, inner = (
+        frame_of(replace(_SCENE, truth=truth, amplitude=100), rng) for truth in (whole, inside)
+    )
+    (spot,) = track([disc], SubpixelSettings())
+    assert isinstance(spot, Spot)
+    ring = np.clip(disc.astype(int) - inner + 10, 0, 255).astype(np.uint8)
+    (result,) = track([ring], SubpixelSettings())
+    assert isinstance(result, NoSpot)
+
+
 def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one():
     left, right = replace(_TRUTH, x=200), replace(_TRUTH, x=430)
     rng = np.random.default_rng(6)
