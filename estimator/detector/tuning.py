@@ -297,7 +297,9 @@ class FieldStop:
     # Unevenness of that light over the disc's. A spot's wall goes on round it: 0.48 and more on
     # rendered walls. Fields have 0.43 and less.
     PLAIN = 0.45
-    UNEVEN = 0.03  # standard deviation of the light along its rim, of the mean (0.03 to 0.25)
+    # Standard deviation of the light along its rim, of the mean (0.03 to 0.25; from 0.013 on where
+    # a part of a photograph is shown enlarged). Discs on an even wall have less.
+    UNEVEN = 0.012
 
 
 class Faint:
