@@ -123,7 +123,8 @@ def cut_outs(shown: Sequence[CutOut]) -> Figure:
     for n, one in enumerate(shown):
         left, top = (round(place) - one.half for place in one.true[:2])
         side = 2 * one.half
-        image = in_8_bits(one.image.reshape(*one.image.shape[:2], -1))
+        bits = max(int(one.image.max()).bit_length(), 8)
+        image = in_8_bits(one.image.reshape(*one.image.shape[:2], -1), bits)
         padded = np.pad(image, ((side, side), (side, side), (0, 0)))
         part = padded[top + side :, left + side :][:side, :side]
         axes.imshow(part, extent=(n, n + 1, 1, 0), cmap="gray")
@@ -140,9 +141,8 @@ def cut_outs(shown: Sequence[CutOut]) -> Figure:
     return figure
 
 
-def in_8_bits(image: np.ndarray) -> np.ndarray:
-    """The image without the lowest bits that 8 bits have no room for."""
-    bits = 8 if image.dtype == np.uint8 else max(int(image.max()).bit_length(), 8)
+def in_8_bits(image: np.ndarray, bits: int) -> np.ndarray:
+    """An image of 8 or more bits without the lowest ones, for which 8 bits have no room."""
     return (image >> (bits - 8)).astype(np.uint8)
 
 

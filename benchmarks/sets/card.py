@@ -93,7 +93,8 @@ def samples(rows: Sequence[Row], path: Path) -> None:
 def _draw(axes: Axes, row: Row) -> None:
     """One image with its ellipse."""
     of = row.labels
-    axes.imshow(page.in_8_bits(row.stack.image(of)), cmap="gray", vmin=0, vmax=255)
+    bits = row.stack.described("scene.camera.bit_depth", int)
+    axes.imshow(page.in_8_bits(row.stack.image(of), bits), cmap="gray", vmin=0, vmax=255)
     size = 2 * of.half_max_semi_major_px, 2 * of.half_max_semi_minor_px
     style: dict[str, Any] = {"fill": False, "color": page.ORANGE, "lw": 0.8, "ls": (0, (3, 2))}
     turned = math.degrees(of.half_max_angle_rad)

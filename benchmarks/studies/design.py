@@ -50,7 +50,7 @@ LIMITS = {
 """What is sought, and how far, mm: sag of the cap; height of its rim over the core's face (both
 together are the glue's length); radius of the fibre's core; numerical aperture of its light."""
 RANGE_MM = 0.5, 6.0
-SMALLEST_PX = 18.0  # least radius of a spot: the reader refuses semi-minor axes below 15 px
+SMALLEST_PX = 18.0  # least radius of a spot; smaller ones have lower bounds, but no lower errors
 PRICE = 20.0  # of a spot without any size, which is more than what smaller spots gain
 Goal = Literal["worst", "mean"]
 POWERS = {"worst": 16.0, "mean": 1.0}  # of the power mean over the distances

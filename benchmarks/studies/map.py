@@ -289,7 +289,12 @@ VARIED = (
 """Keys of the scene that have no part in the study."""
 
 
-@command(defaults=("source.kind=cone",), varies=VARIED, in_workspace=True)
+@command(
+    defaults=("source.kind=cone",),
+    varies=VARIED,
+    in_workspace=True,
+    check_options=lambda calibration, **others: calibration and read_calibration(calibration),
+)
 def map(
     study: Study, *, calibration: Path | None = None, tolerance: PositiveFloat = 0.1
 ) -> dict[str, pd.DataFrame]:

@@ -414,6 +414,29 @@ def test_expected_eccentricity_is_that_of_half_of_one_plus_cos_phi(usual):
     assert number(expected[0], 3) == "3.975"
 
 
+def test_a_model_beyond_the_limit_fails_with_its_pinhole_only(usual):
+    findings = paper_like_run()
+    wrong = findings.rendered.copy()
+    wrong.loc[(wrong.model == "stereographic") & (wrong.z_f_mm == 200.0), "error_mm"] = -0.7
+    name = "stereographic on rendered spots, z_F = {} mm"
+    for height in ("11.5", "200"):
+        assert find(usual, name.format(height)).holds
+    changed = claims_of(replace(findings, rendered=wrong))
+    assert find(changed, name.format("11.5")).holds
+    found = find(changed, name.format("200"))
+    assert (found.holds, found.value) == (False, 0.7)
+    for model in ("corrected", "exact"):
+        assert find(changed, f"{model} on rendered spots, z_F = 200 mm").holds
+
+
+def test_fitted_eccentricity_claim_follows_the_fits():
+    findings = paper_like_run()
+    change(findings.spheres, "sphere 1", c_fitted_mm=6.0)
+    found = find(claims_of(findings), "a fitted c is smaller than the true c")
+    assert found.holds is False
+    assert found.text.startswith("11 of 12 fits give a smaller c than the true one")
+
+
 @pytest.mark.parametrize(
     ("value", "low", "high", "holds"),
     [

@@ -74,7 +74,8 @@ def test_the_chain_with_every_link_real_is_the_exact_geometry_and_so_is_its_inve
         "incidence_azimuth": rng.uniform(0.0, 6.28, n),
     }
     columns["apex_offset"] = -0.256 / np.tan(columns["half_angle"])
-    eye = Geometry(**{name: jnp.asarray(values) for name, values in columns.items()})  # type: ignore[arg-type]
+    arrays: dict[str, Any] = {name: jnp.asarray(values) for name, values in columns.items()}
+    eye = Geometry(**arrays)
     c, d = (jnp.asarray(rng.uniform(*ends, n)) for ends in ((0.0, 8.0), (0.5, 6.0)))
 
     @jax.jit
