@@ -2,7 +2,6 @@
 
 import functools
 import importlib.metadata
-import inspect
 import json
 import math
 import os
@@ -16,12 +15,10 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from operator import attrgetter
 from pathlib import Path
-from typing import Annotated, Any, Literal, ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import matplotlib
 import pandas as pd
-from cyclopts import Parameter
-from cyclopts.types import NonNegativeInt
 
 from eyespot import scenes
 from eyespot.benchmarks.model_error import Geometry
@@ -47,35 +44,9 @@ from eyespot.formats.whole_files import (
     write_text,
 )
 from eyespot.scenes import Scene, SceneError
-from eyespot.scenes.commands import Changes as Changes
 from eyespot.scenes.description.settings import OutsideWindow
 from eyespot.scenes.world.true_calibration import true_calibration
 from eyespot.scenes.world.world import World
-
-OutputFolder = Annotated[
-    Path,
-    Parameter(
-        alias="-o", help="Output folder; created if missing. A stopped run is continued there."
-    ),
-]
-StartingScene = Annotated[
-    Path | None,
-    Parameter(help="Scene file (TOML) to start from (default: the study's own scene)."),
-]
-RigFile = Annotated[
-    Path | None,
-    Parameter(
-        "--rig",
-        help="Rig file (TOML): its microscope, eye, beam, camera and tilt replace the scene's.",
-    ),
-]
-Quick = Annotated[bool, Parameter(help="Run a smaller study, for a first look.")]
-Seed = Annotated[NonNegativeInt | None, Parameter(help="Random seed (default: the scene file's).")]
-LightSource = Annotated[
-    Literal["both", "lens", "cone"],
-    Parameter(help="The fibre with its glue lens, the ideal sharp cone, or both."),
-]
-
 
 _RUN_SCHEMA = 1
 _SUMMARY_SCHEMA = 2
@@ -259,58 +230,6 @@ class Study:
             write_page(folder, made, command=self.command, versions=used, **run)
         self._let_go()
         say(f"Wrote {self.folder / 'report.html'}. Open it in a browser.", result=True)
-
-
-def command(
-    *,
-    defaults: Sequence[str] = (),
-    check: Callable[[Scene], None] = lambda scene: None,
-    varies: Sequence[str] = (),
-    in_workspace: bool = False,
-    with_scene: bool = True,
-    check_options: Callable[..., object] = lambda **given: None,
-) -> Callable[[Callable[..., T]], Callable[..., T]]:
-    """Make a function of a study its command, which takes what every study takes and opens it.
-
-    The function's own parameters follow those of every study, and are its options. The arguments
-    are as of `Study`; a study may have no scene that could be given or changed, and `check_options`
-    raises if its options are wrong.
-    """
-
-    def made(function: Callable[..., T]) -> Callable[..., T]:
-        own = [*inspect.signature(function).parameters.values()][1:]
-        name = function.__name__.replace("_", "-")
-
-        def run(
-            scene: StartingScene = None,
-            /,
-            *,
-            rig: RigFile = None,
-            out: OutputFolder,
-            changes: Changes = (),
-            quick: Quick = False,
-            seed: Seed = None,
-            **given: Any,
-        ) -> T:
-            given = {option.name: option.default for option in own} | given
-            check_options(**given)  # before a folder is made
-            about: dict[str, Any] = {
-                "options": {key.replace("_", "-"): value for key, value in given.items()},
-                "rig": rig,
-                "varies": varies,
-                "in_workspace": in_workspace,
-            }
-            study = Study(name, out, scene, changes, quick, seed, defaults, check, **about)
-            return function(study, **given)
-
-        shared = [*inspect.signature(run).parameters.values()][:-1]
-        if not with_scene:
-            shared = [one for one in shared if one.name in ("out", "quick", "seed")]
-        functools.update_wrapper(run, function)
-        run.__signature__ = inspect.Signature([*shared, *own])  # type: ignore[attr-defined]
-        return run
-
-    return made
 
 
 def geometry_of(scene: Scene) -> Geometry:

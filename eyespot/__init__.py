@@ -12,6 +12,7 @@ Each function is also a command (`eyespot render`, …). From Python nothing is 
 command_line  The command `eyespot`: finds the command that was called
 functions     render, track, fit, score, dataset
 results       What they return
+signatures    Every command without what it imports, for help and the check of options
 studies       The studies, each a function
 """
 

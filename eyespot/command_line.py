@@ -1,25 +1,17 @@
 """The command `eyespot`: finds the command that was called.
 
 Every command is a function beside the code that it calls; its signature and its docstring are what
-the command line shows. JAX and Mitsuba take seconds to load, so a command's module is imported only
-when that command runs. How a command ends is decided in `estimator.run.exit_codes`.
+the command line shows. A command's module is imported only when that command runs (see
+`signatures`). How a command ends is decided in `estimator.run.exit_codes`.
 """
 
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
-from importlib.machinery import ModuleSpec
-from types import ModuleType
 from typing import Any
 
 from cyclopts import App, Group, Parameter
-
-HEAVY = (
-    *("cv2", "dask", "distributed", "drjit", "equinox", "jax", "jaxtyping", "lineax"),
-    *("matplotlib", "mitsuba", "optimistix", "pandas", "plotly", "scipy", "skimage"),
-)
 
 COMMANDS = {
     "": {
@@ -144,8 +136,10 @@ groups = {"": app} | {
 app.register_install_completion_command(help="Complete words with Tab in bash, zsh and fish.")
 for _name, _group in groups.items():
     for _function, _about in COMMANDS[_name].items():
-        _own = {} if _name else _place(_function.rpartition(":")[2])
-        _group.command(f"eyespot.{_function}", help=_about, help_format="markdown", **_own)
+        _word = _function.rpartition(":")[2].replace("_", "-")
+        _own: dict[str, Any] = {"name": _word, "help": _about, "help_format": "markdown"}
+        _own |= {} if _name else _place(_word)
+        _group.command(f"eyespot.signatures:{_function.replace(':', '.')}", **_own)
     if _name:
         app.command(_group)
 
@@ -169,25 +163,6 @@ def show_docstring(command: App) -> None:
         command.help = None
 
 
-class _Unneeded:
-    """Stands for libraries that compute: a command's help is its signature and its docstring."""
-
-    def find_spec(self, name: str, *_: object) -> ModuleSpec | None:
-        if name.split(".")[0] not in HEAVY:
-            return None
-        # Its base class would be importlib.abc.Loader, whose import takes a quarter of --help.
-        return ModuleSpec(name, self, is_package=True)  # type: ignore[arg-type]
-
-    def create_module(self, spec: ModuleSpec) -> ModuleType:
-        from unittest.mock import MagicMock
-
-        module: ModuleType = MagicMock(name=spec.name)
-        return module
-
-    def exec_module(self, module: ModuleType) -> None:
-        pass
-
-
 def _check_command(words: list[str]) -> None:
     """Refuse a command that does not exist: to propose one, cyclopts would load every command."""
     group = groups.get(words[0], app) if words else app
@@ -205,46 +180,12 @@ def _check_command(words: list[str]) -> None:
         raise InputError(f"unknown command {name!r}.{meant} {asked} --help lists all.")
 
 
-_SLOW = {
-    group or function.rpartition(":")[2]
-    for group, functions in COMMANDS.items()
-    for function in functions
-    if function.startswith("benchmarks.")
-}
-"""First words of the commands whose modules load what computes: seconds, in which a user waits."""
-
-
-def _check_options(words: list[str]) -> None:
-    """Refuse wrong options of a slow command: another process reads them, and loads no library."""
-    code = "from eyespot.command_line import read_options; read_options()"
-    reader = [sys.executable, "-P", "-c", code, *words]
-    done = subprocess.run(reader, stderr=subprocess.PIPE, text=True, check=False)
-    if done.returncode:
-        from eyespot.formats.inputs import InputError
-
-        raise InputError(done.stderr.strip().removeprefix("eyespot: "))
-
-
-def read_options() -> None:
-    """Read the command line, but run nothing."""
-    from eyespot.estimator.run.exit_codes import run_command
-
-    sys.meta_path.insert(0, _Unneeded())
-    run_command(lambda: app.parse_args(sys.argv[1:]))
-
-
 def run() -> None:
     """Run the command that the command line names."""
     words = sys.argv[1:]
     if words[:1] == ["dataset"] and words[1:] and words[1] not in groups["dataset"]:
         words.insert(1, "make")  # `dataset SPEC`
     _check_command(words)
-    loaded = {*HEAVY} & sys.modules.keys()
-    if {"-h", "--help"} & {*words}:
-        if not loaded:
-            sys.meta_path.insert(0, _Unneeded())
-    elif not loaded and words and words[0] in _SLOW:
-        _check_options(words)
     for command in app.parse_commands(words)[1]:
         show_docstring(command)
     app(words)

@@ -29,7 +29,8 @@ from eyespot import optics, scenes
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import withdrawal
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.estimator import Frame, Reader
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import Stack

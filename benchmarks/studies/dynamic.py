@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import product
 from typing import Annotated, Any, NamedTuple
 
@@ -19,7 +18,8 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, number, rows_of, where
 from eyespot.benchmarks.statistics import first_reached, largest, rms
-from eyespot.benchmarks.study import LightSource, Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import LightSource, command
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger, Reading, open_source
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
@@ -494,13 +494,14 @@ def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame) -> Iterator[page.Claim
 
 _JITTER = ("clocks.kinematics_jitter_s=0.001",)
 """A robot's stamps jitter; without, they would fall on the frames' own moments."""
-check = partial(
-    Study.demand,
-    needed={"phantom.kind": "eyeball"},
-    why="the study's models are those of the eyeball",
-)
 VARIED = ("source.kind", "motion")
 """Keys of the scene that the study sets itself."""
+
+
+def check(scene: Scene) -> None:
+    """Refuse a scene without an eyeball."""
+    why = "the study's models are those of the eyeball"
+    Study.demand(scene, {"phantom.kind": "eyeball"}, why)
 
 
 @command(defaults=_JITTER, check=check, varies=VARIED)

@@ -16,7 +16,8 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.studies import error_causes
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
-from eyespot.benchmarks.study import Study, command, geometry_of
+from eyespot.benchmarks.study import Study, geometry_of
+from eyespot.benchmarks.study_command import command
 from eyespot.calibration import fit_eccentricity
 from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.scenes import Scene

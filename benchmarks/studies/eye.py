@@ -22,7 +22,8 @@ from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
 from eyespot.benchmarks.statistics import coalitions, first_reached, shapley_values
 from eyespot.benchmarks.studies import eye_paths
 from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
 from eyespot.optics.viewing.projection import local_magnification

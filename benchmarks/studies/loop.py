@@ -22,7 +22,8 @@ from scipy.linalg import expm
 from eyespot import scenes
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.estimator import Frame
 from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.overlay import annotated, overlay_writer

@@ -24,7 +24,8 @@ from eyespot.benchmarks.model_error import ECCENTRICITY, Geometry
 from eyespot.benchmarks.reporting import number
 from eyespot.benchmarks.rig_uncertainty import NOISE_PX, UNTOLD, errors_at
 from eyespot.benchmarks.statistics import first_reached, rms
-from eyespot.benchmarks.study import Study, command, geometry_of
+from eyespot.benchmarks.study import Study, geometry_of
+from eyespot.benchmarks.study_command import command
 from eyespot.benchmarks.workspace import azimuths_deg, calibrated_cone
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.rig import Rig

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from enum import StrEnum
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,7 +17,8 @@ from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM, withdrawal
 from eyespot.benchmarks.reporting import number, rows_of, where
 from eyespot.benchmarks.statistics import largest, rms
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger
 from eyespot.formats.calibration import Calibration
@@ -368,11 +368,13 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
 
 # The command.
 
-check = partial(
-    Study.demand,
-    needed={"source.kind": "lens"},
-    why="the study compares one lens in two media, and the ideal cone beside it",
-)
+
+def check(scene: Scene) -> None:
+    """Refuse a scene without the lens."""
+    why = "the study compares one lens in two media, and the ideal cone beside it"
+    Study.demand(scene, {"source.kind": "lens"}, why)
+
+
 VARIED = (
     *("source.medium", "phantom.kind", "microscope.height_px", "motion.kind"),
     *("motion.start_mm", "motion.travel_mm", "motion.frames", "exposures.kinds"),

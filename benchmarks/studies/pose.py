@@ -19,7 +19,8 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball
 from eyespot.benchmarks.reporting import listed, number, where
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,

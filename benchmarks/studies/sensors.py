@@ -28,7 +28,8 @@ from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.statistics import largest
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.optics.viewing import (
     ThinLens,
     bare_path,

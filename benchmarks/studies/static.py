@@ -18,7 +18,8 @@ from eyespot import scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import number, rows_of, where
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.calibration import Lines, fit_eccentricity, fit_lines
 from eyespot.scenes import Scene, SceneError
 

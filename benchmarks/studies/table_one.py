@@ -21,7 +21,8 @@ from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import MEASURED, READING
 from eyespot.benchmarks.reporting import listed, rows_of, where
-from eyespot.benchmarks.study import Study, command
+from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study_command import command
 from eyespot.calibration import Lines, fit_lines
 from eyespot.estimator import LiteralSettings
 from eyespot.formats.page import PALETTE

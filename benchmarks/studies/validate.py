@@ -17,7 +17,8 @@ from eyespot.benchmarks import model_error, paper, statistics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
-from eyespot.benchmarks.study import LightSource, Study, command, geometry_of
+from eyespot.benchmarks.study import Study, geometry_of
+from eyespot.benchmarks.study_command import LightSource, command
 from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
 from eyespot.formats.stack import Stack, read_stack
 

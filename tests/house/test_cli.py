@@ -77,7 +77,7 @@ def test_every_option_of_every_command_is_explained_in_a_sentence(words):
 def test_the_help_of_a_command_is_its_docstring_and_needs_no_library_that_computes(helps, words):
     first_line, *_ = (command_of(words).default_command.__doc__ or "-").splitlines()
     assert first_line in " ".join(helps[words].split())
-    # In this process everything is loaded; in a new one the libraries are stood in for.
+    # In this process every module is loaded; in a new one only the signatures.
     assert helps[words] == run(*words.split(), "--help").stdout
 
 
