@@ -26,7 +26,7 @@ COMMANDS = {
         "estimator.rig.node:node": "Measure a microscope's images under ROS 1 or 2.",
         "calibration.command.command:fit": "Fit a beam to recordings; write a calibration file.",
         "benchmarks.sets.formats.export:export": "Write a set or a stack in another format.",
-        "benchmarks.sets.score.pages:score": "Compare spots with the labels of a set.",
+        "benchmarks.sets.score.score_command:score": "Compare spots with the labels of a set.",
         "benchmarks.predictions:preregister": "Predict an experiment before it is done.",
         "benchmarks.predictions:adjudicate": "Say which predictions of a plan held.",
         "scenes.machine.doctor:doctor": "Check this machine; explain what is missing.",

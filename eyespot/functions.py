@@ -207,13 +207,13 @@ def score(
     Raises:
         InputError: wrong files, or nothing to score.
     """
-    from eyespot.benchmarks.sets.score.pages import run
-    from eyespot.benchmarks.sets.score.spots import sample_folder
+    from eyespot.benchmarks.sets.score.score_command import score as command
 
     with quiet(bars=progress):
-        return run(
-            sample_folder() if folder is None else Path(folder),
-            [Path(file) for file in spots],
+        return command(
+            None if folder is None else Path(folder),
+            tuple(Path(file) for file in spots),
+            sample=folder is None,
             mode=mode,
             unrelated=unrelated,
             against=against,

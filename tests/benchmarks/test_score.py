@@ -18,7 +18,8 @@ from eyespot.benchmarks.reporting import Picture, rows_of, where
 from eyespot.benchmarks.sets.read import stacks_of
 from eyespot.benchmarks.sets.score import spots as spots_of_set
 from eyespot.benchmarks.sets.score.judging import Score, images_of, score, with_derived
-from eyespot.benchmarks.sets.score.pages import leaderboard, tables
+from eyespot.benchmarks.sets.score.leaderboard_page import leaderboard
+from eyespot.benchmarks.sets.score.score_command import tables
 from eyespot.benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
 from eyespot.estimator import Source, track_whole_source
 from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
@@ -221,7 +222,7 @@ def test_names_with_markup_are_shown_as_they_are():
     result = score(images, {name: records}, against="half_max")
     printed = "".join(table.to_string() for table in tables(result).values())
     assert all(text in printed for text in (name, medium, exposure))
-    picture, *_ = leaderboard(result, {name: ScoredEstimator(name=name)}, name="set").first
+    picture, *_ = leaderboard(result, [ScoredEstimator(name=name)], name="set").first
     assert isinstance(picture, Picture)
     figure = io.BytesIO()
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # text as text, not as outlines

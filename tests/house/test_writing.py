@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from eyespot.benchmarks.sets.formats.export import export
-from eyespot.benchmarks.sets.score.pages import run as score
+from eyespot.benchmarks.sets.score.score_command import score
 from eyespot.benchmarks.study import Study
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.command import fit
@@ -93,7 +93,7 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
     "render": lambda stack, out: render_stack(load_scene(None), out),
     "preview": lambda stack, out: write_preview(load_scene(None), out),
     "export": lambda stack, out: export(stack, to="coco", out=out),
-    "score": lambda stack, out: score(stack, [], mode="literal", out=out),
+    "score": lambda stack, out: score(stack, mode="literal", out=out),
     "fit": lambda stack, out: fit(stack, out=out, choices=Choices(model="cone")),
     "study": lambda stack, out: Study("static", out=out, quick=True),
 }
