@@ -43,7 +43,7 @@ class SphereRow(NamedTuple):
     max_error: float
 
 
-ALL_PLANES = "all planes"  # all trials of Table I together
+ALL_PLANES = "all planes"  # All trials of Table I together.
 
 TABLE_I = {
     "plane 1": PlaneRow(0.1496, -6.791, 0.9959, 0.0548),
@@ -115,8 +115,8 @@ def reproduction(fits: Mapping[str, PlaneRow], *, name: str = "Table I") -> dict
 # Places on the printed plane, so far apart that they share no wall texture.
 _PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
-MICROSCOPE_MM = 200.0  # z_F of a real microscope
-PINHOLE_HEIGHTS_MM = (11.5, MICROSCOPE_MM)
+MICROSCOPE_HEIGHT_MM = 200.0  # z_F of a real microscope.
+PINHOLE_HEIGHTS_MM = (11.5, MICROSCOPE_HEIGHT_MM)
 """On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
 TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 """Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
@@ -222,7 +222,7 @@ def require_roomy_eyeball(scene: Scene, reach: str) -> None:
 # Spots of a rendered trial, measured in the ways that the report compares.
 
 VISIBLE_ENOUGH = 0.5  # part of the half-maximum contour that must be visible for a spot to count
-USED = "used"  # outcome of a frame that enters the fits
+USED = "used"  # The frame enters the fits.
 
 
 @dataclass(frozen=True)

@@ -52,9 +52,9 @@ QUANTITIES = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "distance_mm", "
 """What is predicted for every frame: the spot's ellipse, its centre from the principal point; the
 distance, read with the plan's calibration; how far the robot says the tip is from its first pose.
 """
-ELLIPSE = 4  # the first of them are the spot's ellipse, from which the distance follows
+ELLIPSE = 4  # The first four are the ellipse; the distance follows from it.
 
-_WITHIN = 1.959964  # standard deviations to either side that hold 95 %
+_SIGMAS_OF_95_PERCENT = 1.959964
 
 _Positive = Annotated[float, Field(gt=0)]
 _Table = list[list[float | None]]
@@ -176,7 +176,7 @@ def _observed(recording: Recording, reader: Reader) -> pd.DataFrame:
 
 # A plan from a scene, stated uncertainties of its keys, and a rehearsal.
 
-_LEAST_ROBOT_MM = 1e-5  # what a file rounds poses to
+_ROUNDED_POSE_MM = 1e-5  # Files round poses to it.
 
 
 def predicted(
@@ -217,7 +217,7 @@ def predicted(
         reach = np.abs(expected[:, ELLIPSE] - ranger.calibration.values["b"])
         noise[:, ELLIPSE] = reach / expected[:, ELLIPSE - 1] * noise[:, ELLIPSE - 1]
     jitter = math.hypot(scene.clocks.kinematics_jitter_s, scene.clocks.camera_jitter_s)
-    noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _LEAST_ROBOT_MM)
+    noise[:, -1] = np.hypot(np.asarray(world.speed) * jitter, _ROUNDED_POSE_MM)
     beside = [
         [_exact(World(changed(scene, {key: value + by})), times, ranger) for by in (-sigma, sigma)]
         for key, (value, sigma) in stated.items()
@@ -228,7 +228,7 @@ def predicted(
     # Where the rehearsal has no spot, none is predicted.
     expected = np.where(np.isnan(noise), np.nan, expected)
     moved = np.where(np.isnan(noise), np.nan, (up - down) / 2)
-    half = _WITHIN * np.sqrt(noise**2 + np.sum(moved**2, axis=0))
+    half = _SIGMAS_OF_95_PERCENT * np.sqrt(noise**2 + np.sum(moved**2, axis=0))
 
     def rows(table: np.ndarray) -> Any:
         # JSON has no NaN.
@@ -295,7 +295,7 @@ def _exact(world: World, times: np.ndarray, ranger: Ranger | None) -> np.ndarray
 
 # A recording against its plan: hits, misses, and what explains the misses.
 
-SURE = 3.0  # standard deviations from which a value counts as another one: 1 in 400 by chance
+CHANGED_SIGMAS = 3.0  # By chance one value in 400 is off by more.
 
 _FREE_KEY_SIGMAS = 1e6  # A prior this wide leaves a key free.
 
@@ -366,7 +366,7 @@ def judged(
     moved = moved.reshape(-1, *expected.shape)
     off = seen[list(QUANTITIES)].to_numpy() - expected
     pulls = off / np.sqrt(noise**2 + np.sum(moved**2, axis=0))
-    made, hits = ~np.isnan(expected), np.abs(pulls) <= _WITHIN
+    made, hits = ~np.isnan(expected), np.abs(pulls) <= _SIGMAS_OF_95_PERCENT
     tallies = pd.DataFrame(
         {
             "hits": hits.sum(axis=0),
@@ -411,7 +411,7 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
         off, error = float(found[n]), math.sqrt(covariance[n, n])
         pull = off / math.hypot(1.0, error)
         value = stated + unit * off
-        rows.append((key, stated, unit, value, unit * error, pull, abs(pull) > SURE))
+        rows.append((key, stated, unit, value, unit * error, pull, abs(pull) > CHANGED_SIGMAS))
     names = ["key", "stated", "stated_sigma", "found", "found_sigma", "pull", "contradicts"]
     causes = pd.DataFrame(rows, columns=names)
     return causes.sort_values("pull", key=lambda pull: -pull.abs(), kind="stable"), misfit

@@ -31,9 +31,9 @@ from eyespot.formats.spots import Spot
 from eyespot.scenes import changed, render_stack
 from eyespot.scenes.drawn import Drawing, any_truth, any_wall, frame_of
 
-_DISTINCT = 60  # drawn frames, which repeat
+_DRAWN_FRAMES = 60  # They repeat.
 _RATE_HZ = 30.0
-_WARM = 200  # frames before the memory of the start is taken
+_WARM_UP_FRAMES = 200  # The memory of the start is taken after them.
 
 
 def memory_mb(process: int | None = None) -> float:
@@ -61,7 +61,7 @@ def _frames() -> list[np.ndarray]:
     """A spot that moves round on a printed retina."""
     rng = np.random.default_rng(0)
     truth, wall = any_truth(rng, 60.0), any_wall(rng)
-    turns = np.linspace(0, 2 * np.pi, _DISTINCT, endpoint=False)
+    turns = np.linspace(0, 2 * np.pi, _DRAWN_FRAMES, endpoint=False)
     places = [truth.moved(60 * float(np.cos(t)), 60 * float(np.sin(t))) for t in turns]
     return [frame_of(Drawing(truth=place, wall=wall), rng) for place in places]
 
@@ -77,7 +77,7 @@ def reader_load(full: bool = False) -> pd.DataFrame:
         number = number or (108_000 if full else 3_000)
         reader, camera = SubpixelMode(SubpixelSettings(), None), cycle(_frames())
         seconds, memory, spots, late = np.empty(number), [], 0, 0
-        for image in islice(camera, _WARM):
+        for image in islice(camera, _WARM_UP_FRAMES):
             reader.read(Frame(index=0, image=image))
         began = time.perf_counter()
         for k, image in enumerate(islice(camera, number)):

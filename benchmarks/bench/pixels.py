@@ -152,8 +152,8 @@ BEAMS: dict[str, dict[str, Any]] = {
 }
 WALLS = ("uniform", "printed paper", "retina", "photograph")
 MM_PER_FRAME = 2.0 / 12  # A withdrawal's step.
-_FIELD_MM = 2.2  # half of the photograph's width, where every wall has a picture
-_TRIES = 50  # draws of a scene until its spot lies in the window
+_HALF_FIELD_MM = 2.2  # So far every wall has a picture.
+_MAX_DRAWS = 50  # A scene is drawn until its spot lies in the window.
 
 
 def drawn_stack(
@@ -171,7 +171,7 @@ def drawn_stack(
     The beam is one of `BEAMS`, the wall one of `WALLS`, the motion "withdrawal" or "hand".
     `between_mm` are bounds of a withdrawal's first distance, or a hand's mean one.
     """
-    for _ in range(_TRIES):
+    for _ in range(_MAX_DRAWS):
         seed, distance = int(rng.integers(1, 2**31)), float(rng.uniform(*between_mm))
         travel = {"travel_mm": MM_PER_FRAME * frames, "frames": frames, "speed_mm_s": 1.0}
         # A hand's motion ends in the middle between frames.
@@ -187,7 +187,7 @@ def drawn_stack(
             "instrument": {"visible": False},
             "source": BEAMS[beam],
             "spot": {
-                "eccentricity_mm": float(rng.uniform(0, _FIELD_MM)),
+                "eccentricity_mm": float(rng.uniform(0, _HALF_FIELD_MM)),
                 "azimuth_deg": float(rng.uniform(60, 120)),
                 "incidence_deg": float(rng.uniform(10, 30)),
                 "incidence_azimuth_deg": float(rng.uniform(0, 360)),
@@ -204,7 +204,7 @@ def drawn_stack(
 
 # The benchmarks.
 
-_WRONG = 1e-4  # over the number of frames: probability of a chi squared that no honest pose has
+_WRONG_CHANCE = 1e-4  # For all frames together: of a chi squared that no honest pose has.
 
 
 def _of_frames(frames: pd.DataFrame) -> pd.Series:
@@ -215,7 +215,9 @@ def _of_frames(frames: pd.DataFrame) -> pd.Series:
             "frames": len(frames),
             "with_a_pose": len(posed),
             # Poses whose chi squared no honest estimator has in so many frames.
-            "silently_wrong": (posed.pose_chi_squared > chi2.isf(_WRONG / len(frames), 5)).sum(),
+            "silently_wrong": (
+                posed.pose_chi_squared > chi2.isf(_WRONG_CHANCE / len(frames), 5)
+            ).sum(),
             "median_ms": 1e3 * frames.seconds.median(),
             "d_um": 1e3 * rms(posed.distance_mm),
             "d_stated_um": 1e3 * rms(posed.sigma_mm),
@@ -249,9 +251,9 @@ def _drawn(rng: np.random.Generator, alone_every: int = 0, **what: Any) -> pd.Da
         return frames
     first, world = stack.labels[0], World(Scene.model_validate(stack.description["scene"]))
     axis = np.array(first.axis)
-    tips = np.array(first.spot_mm) - _COMPARED_MM[:, None] * axis
+    tips = np.array(first.spot_mm) - _SEARCHED_DISTANCES_MM[:, None] * axis
     distances = np.array([labels.d_mm for labels in stack.labels])
-    twofold = share_a_radius(distances, _COMPARED_MM, half_maximum_px(world, tips, axis))
+    twofold = share_a_radius(distances, _SEARCHED_DISTANCES_MM, half_maximum_px(world, tips, axis))
     return frames.assign(twofold=twofold)
 
 
@@ -272,7 +274,7 @@ def pixel_poses(full: bool = False) -> pd.DataFrame:
     return _by(shown, ["beam", "wall", "of_stack"])
 
 
-_COMPARED_MM = np.arange(0.25, 9.0, 0.125)  # distances that the mode looks at
+_SEARCHED_DISTANCES_MM = np.arange(0.25, 9.0, 0.125)
 
 
 def branches(full: bool = False) -> pd.DataFrame:

@@ -102,7 +102,7 @@ class OpenCV(Entry):
 
 _BLOB_CELL_PX, _BLOB_BLUR_CELLS = 8, 1.5
 _LEAST_CONTRAST_DN = 2.0  # A blob is brighter than the frame's median by as much.
-_SQUARE_RADII = 1.9  # half a square's side: the spot's surroundings are inside
+_HALF_SQUARE_RADII = 1.9  # The spot's surroundings are inside.
 _LEAST_HALF_PX = 24
 
 
@@ -120,14 +120,14 @@ def square_around_blob(image: np.ndarray) -> tuple[int, int, int] | None:
     label = labels[np.unravel_index(np.argmax(coarse), coarse.shape)]
     cell = np.array([grey.shape[1] / width, grey.shape[0] / height])
     radius = math.sqrt(stats[label, cv2.CC_STAT_AREA] * cell.prod() / math.pi)
-    half = max(_SQUARE_RADII * radius, _LEAST_HALF_PX)
+    half = max(_HALF_SQUARE_RADII * radius, _LEAST_HALF_PX)
     left, top = np.rint((centres[label] + 0.5) * cell - half).astype(int).tolist()
     return left, top, round(2 * half)
 
 
 # scikit-image's `EllipseModel` with RANSAC on edges.
 
-_SAMPLE = 6  # points of a trial; five determine an ellipse, one more steadies it
+_TRIAL_POINTS = 6  # Five determine an ellipse, one more steadies it.
 _SEED = 20
 
 
@@ -172,14 +172,14 @@ class Ransac(Entry):
         dark = float(np.median(border))
         contours = find_contours(smooth, dark + self.level * (float(smooth.max()) - dark))
         points = max(contours, key=len)[:, ::-1] if contours else np.empty((0, 2))
-        if len(points) < 2 * _SAMPLE:
+        if len(points) < 2 * _TRIAL_POINTS:
             return NO_SPOT
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about a last fit that fails, which is a miss
             model, _ = ransac(
                 points,
                 RadialEllipse,
-                min_samples=_SAMPLE,
+                min_samples=_TRIAL_POINTS,
                 residual_threshold=self.inlier_px,
                 max_trials=self.trials,
                 is_model_valid=lambda model, *_: _is_sane(model, side),

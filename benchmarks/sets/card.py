@@ -29,7 +29,7 @@ _COLOURS = {
     "unseen": page.PURPLE,
 }
 _BINS, _COLUMNS = 24, 4
-_SAMPLES = 6  # images per split and condition
+_IMAGES_A_GROUP = 6
 _WIDTH_IN = 10.0
 
 QUANTITIES = {
@@ -77,13 +77,15 @@ def samples(rows: Sequence[Row], path: Path) -> None:
     with mpl.rc_context(page.STYLE):
         size = _WIDTH_IN, 1.5 * len(groups)
         figure = Figure(figsize=size, layout="constrained")
-        lines = figure.subplots(len(groups), _SAMPLES, squeeze=False)
+        lines = figure.subplots(len(groups), _IMAGES_A_GROUP, squeeze=False)
         for axes in lines.flat:
             axes.set_axis_off()
         for (name, group), line in zip(groups.items(), lines, strict=True):
             line[0].text(-0.05, 0.5, name, ha="right", va="center", transform=line[0].transAxes)
             # Evenly spread over the stacks and distances.
-            chosen = np.linspace(0, len(group) - 1, min(_SAMPLES, len(group))).round().astype(int)
+            chosen = (
+                np.linspace(0, len(group) - 1, min(_IMAGES_A_GROUP, len(group))).round().astype(int)
+            )
             for axes, row in zip(line, [group[i] for i in chosen], strict=False):
                 _draw(axes, row)
         with written_whole(path, replace=True) as partial:

@@ -346,7 +346,7 @@ def rows(labelled: LabelledSet) -> Iterator[Row]:
 
 # The manifest: sizes and SHA-256 of all files of a set.
 
-_NAMED = 20  # problems listed in a message; an incomplete copy has thousands
+_MAX_PROBLEMS_IN_MESSAGE = 20  # An incomplete copy has thousands.
 
 
 def write_set_manifest(labelled: LabelledSet) -> None:
@@ -380,8 +380,8 @@ def verify_set(folder: Path) -> int:
 
 
 def _listed(folder: Path, problems: Sequence[str]) -> str:
-    more = len(problems) - _NAMED
-    lines = [f"{folder}: {problem}" for problem in problems[:_NAMED]]
+    more = len(problems) - _MAX_PROBLEMS_IN_MESSAGE
+    lines = [f"{folder}: {problem}" for problem in problems[:_MAX_PROBLEMS_IN_MESSAGE]]
     return "\n".join(lines + ([f"{folder}: and {more} more"] if more > 0 else []))
 
 

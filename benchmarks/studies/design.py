@@ -51,10 +51,10 @@ LIMITS = {
 """What is sought, and how far, mm: sag of the cap; height of its rim over the core's face (both
 together are the glue's length); radius of the fibre's core; numerical aperture of its light."""
 RANGE_MM = 0.5, 6.0
-SMALLEST_PX = 18.0  # least radius of a spot; smaller ones have lower bounds, but no lower errors
-PRICE = 20.0  # of a spot without any size, which is more than what smaller spots gain
+SMALLEST_RADIUS_PX = 18.0  # Smaller spots have lower bounds, but no lower errors.
+PRICE_OF_NO_SPOT = 20.0  # Smaller spots gain less than it costs.
 Goal = Literal["worst", "mean"]
-POWERS = {"worst": 16.0, "mean": 1.0}  # of the power mean over the distances
+POWER_MEAN_EXPONENTS = {"worst": 16.0, "mean": 1.0}
 
 
 def limits_in(text: str) -> dict[str, tuple[float, float]]:
@@ -86,7 +86,7 @@ def score(
     sigmas = jnp.minimum(distance_sigmas(light.spots, change, ambient=light.ambient, **rest), 1e3)
     radii = lit_radii(light.spots, change)
     mean = logsumexp(power * jnp.log(sigmas), b=1 / len(sigmas)) / power
-    price = PRICE * jnp.sum(jax.nn.relu(1 - radii / SMALLEST_PX))
+    price = PRICE_OF_NO_SPOT * jnp.sum(jax.nn.relu(1 - radii / SMALLEST_RADIUS_PX))
     return mean + price, jnp.stack([sigmas, radii])
 
 
@@ -107,7 +107,7 @@ class DropSearch:
     def score(self, light: SpotLight, **drop: Any) -> tuple[float, np.ndarray]:
         """Of a light, and its gradient; the drop is kept in `rows`."""
         rest, change = {"dose": self.dose, **self.wall.sensor}, np.zeros(light.ambient.size - 1)
-        (value, each), slope = score(change, light, POWERS[self.goal], rest)
+        (value, each), slope = score(change, light, POWER_MEAN_EXPONENTS[self.goal], rest)
         sigmas, radii = np.asarray(each)
         reached = np.max(sigmas) if self.goal == "worst" else np.mean(sigmas)
         found = {"score": float(value), "sigma_mm": reached, "smallest_px": radii.min()}
@@ -185,7 +185,7 @@ LIGHTS = {
     "photons": page.Column("10¹² photons a frame", 1, 1e-12),
 }
 CAPTION = "Irradiance: at the nearest distance. Photons: 550 nm, farthest. Nothing about safety."
-DOSES = np.logspace(-5, 0, 11)  # over the one at which drops are sought
+RELATIVE_DOSES = np.logspace(-5, 0, 11)  # Drops are sought at a dose of 1.
 PHOTONS_PER_MJ = 550e-9 / (6.62607015e-34 * 299792458.0) / 1e3  # at 550 nm
 OFF_BY = (-0.2, -0.05, 0.05, 0.2)
 
@@ -203,7 +203,7 @@ def tables_of(search: DropSearch, best: Mapping[str, float]) -> dict[str, pd.Dat
         mine, outline = (wall.sigmas(light, search.dose, outline=how) for how in (False, True))
         own = {"d_mm": search.distances, "sigma_mm": mine, "outline_mm": outline}
         sigma.append(pd.DataFrame({"light": name, **own}))
-        doses = search.dose * DOSES
+        doses = search.dose * RELATIVE_DOSES
         scores = np.array([reached(wall.sigmas(light, x)) for x in doses.tolist()])
         dose.append(pd.DataFrame({"light": name, "dose_mj_mm2": doses, "sigma_mm": scores}))
         wanted, reach = np.log([0.05, 0.02]), np.log(scores[::-1])

@@ -32,10 +32,10 @@ from eyespot.scenes.world.world import World
 # The scenes of the dynamic study: tips moving at several speeds, and the same without blur.
 
 _MEAN_DISTANCE_MM = 3.0
-_STRAIGHT_FRAMES = 5  # as many as fit into the view at the top speed
+_STRAIGHT_FRAMES = 5  # More would leave the view at the top speed.
 _HAND_FRAMES = 10
-_SLOWEST_HAND_MM_S = 2.0  # below, the residual tremor is faster than the hand
-_FREEZES = 1e4  # how much shorter exposures are under so much more light
+_SLOWEST_HAND_MM_S = 2.0  # Below, the residual tremor is faster than the hand.
+_FREEZING_GAIN = 1e4  # Exposures become shorter by as much.
 
 _REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
 """A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
@@ -76,7 +76,7 @@ def trials(
             "exposures.sensitivity_mm2_sr_mj": sensitivity,
         },
     )
-    frozen = scenes.changed(own, {"exposures.sensitivity_mm2_sr_mj": sensitivity * _FREEZES})
+    frozen = scenes.changed(own, {"exposures.sensitivity_mm2_sr_mj": sensitivity * _FREEZING_GAIN})
     found = []
     for motion, speed in product(MOTIONS, speeds):
         if motion != "hand" or speed >= _SLOWEST_HAND_MM_S:
@@ -143,7 +143,7 @@ def reading(poses: PoseTrack, time_s: float, wall: optics.Surface) -> float:
     return float(meets.distance)
 
 
-_SAME_FRAME = (0.0, 0.0, 0.0, 1.0)  # the rendered robot reports in the eye's frame
+_EYE_FROM_ROBOT = (0.0, 0.0, 0.0, 1.0)  # The rendered robot reports in the eye's frame.
 
 
 def ranger(rest: Stack, scene: Scene, way: paper.Way) -> Ranger:
@@ -221,7 +221,7 @@ _OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
 
 def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> list[Reading]:
     start = way.click(stack.exposed(way.exposure))
-    reader = way.reader(ranger, eye_from_robot=_SAME_FRAME, start=start)
+    reader = way.reader(ranger, eye_from_robot=_EYE_FROM_ROBOT, start=start)
     frames = open_source(stack.folder, exposure=way.exposure)
     return [reader.read(frame, poses=poses) for frame in frames]
 
@@ -309,7 +309,7 @@ def _rows(
 
 # Figures.
 
-_LEAST_MM = 1e-3  # smaller errors are drawn at the foot of a logarithmic axis
+_LEAST_DRAWN_MM = 1e-3  # Smaller errors lie at the foot of the logarithmic axis.
 
 
 def errors_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
@@ -345,7 +345,7 @@ _SPEED = "speed of the tip (mm/s)"
 
 
 def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
-    sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_MM)
+    sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_DRAWN_MM)
     axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
     axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
     axes.minorticks_off()
@@ -355,7 +355,7 @@ def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
 # The page.
 
 _REQUIRED_MM = 0.1  # Sub-pixel mode with stamped poses keeps it up to the top speed.
-_PAPERS_SPEED_MM_S = 1.5  # up to which the paper's error is acceptable (Zhou et al. 2020)
+_PAPERS_SPEED_MM_S = 1.5  # Up to it the paper's error is acceptable (Zhou et al. 2020).
 
 
 def report(errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float) -> page.Report:

@@ -96,7 +96,7 @@ def limits(errors: pd.DataFrame) -> pd.DataFrame:
 
 # The rendered part: frames, the spots measured in them, and what rendering adds to their size.
 
-_FINER = 2  # pixels of a noise-free frame for one of the camera's, along each side
+_OVERSAMPLING = 2  # Of noise-free frames, along each side.
 _NOISE_FREE = {
     "camera.full_well_e": 1e9,
     "camera.read_noise_e": 0.0,
@@ -131,9 +131,9 @@ def trials(
             found[name] = own = scenes.changed(scene, place | moves | bare)
             if c in few and not bare:
                 finer = {
-                    "microscope.scale_mm_px": own.microscope.scale_mm_px / _FINER,
-                    "microscope.width_px": own.microscope.width_px * _FINER,
-                    "microscope.height_px": own.microscope.height_px * _FINER,
+                    "microscope.scale_mm_px": own.microscope.scale_mm_px / _OVERSAMPLING,
+                    "microscope.width_px": own.microscope.width_px * _OVERSAMPLING,
+                    "microscope.height_px": own.microscope.height_px * _OVERSAMPLING,
                 }
                 noise_free[name] = scenes.changed(own, finer | _NOISE_FREE)
     return found, noise_free
@@ -154,7 +154,7 @@ def measure(
         if len(spots):
             errors.append(model_error.errors_of_spots(geometry, spots, optics.MODELS))
         if name in noise_free and (both := seen.used & tracked[f"{name}-noise-free"].used).any():
-            fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _FINER
+            fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _OVERSAMPLING
             columns = ["semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm"]
             measured, ideal, c, d = seen.loc[both, columns].to_numpy().T
             length = error_causes.spread_length(scene)
@@ -182,7 +182,7 @@ def limit_of(tables: Tables, model: str, height: float, incidence: float) -> flo
 def pinhole_heights(scene: Scene) -> tuple[float, ...]:
     """z_F of the paper's geometry, on the sphere, of a microscope, and of the scene's own, mm."""
     own = scene.microscope.pinhole_height_mm
-    known = scene.phantom.radius_mm, paper.MICROSCOPE_MM
+    known = scene.phantom.radius_mm, paper.MICROSCOPE_HEIGHT_MM
     return known if own in (*known, 0.0, math.inf) else (*known, own)
 
 
@@ -365,7 +365,7 @@ def _claims(scene: Scene, tables: Tables) -> Iterator[page.Claim]:
             "less.)",
             value=spot.whole_mm,
         )
-    eye = where(tables["eye"], z_f_mm=paper.MICROSCOPE_MM)
+    eye = where(tables["eye"], z_f_mm=paper.MICROSCOPE_HEIGHT_MM)
     yield page.Claim(
         name="a living eye",
         sentence=f"Under a microscope the retina's shape adds up to {listed(eye.shape_mm, '.3f')} "

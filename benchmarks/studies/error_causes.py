@@ -290,7 +290,7 @@ LEAN_DEG, ASIDE_MM = 8.0, 0.5
 """Tilt and shift of the retina's ellipsoid against the microscope's axis."""
 LAYER_MM = (0.2, 0.3)
 """Thickness of the clear retina over the layer that sends the light back."""
-_READ_ON_MM = 11.5  # radius of the sphere that stands for the ellipsoid
+_SPHERE_RADIUS_MM = 11.5  # It stands for the ellipsoid.
 _EYE_DISTANCES_MM = (0.5, 2.0, 4.0, 6.0)
 
 
@@ -301,7 +301,7 @@ def of_an_eye(geometry: Geometry) -> pd.DataFrame:
     emmetropic ellipsoid, scaled to the geometry's radius; `tilted_mm`, the same on one that is
     tilted and shifted.
     """
-    semi_axes = load_eye("atchison").retina_semi_axes * geometry.eye_radius / _READ_ON_MM
+    semi_axes = load_eye("atchison").retina_semi_axes * geometry.eye_radius / _SPHERE_RADIUS_MM
     azimuths = np.radians(np.arange(0.0, 360.0, 30.0))
     grid = np.meshgrid(EYE_C_MM, azimuths, _EYE_DISTANCES_MM, indexing="ij")
     c, azimuth, d = (axis.ravel() for axis in grid)

@@ -30,8 +30,8 @@ from eyespot.optics.viewing.projection import local_magnification
 
 # Errors of every recipe in many eyes behind one viewing path.
 
-_OPEN_MM = 50.0  # radius of a pupil that hides nothing
-_EYES_AT_ONCE = 8  # few enough that their spots stay in the cache
+_OPEN_PUPIL_MM = 50.0  # It hides nothing.
+_EYES_AT_ONCE = 8  # So few that their spots stay in the cache.
 
 
 class PathErrors(NamedTuple):
@@ -63,7 +63,7 @@ def path_errors(
         seed: of the noise of the calibrations; None for none.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
-    every = _path_cameras(path, eyes, pupil_radius=_OPEN_MM)
+    every = _path_cameras(path, eyes, pupil_radius=_OPEN_PUPIL_MM)
     batches = every, axes, _noise(seed, len(axes))
     seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
     schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
@@ -172,13 +172,13 @@ LIMITS_MM = (0.1, 0.5)
 REFRACTIONS_D = (-10.0, -6.0, -3.0, 0.0, 4.0)
 """Of the schematic eyes that depend on it (Atchison 2006)."""
 
-QUANTILE = 0.95  # share of the eyes that a recipe must serve
+SERVED_SHARE = 0.95  # A recipe must serve so many of the eyes.
 _NM = 555.0
 _ECCENTRICITIES_MM = np.arange(0.0, 8.1, 1.0)
-_AT_3_MM = 3  # index of c = 3 mm
+_INDEX_OF_3_MM = 3
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
-_SOME = {"square": slice(1), "any": slice(None)}  # which of the tilts count
+_TILTS = {"square": slice(1), "any": slice(None)}
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 47
 _CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
@@ -213,7 +213,7 @@ def _causes(
         found = path_errors(path, [eyes], spots, seed=noise, recipes=recipes)
         for k, recipe in enumerate(recipes):
             largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
-            worth[k, :, row] = np.quantile(largest[:, shown], QUANTILE, axis=0)
+            worth[k, :, row] = np.quantile(largest[:, shown], SERVED_SHARE, axis=0)
     shares = shapley_values(worth)
     rows = []
     for (k, recipe), (j, c) in product(enumerate(recipes), enumerate(_SHOWN_MM)):
@@ -246,15 +246,15 @@ def tables_of(
     random, errors, limits, eyes, pinholes = slice(1, 1 + population), [], [], [], []
     for path, found in paths.items():
         worst = {}
-        for recipe, tilt in product(Recipe, _SOME):
+        for recipe, tilt in product(Recipe, _TILTS):
             # A spot that is not whole at any distance or tilt counts as not seen.
-            worst[recipe, tilt] = np.abs(found.errors[recipe][..., _SOME[tilt]]).max(axis=(2, 3))
+            worst[recipe, tilt] = np.abs(found.errors[recipe][..., _TILTS[tilt]]).max(axis=(2, 3))
             by_c = pd.DataFrame(worst[recipe, tilt][random])
             # A quantile of the few eyes that show the spot would not be the eyes'.
-            enough = by_c.count() > QUANTILE * population
+            enough = by_c.count() > SERVED_SHARE * population
             curves = {
                 "median_mm": by_c.median().where(enough),
-                "p95_mm": by_c.quantile(QUANTILE).where(enough),
+                "p95_mm": by_c.quantile(SERVED_SHARE).where(enough),
             }
             about = {"path": path, "recipe": recipe, "tilt": tilt}
             of_c = {"c_mm": _ECCENTRICITIES_MM, "eyes": by_c.count(), **curves}
@@ -268,7 +268,7 @@ def tables_of(
             }
             limits.append(about | reached)
         each = {"kappa_per_mm": found.kappas, "field_mm": fields[path]} | {
-            f"{name}_error_mm": worst[recipe, "any"][:, _AT_3_MM]
+            f"{name}_error_mm": worst[recipe, "any"][:, _INDEX_OF_3_MM]
             for name, recipe in (("fitted", Recipe.AREA), ("schematic", Recipe.AREA_SCHEMATIC))
         }
         eyes.append(pd.DataFrame({"path": path, "eye": names, **each}))
@@ -531,7 +531,9 @@ def eye(study: Study) -> Tables:
         names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
     tables = tables_of(paths, seen, names, count) | {"causes": shares}
     medians = {
-        path: np.nanmedian(found.errors[Recipe.SMALL_PLANE][1 : 1 + count, _AT_3_MM, :, 0], axis=0)
+        path: np.nanmedian(
+            found.errors[Recipe.SMALL_PLANE][1 : 1 + count, _INDEX_OF_3_MM, :, 0], axis=0
+        )
         for path, found in paths.items()
     }
     study.publish(_report, tables, medians, count)

@@ -29,11 +29,11 @@ from eyespot.optics.viewing.projection import PathCamera, path_camera
 from eyespot.optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067
-NOMINAL_RADIUS_MM = 12.0  # radius of the sphere that models assume where no eye is calibrated
+NOMINAL_RADIUS_MM = 12.0  # Models assume it where no eye is calibrated.
 
 CONE = {"half_angle": float(np.arctan(1 / 20.0)), "apex_offset": -5.117}
 PINHOLE_ABOVE_MM = 200.0
-_POINTS = 48  # The ellipse of so many contour points is within 1e-6 px of that of 128.
+_CONTOUR_POINTS = 48  # The ellipse of so many is within 1e-6 px of that of 128.
 PATHS: dict[str, tuple[str, str]] = {
     "flat, phakic": ("flat", "phakic"),
     "flat, pseudophakic": ("flat", "pseudophakic"),
@@ -147,7 +147,7 @@ def image(
 ) -> Seen:
     """One spot on a wall; `sees` says which points of the wall are not hidden."""
     beam = optics.beam_at_spot(wall, **spot._asdict(), **CONE)
-    contour = optics.cone_contour(beam, wall, points=_POINTS).point
+    contour = optics.cone_contour(beam, wall, points=_CONTOUR_POINTS).point
     ellipse = optics.ellipse_of_contour(camera.project(contour))
     axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
     return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))

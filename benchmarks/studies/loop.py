@@ -34,15 +34,15 @@ from eyespot.scenes import LiveCamera, Scene, World
 
 # The question: an arm through a trocar, a path along the wall, a camera with a delay.
 
-TICK_S = 0.005  # of the arm's joints: 200 Hz, as SHER's
-LAG_S, TOP_SPEED_MM_S = 0.03, 5.0  # of a joint's velocity: assumptions
-SET_MM, SETTLED_S = 2.0, 0.5  # the distance to keep, and from when on it counts
-TROCAR_MM = 20.0  # from the spot to the remote centre, along the beam
-WAY_MM = 2.4  # longest path that the window shows
-SAFE_MM = 1.0  # nearer, the arm withdraws whatever the controller says
-HALF_EXPOSURE_S = 0.005  # at most
-NOWHERE = np.array([0.0, 0.0, -1e3])  # a tip there lights nothing
-PATIENCE_S, WITHDRAWAL_MM_S = 0.3, 2.0  # for how long it holds without a reading; then its speed
+TICK_S = 0.005  # SHER's joints run at 200 Hz.
+LAG_S, TOP_SPEED_MM_S = 0.03, 5.0  # Of a joint; both are assumptions.
+KEPT_MM, SETTLING_S = 2.0, 0.5  # Errors count from then on.
+SPOT_TO_TROCAR_MM = 20.0  # Along the beam.
+LONGEST_PATH_MM = 2.4  # The window shows no longer one.
+LEAST_DISTANCE_MM = 1.0  # Nearer, the arm withdraws whatever the controller says.
+MOST_HALF_EXPOSURE_S = 0.005
+DARK_PLACE_MM = np.array([0.0, 0.0, -1e3])  # A tip there lights nothing.
+BLIND_S, WITHDRAWAL_MM_S = 0.3, 2.0  # Blind for so long, the arm withdraws.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,18 +81,18 @@ class Course(NamedTuple):
         """A straight vessel through the place of [spot], along which the wall rises most."""
         path = {
             "motion.kind": "scan",
-            "motion.distance_mm": SET_MM,
+            "motion.distance_mm": KEPT_MM,
             "motion.length_mm": run.speed_mm_s * seconds,
             "motion.speed_mm_s": run.speed_mm_s,
             "motion.direction_deg": scene.spot.incidence_azimuth_deg,
-            "motion.trocar_mm": TROCAR_MM,
+            "motion.trocar_mm": SPOT_TO_TROCAR_MM,
         }
         world = World(scenes.changed(scene, path))
         time = np.arange(0.0, seconds, TICK_S)
         tip, axis = world.motion.at(time)
         spot, beam = world.aim
-        trocar = spot - TROCAR_MM * beam
-        return cls(time, axis, np.linalg.norm(tip + SET_MM * axis - trocar, axis=1), trocar)
+        trocar = spot - SPOT_TO_TROCAR_MM * beam
+        return cls(time, axis, np.linalg.norm(tip + KEPT_MM * axis - trocar, axis=1), trocar)
 
 
 # The method: the arm is exact between its ticks; frames are rendered where it is.
@@ -104,7 +104,7 @@ Read = Callable[[float, PoseAt, bool], float]
 
 
 def simulated(
-    run: LoopRun, course: Course, read: Read, *, seed: int, begin_mm: float, set_mm: float = SET_MM
+    run: LoopRun, course: Course, read: Read, *, seed: int, begin_mm: float, set_mm: float = KEPT_MM
 ) -> pd.DataFrame:
     """One run: distance, what the controller expects, and what it does, at each tick."""
     # Of place, velocity, and the velocity that is asked for, which is held between ticks.
@@ -136,13 +136,13 @@ def simulated(
                 target, seen_s = moved + reading, now
         # By the last reading, the robot's pose and what is known of the wall.
         expected = target + known[k] - inserted[k]
-        lost, near = now - seen_s > PATIENCE_S, expected < SAFE_MM
+        lost, near = now - seen_s > BLIND_S, expected < LEAST_DISTANCE_MM
         asked = run.gain * (expected - set_mm) + rise[k] if math.isfinite(expected) else 0.0
         asked = -WITHDRAWAL_MM_S if lost or near else asked
         asked = float(np.clip(asked, -TOP_SPEED_MM_S, TOP_SPEED_MM_S))
         rows.append((now, depth[k] - inserted[k], expected, asked, bool(lost), bool(near)))
         state = (step @ [*state, asked])[:2]
-        while frame / run.rate_hz + HALF_EXPOSURE_S <= now + 1e-9:
+        while frame / run.rate_hz + MOST_HALF_EXPOSURE_S <= now + 1e-9:
             taken_s = frame / run.rate_hz
             dark = run.dark_s[0] <= taken_s < run.dark_s[1]
             waiting.append((taken_s + run.latency_s, taken_s, read(taken_s, pose, dark)))
@@ -154,7 +154,7 @@ class LoopCamera:
     """Renders frames where the arm is, and reads them; `seen` has those of the last run."""
 
     def __init__(self, study: Study) -> None:
-        rest = {"motion.kind": "withdrawal", "motion.start_mm": SET_MM, "motion.frames": 1}
+        rest = {"motion.kind": "withdrawal", "motion.start_mm": KEPT_MM, "motion.frames": 1}
         scene = scenes.changed(study.scene, rest)
         self._start, self._camera = study.stacks({"start": scene})["start"], LiveCamera(scene)
         reader = functools.partial(study.reader, self._start, scene)
@@ -166,13 +166,13 @@ class LoopCamera:
         reader, self.seen = self._reader(run.sensor), []
         reader.forget()
         label = self._start.exposed("paper" if run.sensor == "literal" else "metered")[0]
-        exposure_s = min(label.exposure_s, 2 * HALF_EXPOSURE_S)
+        exposure_s = min(label.exposure_s, 2 * MOST_HALF_EXPOSURE_S)
 
         def read(taken_s: float, pose: PoseAt, dark: bool) -> float:
             tips, axes = pose(taken_s + exposure_s * np.array([-0.5, 0.0, 0.5]))
-            tips, number = tips + dark * NOWHERE, len(self.seen)
+            tips, number = tips + dark * DARK_PLACE_MM, len(self.seen)
             image = self._camera.image(tips, axes, exposure_s=exposure_s, frame=number)
-            times = taken_s + np.linspace(-0.1, HALF_EXPOSURE_S, 43)
+            times = taken_s + np.linspace(-0.1, MOST_HALF_EXPOSURE_S, 43)
             rows = zip(times.tolist(), *(part.tolist() for part in pose(times)), strict=True)
             poses = PoseTrack(Pose.along(u, time_s=t, position_mm=tip) for t, tip, u in rows)
             frame = Frame(index=number, time_s=taken_s, exposure_s=exposure_s, image=image)
@@ -289,7 +289,7 @@ def _report(
     )
     return page.Report(
         title="What distance can a robot keep with this sensor?",
-        answer=f"At {speed:g} mm/s along the wall, {SET_MM:g} mm are kept to {outline:.3f} mm "
+        answer=f"At {speed:g} mm/s along the wall, {KEPT_MM:g} mm are kept to {outline:.3f} mm "
         f"(RMS) by the outline, to {pixels:.3f} mm by all pixels, to {paper:.3f} mm by the paper's "
         f"estimator, and to {ideal:.3f} mm by a perfect sensor.",
         lead="An arm through a trocar follows a vessel on the wall. Every frame is rendered where "
@@ -300,7 +300,7 @@ def _report(
         first=[
             page.Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
             page.Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
-            page.Table(errors, COLUMNS, f"After the first {SETTLED_S:g} s.", data="runs.csv"),
+            page.Table(errors, COLUMNS, f"After the first {SETTLING_S:g} s.", data="runs.csv"),
             page.Table(
                 assumed,
                 {**COLUMNS, "run": page.Column("a perfect sensor, and")},
@@ -326,12 +326,12 @@ def loop(study: Study) -> pd.DataFrame:
     errors, every, eye, film = [], [], LoopCamera(study), study.folder / "film.mp4"
 
     def ran(name: str, run: LoopRun) -> tuple[pd.DataFrame, dict[str, Any]]:
-        seconds = min(1.5 if study.quick else 4.0, WAY_MM / run.speed_mm_s)
+        seconds = min(1.5 if study.quick else 4.0, LONGEST_PATH_MM / run.speed_mm_s)
         course, seed = Course.of(study.scene, run, seconds), study.seed
         read = perfect(course, run, seed) if run.sensor == "perfect" else eye.reads(run)
-        rows = simulated(run, course, read, seed=seed, begin_mm=SET_MM + 0.3)
-        settled = rows[rows.time_s > SETTLED_S]
-        error = (settled.d_mm - SET_MM).abs()[~settled.lost & ~settled.near]
+        rows = simulated(run, course, read, seed=seed, begin_mm=KEPT_MM + 0.3)
+        settled = rows[rows.time_s > SETTLING_S]
+        error = (settled.d_mm - KEPT_MM).abs()[~settled.lost & ~settled.near]
         ends = settled.d_mm.min(), settled.d_mm.max()
         found = name, rms(error), error.quantile(0.95), largest(error), *ends
         return rows.assign(run=name), dict(zip(COLUMNS, found, strict=True)) | asdict(run)

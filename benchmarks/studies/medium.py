@@ -68,7 +68,7 @@ class Curve(NamedTuple):
     cone: Regression
 
 
-_LOOKED_UP_MM = np.linspace(0.05, 8.0, 1600)  # distances whose radii are compared with a given one
+_CURVE_DISTANCES_MM = np.linspace(0.05, 8.0, 1600)
 
 
 def lens_curve(lens: str, medium: str) -> Curve:
@@ -77,17 +77,17 @@ def lens_curve(lens: str, medium: str) -> Curve:
     cone = optics.effective_cone(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
     unclear = optics.ambiguous_distances(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
     first, last = (unclear[0][0], unclear[-1][1]) if unclear else (np.nan, np.nan)
-    radius = np.asarray(optics.half_maximum_radius(table, distance=_LOOKED_UP_MM))
+    radius = np.asarray(optics.half_maximum_radius(table, distance=_CURVE_DISTANCES_MM))
     k, b, r_squared = float(cone.k), float(cone.b), float(cone.r_squared)
     regression = Regression(lens, medium, k, b, r_squared, first, last)
-    return Curve(_LOOKED_UP_MM, radius, regression)
+    return Curve(_CURVE_DISTANCES_MM, radius, regression)
 
 
 def cone_curve(cone: Cone, medium: str) -> Curve:
     """The curve of the ideal cone, which is the same in every medium."""
     k = float(1.0 / np.tan(cone.half_angle))
-    radius = (_LOOKED_UP_MM - cone.apex_offset) / k
-    return Curve(_LOOKED_UP_MM, radius, Regression(CONE, medium, k, cone.apex_offset))
+    radius = (_CURVE_DISTANCES_MM - cone.apex_offset) / k
+    return Curve(_CURVE_DISTANCES_MM, radius, Regression(CONE, medium, k, cone.apex_offset))
 
 
 COLUMNS = "source light medium method d_mm radius_mm estimate_mm error_mm ambiguous".split()
@@ -125,7 +125,7 @@ def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.D
 
 # The rendered part: calibrated on a plane in air, used in an eyeball full of another medium.
 
-_HEIGHT_PX = 600  # the dome's spot in air outgrows the default window
+_WINDOW_HEIGHT_PX = 600  # The dome's spot in air outgrows the default window.
 
 
 def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
@@ -139,7 +139,7 @@ def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Sce
                 "source.medium": medium,
                 "phantom.kind": phantom,
                 **moves,
-                "microscope.height_px": _HEIGHT_PX,
+                "microscope.height_px": _WINDOW_HEIGHT_PX,
             },
         )
         for light in lights

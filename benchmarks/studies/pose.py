@@ -16,7 +16,7 @@ from scipy.stats import qmc
 
 from eyespot import optics, scenes
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.paper import MICROSCOPE_MM, require_roomy_eyeball
+from eyespot.benchmarks.paper import MICROSCOPE_HEIGHT_MM, require_roomy_eyeball
 from eyespot.benchmarks.reporting import listed, number, where
 from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.study import Study
@@ -65,7 +65,7 @@ class AxisPrior(StrEnum):
 SIGMA_RAD = {AxisPrior.ROUGH: math.radians(PRIOR_DEG), AxisPrior.NONE: 1e6, AxisPrior.KNOWN: 1e-6}
 """The solver's standard deviation of a prior across the axis, rad."""
 
-_MIRRORED_DEG = 2.0  # an axis that is nearer to the truth than this is not mirrored
+_LEAST_MIRRORED_DEG = 2.0  # An axis nearer to the truth is not mirrored.
 _FIBRE_MM, _SPLAY_DEG = 0.5, 10.0
 
 
@@ -174,7 +174,7 @@ def is_mirrored(found: np.ndarray, true: np.ndarray, outward: np.ndarray) -> boo
     """Whether an axis is nearer to the true one's mirror image at the wall than to the true one."""
     mirror = 2.0 * np.dot(outward, true) * outward - true
     off = angle_deg(found, true)
-    return off > _MIRRORED_DEG and angle_deg(found, mirror) < off
+    return off > _LEAST_MIRRORED_DEG and angle_deg(found, mirror) < off
 
 
 # The bound: what noise on exact contours leaves of a pose, over the working volume.
@@ -224,10 +224,10 @@ STILL = {
     "microscope.height_px": 720,
     "clocks.camera_hz": 1.0,  # a frame a second, in which the tool stands still
 }
-_REST_S = 0.45  # time at rest before and after the middle of an exposure
+_HALF_REST_S = 0.45  # The tool rests before and after the middle of an exposure.
 _INCIDENCES_DEG = (10.0, 20.0, 30.0)
-_FAR_MM = 4.0  # farther, splayed spots leave the window
-_GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # the golden angle: azimuths never repeat
+_FARTHEST_RENDERED_MM = 4.0  # Farther, splayed spots leave the window.
+_GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # At steps of the golden angle azimuths never repeat.
 _POINTS = 128
 
 
@@ -238,7 +238,7 @@ def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
             optics.Sphere(scene.phantom.radius_mm),
             c=c,
             around_deg=scene.spot.azimuth_deg,
-            d=1.0 + (_FAR_MM - 1.0) * (i + 0.5) / poses,
+            d=1.0 + (_FARTHEST_RENDERED_MM - 1.0) * (i + 0.5) / poses,
             incidence_deg=_INCIDENCES_DEG[i % len(_INCIDENCES_DEG)],
             azimuth_deg=(i * _GOLDEN_DEG) % 360.0,
             roll=i * math.radians(_GOLDEN_DEG),
@@ -291,7 +291,7 @@ def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None
     rows = [
         (time, *pose)
         for i, pose in enumerate(lit)
-        for time in (i - _REST_S * (i > 0), i + _REST_S * (i < len(lit) - 1))
+        for time in (i - _HALF_REST_S * (i > 0), i + _HALF_REST_S * (i < len(lit) - 1))
     ]
     columns = "time_s x_mm y_mm z_mm axis_x axis_y axis_z".split()
     with written_whole(file, replace=True) as partial:
@@ -525,7 +525,7 @@ def pose(study: Study) -> pd.DataFrame:
     wall, least = optics.Sphere(study.scene.phantom.radius_mm), []
     with study.timed("bounds"):
         own, every = study.scene.microscope, places(wall, count=128, seed=study.seed)
-        for height in dict.fromkeys((own.pinhole_height_mm, MICROSCOPE_MM)):
+        for height in dict.fromkeys((own.pinhole_height_mm, MICROSCOPE_HEIGHT_MM)):
             view = optics.microscope(
                 scale=own.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
             )

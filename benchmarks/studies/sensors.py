@@ -53,7 +53,7 @@ EYE, WAVELENGTH_NM = "navarro", 550.0
 RADIUS_MM = 12.0  # Navarro's retina.
 WALL, POLE = optics.Sphere(RADIUS_MM), np.array([0.0, 0.0, -RADIUS_MM])
 PINHOLE_HEIGHT_MM = 200.0
-SCALE_MM_PX = 0.0134  # the shadow of a tip at 6 mm lies 6 mm beside the spot
+SCALE_MM_PX = 0.0134  # The shadow of a tip at 6 mm lies 6 mm beside the spot.
 WINDOW_PX = np.array([960, 720])
 CONVERGENCE_DEG = 5.5
 """Angle between the two lines of sight of a stereo microscope at the pole, without a viewing lens:
@@ -258,9 +258,9 @@ def readings(marks: Marks, known: Known) -> dict[Sensor, Any]:
 # Which sensors see their marks: the window, the iris, and the instrument in front.
 
 READ, OUT_OF_VIEW = "read", "out of view"
-HIDDEN = "hidden"  # the instrument hides its tip's shadow
-_EDGE = 32  # points of a spot's edge that must be in view
-_SHAFT = 200  # points of the shaft's axis
+HIDDEN = "hidden"  # The instrument hides its tip's shadow.
+_EDGE_POINTS = 32  # All of them must be in view.
+_SHAFT_POINTS = 200
 
 
 def outcomes_at(every: InstrumentPlace, seen: Views) -> dict[Sensor, np.ndarray]:
@@ -284,10 +284,10 @@ def _in_view_and_hidden(every: InstrumentPlace, seen: Views) -> tuple[dict[Senso
     def at(one: InstrumentPlace) -> tuple[dict[Sensor, Any], Any]:
         shadow = shadow_of(one)
         marks = jnp.stack([one.spot, one.tip, shadow])
-        central = in_view(seen.centre, jnp.concatenate([marks, contour_of(one, _EDGE)]))
+        central = in_view(seen.centre, jnp.concatenate([marks, contour_of(one, _EDGE_POINTS)]))
         pair = jnp.stack([in_view(camera, marks[:2]) for camera in seen[1:]])
         _, down = seen.centre.ray(seen.centre.project(shadow))
-        shaft = one.tip - jnp.linspace(0.0, RADIUS_MM, _SHAFT)[:, None] * one.axis - shadow
+        shaft = one.tip - jnp.linspace(0.0, RADIUS_MM, _SHAFT_POINTS)[:, None] * one.axis - shadow
         aside = jnp.linalg.norm(shaft - (shaft @ down)[:, None] * down, axis=-1)
         seen_by = {
             Sensor.SPOT: jnp.all(central[3:]),

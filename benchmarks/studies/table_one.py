@@ -45,7 +45,7 @@ def even_span(row: paper.PlaneRow) -> float:
 # widest chord nearer to the tip than the axis, so that their ellipses come out larger: only
 # rendered stacks show that.
 
-FARTHEST_MM = 8.0  # largest reading
+LARGEST_READING_MM = 8.0
 _ROWS, _COLUMNS = 65, 193
 _NEAREST_MM = 0.05
 
@@ -105,7 +105,7 @@ class Isophotes:
 def _light(lens: optics.GlueLens, medium_index: float) -> optics.IrradianceTable:
     """A coarse table: a tenth of the time of `optics.irradiance_table`, for many lenses."""
     field = optics.LensField(lens, medium_index)
-    distance = np.geomspace(_NEAREST_MM, FARTHEST_MM + 1.0, _ROWS)
+    distance = np.geomspace(_NEAREST_MM, LARGEST_READING_MM + 1.0, _ROWS)
     envelope = np.asarray(field.envelope(distance))
     radius = envelope[:, None] * np.linspace(0.0, 1.0, _COLUMNS)
     light = jnp.stack(field(radius=radius, distance=distance[:, None]), axis=-1)
@@ -116,7 +116,7 @@ def _light(lens: optics.GlueLens, medium_index: float) -> optics.IrradianceTable
         contact_radius=contact_radius,
         slope=field.envelope(1.0) - contact_radius,
         nearest=_NEAREST_MM,
-        farthest=FARTHEST_MM + 1.0,
+        farthest=LARGEST_READING_MM + 1.0,
     )
 
 
@@ -168,7 +168,7 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> pd.DataFrame:
     Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; with a `miss` up to
     1 all criteria are met. `scale` is the scene's, mm/px.
     """
-    every = readings(0.0, FARTHEST_MM)
+    every = readings(0.0, LARGEST_READING_MM)
     radius = isophotes.radius(every[None, :], level=LEVELS[:, None])
     # A spot that the literal tracker would not accept is not seen.
     settings, px = LiteralSettings(), radius / scale
@@ -178,7 +178,7 @@ def best_choices(isophotes: Isophotes, *, scale: float) -> pd.DataFrame:
     lens["sag_mm"] = isophotes.family.sag
     tables = []
     for low, high in ((a, a + span) for a in _STARTS_MM for span in _SPANS_MM):
-        if high > FARTHEST_MM:
+        if high > LARGEST_READING_MM:
             continue
         inside = (every >= low - 1e-6) & (every <= high + 1e-6)
         lines = fit_lines(radius[:, inside], every[inside])
@@ -320,7 +320,7 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
     return ConfirmedLens(choice=choice, spots=points, lines=lines, criteria=met)
 
 
-WIDE_APERTURE = 0.15  # from here on the first scan, by ray binning, found no flat end that fits
+WIDE_APERTURE = 0.15  # From here on the first scan, by ray binning, found no flat end that fits.
 _CURVED_MM = 0.02
 
 
@@ -386,7 +386,7 @@ def _figure(
         axes.set(yscale="log")
 
     def spots(axes: Axes, way: paper.Way) -> None:
-        d_r = readings(0.0, FARTHEST_MM)
+        d_r = readings(0.0, LARGEST_READING_MM)
         for one, colour in zip(confirmed, PALETTE, strict=False):
             choice, light = one.choice, isophotes[family_of(one.choice)]
             distance = d_r + light.contact
@@ -506,7 +506,7 @@ def _claims(
         f"{scene.microscope.scale_mm_px:g} mm/px: NA {listed(fits.numerical_aperture, '.2f')}, sag "
         f"{listed(fits.sag_mm, '.3f')} mm, threshold {listed(fits.level, '.2f')}, readings up to "
         f"{listed(fits.to_mm, 'g')} mm. If neither the scale ({listed(SCALES_MM_PX, 'g')} mm/px at "
-        f"the ends) nor the distances (up to {FARTHEST_MM:g} mm) are known, "
+        f"the ends) nor the distances (up to {LARGEST_READING_MM:g} mm) are known, "
         f"{sum(anywhere.miss <= 1)} lenses do, so the table does not identify the lens. Of "
         f"{len(confirmed)} lenses rendered, {sum(not one.straight for one in confirmed)} fail at "
         "their best threshold and range.",

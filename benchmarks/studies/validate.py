@@ -24,9 +24,9 @@ from eyespot.formats.stack import Stack, read_stack
 
 # The fits of Tables I and II, and the models' errors.
 
-CHOSEN_ECCENTRICITIES_MM = (3.0, 5.0)  # eccentricities at which the report gives the model errors
+REPORTED_ECCENTRICITIES_MM = (3.0, 5.0)
 _ANALYTIC_HEIGHTS_MM = (*paper.PINHOLE_HEIGHTS_MM, 100.0)
-_FEWEST_SPOTS = 6  # fewer do not determine a line and its scatter
+_FEWEST_SPOTS = 6  # Fewer do not determine a line and its scatter.
 _STEP_MM, _SHORTEST_MM = 0.5, 2.0  # Parts of the range that are tried begin at steps.
 
 
@@ -199,14 +199,14 @@ def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFra
 # Figures.
 
 
-_FILM = 5  # frames
+_FILM_FRAMES = 5
 
 
 def film(findings: ValidateFindings) -> Figure:
     """Frames of a withdrawal in the eyeball at one scale, with measured and true ellipses."""
     trial = [trial for trial in findings.trials if trial.group == "sphere 1"][-1]
     rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
-    rows = rows.iloc[np.linspace(0, len(rows) - 1, _FILM).round().astype(int)]
+    rows = rows.iloc[np.linspace(0, len(rows) - 1, _FILM_FRAMES).round().astype(int)]
     half = round(1.5 * rows.half_max_semi_major_px.max())
     stack = read_stack(findings.stacks / trial.name)
     return page.cut_outs(
@@ -251,7 +251,7 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
         square = where(here, incidence_deg=0)
         square = square[square.d_mm.round(9).isin(model_error.CHOSEN_DISTANCES_MM)]
         three, five = (
-            square.error_mm[np.isclose(square.c_mm, c)] for c in CHOSEN_ECCENTRICITIES_MM
+            square.error_mm[np.isclose(square.c_mm, c)] for c in REPORTED_ECCENTRICITIES_MM
         )
         reached = model_error.limit_eccentricity(here, ACCEPTABLE_ERROR_MM)
         worst = statistics.largest(here.error_mm)

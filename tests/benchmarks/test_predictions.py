@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eyespot.benchmarks.predictions import (
-    SURE,
+    CHANGED_SIGMAS,
     Judgement,
     Plan,
     _sha256,
@@ -188,4 +188,4 @@ def test_95_percent_of_the_predictions_hold_with_true_scenes(plan, tmp_path):
     assert 0.91 <= share <= 0.99
     pulls = np.concatenate([one.causes.pull for one in found])
     # Of 420 keys one is beyond three standard deviations by chance.
-    assert np.sum(np.abs(pulls) > SURE) <= 5
+    assert np.sum(np.abs(pulls) > CHANGED_SIGMAS) <= 5

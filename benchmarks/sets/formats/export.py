@@ -15,7 +15,7 @@ from eyespot.formats.whole_files import require_space, written_whole
 
 Format = Literal["hdf5", "ome-tiff", "coco", "webdataset", "rosbag1", "rosbag2"]
 
-_EXTRA = {"h5py", "pycocotools"}  # packages of the extra `export`
+_PACKAGES_OF_EXTRA = {"h5py", "pycocotools"}
 
 
 def export(folder: Path, /, *, to: Format, out: Annotated[Path, OUT]) -> None:
@@ -54,7 +54,7 @@ def _writer(to: Format) -> Callable[[Sequence[SetStack], Path, Callable[[], None
     try:
         module = importlib.import_module(f"eyespot.benchmarks.sets.formats.{name}")
     except ModuleNotFoundError as error:
-        if error.name not in _EXTRA:
+        if error.name not in _PACKAGES_OF_EXTRA:
             raise
         raise InputError(
             f"the format {to} needs the package {error.name}: pip install 'eyespot[export]'."

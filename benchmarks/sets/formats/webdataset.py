@@ -13,7 +13,7 @@ from pathlib import Path
 
 from eyespot.benchmarks.sets.read import SetStack
 
-_SHARD_BYTES = 2**28  # large enough for fast reading, small enough to shuffle
+_SHARD_BYTES = 2**28  # Larger is slow to shuffle, smaller slow to read.
 
 
 def write(

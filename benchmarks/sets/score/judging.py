@@ -93,17 +93,17 @@ def groups(images: pd.DataFrame, condition: str) -> pd.Series:
 
 Against = Literal["half_max", "cone"]
 
-CENTRE = "centre_px"  # distance between the centres, the only quantity without a sign
+CENTRE = "centre_px"  # The distance between the centres is the only quantity without a sign.
 ANGLE = "angle_rad"  # The semi-major axis's; scored where the true ellipse is not round.
 QUANTITIES = ("x_px", "y_px", CENTRE, "semi_major_px", "semi_minor_px", ANGLE, "distance_mm")
 """Scored quantities; the true distance is d = |SO|."""
-MAIN = "semi_minor_px"  # which determines distances, and by which groups are compared
+MAIN = "semi_minor_px"  # It determines distances, and groups are compared by it.
 
 _NAMES = dict(zip(ELLIPSE, PARAMETERS, strict=True))
 """Names in the covariance of a spot."""
-_ROUND_PX = 1.0  # axes that differ less; an error of 0.05 px in them may turn it by 3 degrees
-_RESAMPLED = 1000  # bootstrap samples; the ends of an interval vary by 3 % of its width
-_FEWEST_STACKS = 3  # fewer are not enough for a bootstrap
+_LEAST_DIFFERENCE_PX = 1.0  # Of rounder spots an error of 0.05 px may turn the axes by 3 degrees.
+_RESAMPLES = 1000  # The ends of an interval vary by 3 % of its width.
+_FEWEST_STACKS = 3  # Fewer are not enough for a bootstrap.
 
 
 class Outcome(StrEnum):
@@ -147,7 +147,7 @@ def judge(
     axes = counted[f"{against}_semi_major_px"] - counted[f"{against}_semi_minor_px"]
     half_turn = math.pi / 2  # an axis has no sign, so that its error is at most this
     errors[ANGLE] = (errors[ANGLE] + half_turn) % math.pi - half_turn
-    errors[ANGLE] = errors[ANGLE].where(axes >= _ROUND_PX)
+    errors[ANGLE] = errors[ANGLE].where(axes >= _LEAST_DIFFERENCE_PX)
     visible = counted.visible_fraction >= VISIBLE_ENOUGH
     nothing = ~is_spot & spots.distance_mm.isna()
     # `not <=` includes NaN: a spot without a position is elsewhere.
@@ -317,10 +317,10 @@ def score(
 
 # Standings of estimators on the same images, with intervals by a bootstrap over stacks.
 
-_MEDIAN_OF_NORMAL = 0.6745  # Half of all normal errors are smaller, in sigmas.
+_MEDIAN_OF_NORMAL_SIGMAS = 0.6745
 _BOUNDS = {"semi_minor_px": "bound_semi_minor_px", "distance_mm": "bound_d_mm"}
 """Label with the bound of a quantity."""
-_WIDE = 1.96  # sigmas that contain 95 % of normal errors
+_SIGMAS_OF_95_PERCENT = 1.96
 _VISIBLE = (Outcome.FOUND, Outcome.MISSED, Outcome.MISPLACED)
 
 
@@ -392,7 +392,7 @@ def _standing(own: pd.DataFrame, resampled: "_Resampled", quantity: str) -> dict
     false = own.outcome.isin((Outcome.MISPLACED, Outcome.INVENTED)).to_numpy()
     part = np.divide(known, sigmas, out=np.full(known.shape, math.inf), where=stated)
     bound = own[_BOUNDS[quantity]].to_numpy(float) if quantity in _BOUNDS else math.nan
-    ratio = errors / (_MEDIAN_OF_NORMAL * bound)
+    ratio = errors / (_MEDIAN_OF_NORMAL_SIGMAS * bound)
     return {
         "missed": resampled.mean(~is_found, seen),
         "false_spots": resampled.mean(false, np.ones_like(seen)),
@@ -400,7 +400,7 @@ def _standing(own: pd.DataFrame, resampled: "_Resampled", quantity: str) -> dict
         "ninth_decile": resampled.quantile(errors, seen, 0.9),
         "rmse": np.sqrt(resampled.mean(known**2, is_found)),
         "within_1_sigma": resampled.mean(part <= 1, stated),
-        "within_196_sigma": resampled.mean(part <= _WIDE, stated),
+        "within_196_sigma": resampled.mean(part <= _SIGMAS_OF_95_PERCENT, stated),
         "over_bound": resampled.quantile(ratio, seen & ~np.isnan(ratio), 0.5),
     }
 
@@ -412,7 +412,7 @@ def _draws(stacks: int) -> np.ndarray:
     if stacks < _FEWEST_STACKS:
         return times
     rng = np.random.default_rng(0)
-    drawn = rng.multinomial(stacks, np.full(stacks, 1 / stacks), size=_RESAMPLED)
+    drawn = rng.multinomial(stacks, np.full(stacks, 1 / stacks), size=_RESAMPLES)
     return np.concatenate([times, drawn.astype(np.int32)])
 
 

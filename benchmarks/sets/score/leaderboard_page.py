@@ -17,7 +17,7 @@ from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Score
 from eyespot.benchmarks.sets.score.spots import ScoredEstimator
 from eyespot.formats.page import in_figure
 
-_ONE, _WIDE = 0.683, 0.950  # parts of normal errors within 1 and 1.96 sigma
+_WITHIN_1_SIGMA, _WITHIN_196_SIGMA = 0.683, 0.950  # Parts of normal errors.
 
 _RULE = (
     "Entries are ranked by the median of the absolute error over all images in which half of the "
@@ -97,9 +97,9 @@ def leaderboard(
             _SHOWN,
             f"{title} ({unit}), on {best.visible} visible images; missed and within are in %, "
             "false spots per 100 images. σ as the entry states it; ideal are "
-            f"{100 * _ONE:.1f} and {100 * _WIDE:.1f} %. The bound is that of Cramér and Rao for "
-            "each image, for an estimator that knows the wall and the shape of the light. Times "
-            "are as the entries state them, or wall times of this run.",
+            f"{100 * _WITHIN_1_SIGMA:.1f} and {100 * _WITHIN_196_SIGMA:.1f} %. The bound is that "
+            "of Cramér and Rao for each image, for an estimator that knows the wall and the shape "
+            "of the light. Times are as the entries state them, or wall times of this run.",
             data="leaderboard.csv",
         )
         parts: list[page.Table | page.Picture] = [table, *([picture] if first else [])]
@@ -135,7 +135,7 @@ def leaderboard(
 
 
 _MOST_WORST = 6
-_AROUND = 1.6  # half of the side of a cut-out, in semi-major axes
+_HALF_CUT_OUT = 1.6  # In semi-major axes.
 
 
 def _worst(
@@ -153,7 +153,7 @@ def _worst(
         measured = [t + (0.0 if math.isnan(e) else e) for t, e in zip(true, off, strict=True)]
         image = by_name[row.stack].open().image(row)
         caption = f"{row.stack}\n{getattr(row, f'error_{MAIN}'):+.2f} px"
-        half = round(_AROUND * true[2])
+        half = round(_HALF_CUT_OUT * true[2])
         shown.append(page.CutOut(image, half, true, measured, in_figure(caption)))
     if not shown:
         return []
@@ -201,8 +201,8 @@ def _drawn(total: pd.DataFrame, unit: str) -> Figure:
     left.set_yticks(places, [in_figure(name) for name in total.entry])
     for right in others:
         for name, ideal, colour, label in (
-            ("within_1_sigma", _ONE, page.BLUE, "within 1 σ"),
-            ("within_196_sigma", _WIDE, page.VERMILION, "within 1.96 σ"),
+            ("within_1_sigma", _WITHIN_1_SIGMA, page.BLUE, "within 1 σ"),
+            ("within_196_sigma", _WITHIN_196_SIGMA, page.VERMILION, "within 1.96 σ"),
         ):
             right.axvline(100 * ideal, color=page.GREY, ls="--", lw=0.8)
             points(right, name, colour, label, scale=100.0)

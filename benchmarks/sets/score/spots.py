@@ -141,7 +141,7 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
 
 
 SPOTS_SUFFIXES = (".csv", ".parquet")
-_NAMED = 5  # unknown names listed in a message
+_MAX_NAMES_SAID = 5
 
 
 def read_set_spots(
@@ -176,8 +176,10 @@ def read_set_spots(
             raise InputError(f"{path}: {record.file_name} has two lines. Remove one of them.")
         found[record.file_name] = record
     if unknown := [name for name in found if name not in images]:
-        listed = ", ".join(repr(name) for name in unknown[:_NAMED])
-        more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+        listed = ", ".join(repr(name) for name in unknown[:_MAX_NAMES_SAID])
+        more = (
+            f" and {len(unknown) - _MAX_NAMES_SAID} more" if len(unknown) > _MAX_NAMES_SAID else ""
+        )
         raise InputError(
             f"{path}: the set does not contain {listed}{more}. Image names are relative to the "
             f"set, such as {min(images)}."
