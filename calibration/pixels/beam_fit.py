@@ -17,9 +17,9 @@ texture within cells makes. It is as large as makes chi squared what it should b
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Self
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -30,12 +30,9 @@ from eyespot.calibration.least_squares import MOST_STEPS, Minimum, NormalEquatio
 from eyespot.calibration.pixels.data import Footage, possible
 from eyespot.calibration.pixels.lens_light import (
     CAP,
-    CLEAR,
     NEAREST_MM,
+    Coordinates,
     LinearLensLight,
-    cap_of,
-    cap_sag,
-    cap_shape,
     cap_slopes,
 )
 from eyespot.calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
@@ -99,21 +96,82 @@ class _At(NamedTuple):
     information: Float[np.ndarray, "n"]
 
 
-class BeamSolver:
-    """A running fit on one lattice of cells.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CellFrames:
+    """Frames of a withdrawal in cells, and what is fitted to them.
 
-    Args:
+    Attributes:
         numbers: of the frames that are used.
-        names: names of the free parameters.
+        names: of the free parameters.
         lens: the light of a lens; None for a cone.
+        light: the model's; it is linear around where it last looked (`Light.look`).
+        seen: means of the cells in each frame, full wells.
+        clear: cells of each frame without a pixel that is black or saturated.
+        inside: cells inside of the image.
+        prior_means, prior_weights: see `prior_terms`.
         progress: called with chi squared at every step.
     """
 
-    def __init__(
-        self,
+    footage: Footage
+    cells: Cells
+    numbers: list[int]
+    names: tuple[str, ...]
+    lens: LinearLensLight | None
+    light: Light
+    seen: Float[np.ndarray, "used n"]
+    clear: Bool[np.ndarray, "used n"]
+    inside: Bool[np.ndarray, "n"]
+    priors: Mapping[str, Prior]
+    prior_means: Float[np.ndarray, "p"]
+    prior_weights: Float[np.ndarray, "q p"]
+    progress: Callable[[float], None]
+
+    @property
+    def is_linear(self) -> bool:
+        """Whether the model is linear in parameters around those of a table or of a view."""
+        return self.lens is not None or bool(self.light.of_view)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BeamFit:
+    """A fit at one of its points; each step of the fit makes another one.
+
+    Attributes:
+        of: the frames.
+        sizes: scales of the free parameters.
+        coordinates: what it steps in.
+        tau: standard deviation of a cell's texture.
+        error: of the model, relative to the light.
+        spread: standard deviations of the states, in their units.
+        trust: of cells, less where they are far off.
+        by_shift: derivatives of all cells' light by a shift of the image, zero until learnt,
+            because the tiles near a beam change with its pose.
+        weight, variance: of cells, by the model that they were chosen with.
+        now, equations: the model at the point, once it was evaluated there.
+        chi_squared: without the model's error, once that was learnt.
+    """
+
+    of: CellFrames
+    point: Point
+    sizes: Float[np.ndarray, "p"]
+    coordinates: Coordinates
+    tau: float
+    error: float
+    spread: Float[np.ndarray, "7"]
+    trust: Float[np.ndarray, "used n"]
+    by_shift: Float[np.ndarray, "used 2 n"]
+    weight: Float[np.ndarray, "used n"]
+    variance: Float[np.ndarray, "used n"]
+    now: _At
+    equations: NormalEquations
+    chi_squared: float = math.nan
+
+    @classmethod
+    def begun(
+        cls,
         footage: Footage,
         cells: Cells,
-        numbers: Sequence[int],
+        numbers: list[int],
         point: Point,
         *,
         names: tuple[str, ...],
@@ -121,47 +179,58 @@ class BeamSolver:
         joint_prior: JointPrior | None,
         lens: LinearLensLight | None,
         progress: Callable[[float], None],
-    ) -> None:
-        self.footage, self.cells, self.numbers, self.point = footage, cells, list(numbers), point
-        self.names, self.lens, self.progress = names, lens, progress
-        self.priors = priors
-        self._prior_means, self._prior_weights = prior_terms(names, priors, joint_prior)
-        self.light = Light(footage, cells, names, lens)
-        means = [cells.means(footage.light[i], footage.clear[i]) for i in self.numbers]
-        self.seen = np.array([mean for mean, _ in means])
-        self.clear = np.array([clear for _, clear in means])
-        image = footage.light[0]
-        self.inside = cells.means(image, np.ones(image.shape, bool))[1]
-        self.sizes = np.array([_size(name, point.values, priors) for name in names])
-        self._steps = self.sizes.copy()  # of the coordinates
-        self._shapes_cap = set(CAP) <= set(names)
-        self.least_rim = CLEAR  # over the core, of a cap whose sag is free as well
-        if self._shapes_cap:
-            self._steps[names.index("sag")] /= cap_slopes(point.values)[0, 0]
-        self.spread = np.ones(len(STATES))  # of the states, in their units
-        # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
-        self.tau, self.error = _FREE if len(self.numbers) > _FEW else EVEN, 0.0
-        self.trust = np.ones(self.seen.shape)  # of cells that are far off
-        self.map = np.ones(cells.along**2)
-        # Of all cells, because the tiles near a beam change with its pose; zero until learnt.
-        self._by_shift = np.zeros((len(self.numbers), 2, cells.along**2), np.float32)
+    ) -> Self:
+        """The fit of the frames with these numbers, before its first step."""
+        means = [cells.means(footage.light[i], footage.clear[i]) for i in numbers]
+        image, count = footage.light[0], cells.along**2
+        prior_means, prior_weights = prior_terms(names, priors, joint_prior)
+        of = CellFrames(
+            footage=footage,
+            cells=cells,
+            numbers=numbers,
+            names=names,
+            lens=lens,
+            light=Light(footage, cells, names, lens),
+            seen=np.array([mean for mean, _ in means]),
+            clear=np.array([clear for _, clear in means]),
+            inside=cells.means(image, np.ones(image.shape, bool))[1],
+            priors=priors,
+            prior_means=prior_means,
+            prior_weights=prior_weights,
+            progress=progress,
+        )
+        sizes = np.array([_size(name, point.values, priors) for name in names])
+        steps = sizes.copy()
+        if set(CAP) <= set(names):
+            steps[names.index("sag")] /= cap_slopes(point.values)[0, 0]
+        return cls(
+            of=of,
+            point=point,
+            sizes=sizes,
+            coordinates=Coordinates(names, steps),
+            # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
+            tau=_FREE if len(numbers) > _FEW else EVEN,
+            error=0.0,
+            spread=np.ones(len(STATES)),
+            trust=np.ones(of.seen.shape),
+            by_shift=np.zeros((len(numbers), 2, count), np.float32),
+            weight=np.zeros(of.seen.shape),
+            variance=np.ones(of.seen.shape),
+            now=_At([], [], np.ones(count), np.zeros(count)),
+            equations=NormalEquations(np.inf, np.zeros(0), np.zeros((0, 0))),
+        )
 
     @property
     def data(self) -> int:
         """Number of cells that are used, over all frames."""
         return int(np.count_nonzero(self.weight))
 
-    @property
-    def is_linear(self) -> bool:
-        """Whether the model is linear in parameters around those of a table or of a view."""
-        return self.lens is not None or bool(self.light.of_view)
-
     def look(self) -> None:
         """Make the light linear in the view around that of the point."""
-        self.light.look(self.point.values, self.point.states, self.numbers)
+        self.of.light.look(self.point.values, self.point.states, self.of.numbers)
 
-    def choose(self, *, guess: bool) -> None:
-        """Choose the cells and their weights by the model.
+    def chosen(self, *, guess: bool) -> Self:
+        """With the cells and weights that the model chooses, and a light that looked here.
 
         Args:
             guess: whether the point is only a guess, so that only the frames say what is clear.
@@ -169,14 +238,14 @@ class BeamSolver:
         Raises:
             InputError: hardly any cell is usable.
         """
-        footage, side = self.footage, self.cells.side
+        footage, side = self.of.footage, self.of.cells.side
         self.look()
-        view = self.light.view(self.point.values)
+        view = self.of.light.view(self.point.values)
         margin = (_MARGIN_PX[guess] + 0.5**0.5 * (side - 1)) * footage.microscope.scale_mm_px
-        nearest = _NEAREST_CONE_MM if self.lens is None else NEAREST_MM
-        self.weight, self.variance = np.zeros(self.seen.shape), np.ones(self.seen.shape)
+        nearest = _NEAREST_CONE_MM if self.of.lens is None else NEAREST_MM
+        used, variance = np.zeros(self.of.seen.shape), np.ones(self.of.seen.shape)
         # With the derivatives, which the fit asks for next, at the same point.
-        found = self.light.frames(self.point.values, self.point.states, self.numbers)
+        found = self.of.light.frames(self.point.values, self.point.states, self.of.numbers)
         reached = shown = 0
         for k, own in enumerate(found or ()):
             at = own.cells
@@ -187,72 +256,81 @@ class BeamSolver:
                     view.point[at], view.sight[at], tip=own.tip, axis=own.axis, margin=margin
                 )
             shown += int(usable.sum())
-            level = self.seen[k, at] if guess else self.map[at] * own.light
+            level = self.of.seen[k, at] if guess else self.now.map[at] * own.light
             usable &= (
-                self.clear[k, at] if guess else self.inside[at] & footage.noise.is_clear(level)
+                self.of.clear[k, at]
+                if guess
+                else self.of.inside[at] & footage.noise.is_clear(level)
             )
-            self.variance[k, at] = footage.noise.variance(level) / side**2
-            if self.lens is not None:
+            variance[k, at] = footage.noise.variance(level) / side**2
+            if self.of.lens is not None:
                 # Of a frame whose peak is saturated, the rest may be too dim for the table.
-                self.variance[k, at] += (_OF_TABLE * own.direct.max()) ** 2
+                variance[k, at] += (_OF_TABLE * own.direct.max()) ** 2
             if guess:
-                self.variance[k, at] += (_GUESSED * level.max(where=usable, initial=0.0)) ** 2
-            self.weight[k, at] = usable
-        self._reweigh()
-        of_wall = np.count_nonzero(self.weight.any(axis=0)) if self.textured else 0
-        if self.data <= len(self.names) + len(self.numbers) + of_wall:
+                variance[k, at] += (_GUESSED * level.max(where=usable, initial=0.0)) ** 2
+            used[k, at] = usable
+        fit = replace(self, weight=used, variance=variance)._reweighed()
+        of_wall = np.count_nonzero(fit.weight.any(axis=0)) if fit.textured else 0
+        if fit.data <= len(self.of.names) + len(self.of.numbers) + of_wall:
             raise InputError(
-                f"{self.data} cells of {side} x {side} pixels are usable; a fit of "
-                f"{len(self.names)} parameters and of the wall behind the cells needs more. The "
+                f"{fit.data} cells of {side} x {side} pixels are usable; a fit of "
+                f"{len(self.of.names)} parameters and of the wall behind the cells needs more. The "
                 f"instrument hides {1 - shown / max(reached, 1):.0%} of the cells that the beam "
                 f"reaches; others are black, saturated, or nearer than {nearest} mm to the tip. "
                 "Change the exposure, tilt the beam against the line of sight, or withdraw farther."
             )
+        return fit
 
     def _reached(self, own: FrameLight, ring: int) -> Bool[np.ndarray, "n"]:
         """Cells that the beam reaches, and a ring around them."""
-        count = self.cells.along
+        count = self.of.cells.along
         lit = np.zeros(count**2, bool)
         lit[own.cells] = own.direct > _LIT * own.direct.max()
         near = binary_dilation(lit.reshape(count, count), np.ones((3, 3)), iterations=ring)
         return np.asarray(near.ravel()[own.cells])
 
-    def _reweigh(self) -> None:
-        """Weights of the used cells by the noise, the model's relative error, and their trust."""
-        total = self.variance + (self.error * self.seen) ** 2
-        self.weight = np.where(self.weight > 0, self.trust / total, 0.0)
+    def _reweighed(self) -> Self:
+        """With weights of the used cells by noise, the model's relative error, and trust."""
+        total = self.variance + (self.error * self.of.seen) ** 2
+        return replace(self, weight=np.where(self.weight > 0, self.trust / total, 0.0))
 
-    def brighten(self) -> None:
-        """Set sensitivity and illumination by linear least squares, with all else fixed.
+    def brightened(self) -> Self:
+        """With sensitivity and illumination by linear least squares, and all else as it is.
 
         Raises:
             InputError: the light is not where the beam is.
         """
-        found = self.light.frames(self.point.values, self.point.states, self.numbers) or ()
+        found = self.of.light.frames(self.point.values, self.point.states, self.of.numbers) or ()
         light, weight = (
             np.concatenate([row[own.cells] for row, own in zip(rows, found, strict=True)])
-            for rows in (self.seen, np.sqrt(self.weight))
+            for rows in (self.of.seen, np.sqrt(self.weight))
         )
-        lamp = self.names.index("illumination")
+        lamp = self.of.names.index("illumination")
         basis = np.hstack([[own.by_state[0], own.slopes[lamp]] for own in found]) * weight
         basis /= self.point.values["sensitivity"]
         sensitivity, product = np.linalg.lstsq(basis.T, light * weight, rcond=None)[0].tolist()
         if not sensitivity > 0:
             raise InputError("the spot is not near its place in the start values. Check these.")
-        self.point.values["sensitivity"] = sensitivity
-        self.point.values["illumination"] = max(product / sensitivity, 0.0)
-        at = self.names.index("sensitivity")
-        self.sizes[at] = self._steps[at] = sensitivity
+        lit = {"sensitivity": sensitivity, "illumination": max(product / sensitivity, 0.0)}
+        is_gain = np.array([name == "sensitivity" for name in self.of.names])
+        return replace(
+            self,
+            point=Point(self.point.values | lit, self.point.states),
+            sizes=np.where(is_gain, sensitivity, self.sizes),
+            coordinates=self.coordinates._replace(
+                steps=np.where(is_gain, sensitivity, self.coordinates.steps)
+            ),
+        )
 
-    def minimise(
+    def minimised(
         self,
         tolerance: float,
         *,
         follow: bool,
         keep_chord: bool = False,
         most_steps: int = MOST_STEPS,
-    ) -> Minimum:
-        """Fit with the weights and variances as they are.
+    ) -> tuple[Self, Minimum]:
+        """The least chi squared with the weights and variances as they are.
 
         Args:
             tolerance: of chi squared.
@@ -261,54 +339,60 @@ class BeamSolver:
                 shows it, so that steps from far off lead to a half ball.
             most_steps: after which it ends anyway.
         """
-        start, size, best = self.point, len(self.names), math.inf
-        begin = self.coordinates(start.values)
+        size, best = len(self.of.names), self
+        least = math.inf
+        begin = self.coordinates.of(self.point.values)
 
         def evaluate(x: np.ndarray) -> NormalEquations:
-            nonlocal best
-            values = self._values(begin + x[:size])
-            states = start.states.copy()
-            states[self.numbers] += x[size:].reshape(-1, len(STATES)) * _UNITS
-            point = Point(values, states)
+            nonlocal best, least
+            values = self.coordinates.values(begin + x[:size], self.point.values)
+            states = self.point.states.copy()
+            states[self.of.numbers] += x[size:].reshape(-1, len(STATES)) * _UNITS
             none = NormalEquations(np.inf, np.zeros(x.size), np.zeros((x.size, x.size)))
             if not possible(values):
                 return none
-            if follow and self.lens is not None:
-                self.lens.follow(values)
-            at = self._at(point)
-            if at is None:
+            if follow and self.of.lens is not None:
+                self.of.lens.follow(values)
+            fit = self._evaluated_at(Point(values, states))
+            if fit is None:
                 return none
-            found = self._equations(point, at)
-            if keep_chord and self._shapes_cap:
-                chord = self.names.index("aperture_radius")
+            found = fit.equations
+            if keep_chord and self.coordinates.shapes_cap:
+                chord = self.of.names.index("aperture_radius")
                 found.gradient[chord] = 0.0
                 found.information[chord] = found.information[:, chord] = np.eye(x.size)[chord]
-            self.progress(found.cost)
-            if found.cost < best:  # the fit goes on from there
-                best, self.point, self.now, self.equations = found.cost, point, at, found
-            return self._within_bound(found, values)
+            self.of.progress(found.cost)
+            if found.cost < least:
+                least, best = found.cost, fit
+            return self.coordinates.within_bound(found, values)
 
-        start_at = np.zeros(size + len(STATES) * len(self.numbers))
-        found = minimise(evaluate, start_at, tolerance=tolerance, most_steps=most_steps)
-        self.map = self.now.map
-        return found
+        start = np.zeros(size + len(STATES) * len(self.of.numbers))
+        found = minimise(evaluate, start, tolerance=tolerance, most_steps=most_steps)
+        return best, found
 
-    def evaluate(self) -> None:
-        """Compute the model at the point where the fit is, which a fit has reached before."""
-        at = self._at(self.point)
-        assert at is not None
-        self.now, self.equations, self.map = at, self._equations(self.point, at), at.map
+    def evaluated(self) -> Self:
+        """With the model at the point, which a fit has reached before."""
+        fit = self._evaluated_at(self.point)
+        assert fit is not None
+        return fit
+
+    def _evaluated_at(self, point: Point) -> Self | None:
+        """The fit at another point; None if a beam meets no wall there."""
+        now = self._at(point)
+        if now is None:
+            return None
+        return replace(self, point=point, now=now, equations=self._equations(point, now))
 
     def _at(self, point: Point) -> _At | None:
-        frames = self.light.frames(point.values, point.states, self.numbers)
+        frames = self.of.light.frames(point.values, point.states, self.of.numbers)
         if frames is None:
             return None
         stiff = self.tau**-2.0
-        information, pull = np.full(self.map.shape, stiff), np.full(self.map.shape, stiff)
+        information, pull = np.full(self.now.map.shape, stiff), np.full(self.now.map.shape, stiff)
         lights = []
         for k, own in enumerate(frames):
-            light = self.seen[k, own.cells]
-            light = light - point.states[self.numbers[k], SHIFT] @ self._by_shift[k][:, own.cells]
+            light = self.of.seen[k, own.cells]
+            light = light - point.states[self.of.numbers[k], SHIFT] @ self.by_shift[k][:, own.cells]
             weighted = self.weight[k, own.cells] * own.light
             information[own.cells] += weighted * own.light
             pull[own.cells] += weighted * light
@@ -322,12 +406,12 @@ class BeamSolver:
 
     def _equations(self, point: Point, at: _At) -> NormalEquations:
         """Normal equations of all parameters and states, the map eliminated."""
-        p, q = len(self.names), len(STATES)
-        total = p + q * len(self.numbers)
+        p, q = len(self.of.names), len(STATES)
+        total = p + q * len(self.of.numbers)
         information, gradient = np.zeros((total, total)), np.zeros(total)
-        mixed = np.zeros((total, self.map.size))
+        mixed = np.zeros((total, self.now.map.size))
         cost = float(np.sum(np.square(at.map - 1.0))) * self.tau**-2.0
-        by = self.by_coordinates(point.values)
+        by = self.coordinates.slopes(point.values)
         for k, (own, rest) in enumerate(zip(at.frames, at.rest, strict=True)):
             slopes, weight = self._slopes(k, own, at.map, by), self.weight[k, own.cells]
             rows = np.r_[:p, p + q * k : p + q * (k + 1)]
@@ -337,80 +421,22 @@ class BeamSolver:
             mixed[np.ix_(rows, own.cells)] += weighted * own.light
             cost += float(weight @ np.square(rest))
         information -= (mixed / at.information) @ mixed.T
-        stiff = np.tile(self.spread**-2.0, len(self.numbers))
-        states = (point.states[self.numbers] / _UNITS).ravel()
+        stiff = np.tile(self.spread**-2.0, len(self.of.numbers))
+        states = (point.states[self.of.numbers] / _UNITS).ravel()
         information[np.arange(p, total), np.arange(p, total)] += stiff
         gradient[p:] += stiff * states
         cost += float(stiff @ np.square(states))
-        values = np.array([point.values[name] for name in self.names])
-        off = self._prior_weights @ (values - self._prior_means)
-        slopes = self._prior_weights @ by
+        values = np.array([point.values[name] for name in self.of.names])
+        off = self.of.prior_weights @ (values - self.of.prior_means)
+        slopes = self.of.prior_weights @ by
         cost += float(off @ off)
         gradient[:p] += slopes.T @ off
         information[:p, :p] += slopes.T @ slopes
         return NormalEquations(cost, gradient, information)
 
-    def coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
-        """What the fit steps in: the free parameters, over the sizes of steps.
-
-        In place of sag and rim it is the cap's `cap_shape`. The light follows the curvature, so the
-        valley of equal light is almost straight.
-        """
-        own = dict(values)
-        if self._shapes_cap:
-            own |= zip(CAP, cap_shape(values), strict=True)
-        return np.array([own[name] for name in self.names]) / self._steps
-
-    def _values(self, at: Float[np.ndarray, "p"]) -> dict[str, float]:
-        """All parameters at these coordinates."""
-        own = dict(zip(self.names, (at * self._steps).tolist(), strict=True))
-        if self._shapes_cap:
-            curvature, chord = (own[name] for name in CAP)
-            sag, rim = cap_of(np.array([curvature, chord]))
-            least = self.least_rim * (self.point.values | own)["core_radius"]
-            if rim < least and abs(curvature) * least < 1.0:
-                sag, rim = cap_sag(curvature, least), least
-            own |= zip(CAP, (sag, rim), strict=True)
-        return self.point.values | own
-
-    def is_at_bound(self, values: Mapping[str, float]) -> bool:
-        """Whether the rim of a free cap is the least that it may be."""
-        if not self._shapes_cap:
-            return False
-        return values["aperture_radius"] <= (1.0 + 1e-9) * self.least_rim * values["core_radius"]
-
-    def _within_bound(self, found: NormalEquations, values: dict[str, float]) -> NormalEquations:
-        """The equations of a step that keeps the rim at its bound, where it would go inside.
-
-        A step then changes the chord only as curvature and core demand it.
-        """
-        if not self.is_at_bound(values):
-            return found
-        at = self.names.index("aperture_radius")
-        if found.gradient[at] <= 0.0:
-            return found
-        rim = self.by_coordinates(values)[at]
-        along = np.eye(len(found.gradient))
-        along[at, : len(rim)] = -rim / rim[at]
-        if "core_radius" in self.names:
-            core = self.names.index("core_radius")
-            along[at, core] += self.least_rim * self._steps[core] / rim[at]
-        along[at, at] = 0.0
-        information = along.T @ found.information @ along
-        information[at, at] = 1.0
-        return NormalEquations(found.cost, along.T @ found.gradient, information)
-
-    def by_coordinates(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
-        """Derivatives of the free parameters by their coordinates."""
-        slopes = np.eye(len(self.names))
-        if self._shapes_cap:
-            cap = [self.names.index(name) for name in CAP]
-            slopes[np.ix_(cap, cap)] = cap_slopes(values)
-        return slopes * self._steps
-
     def difference(self, before: Point, after: Point) -> Float[np.ndarray, "p"]:
         """Difference of the free parameters over their sizes."""
-        return np.array([after.values[n] - before.values[n] for n in self.names]) / self.sizes
+        return np.array([after.values[n] - before.values[n] for n in self.of.names]) / self.sizes
 
     def distance(self, other: Point) -> float:
         """Standard errors between the point of the fit and another one."""
@@ -419,8 +445,8 @@ class BeamSolver:
 
     def slopes(self, k: int) -> Float[np.ndarray, "p+7 n"]:
         """Derivatives of a frame's light by the parameters' coordinates, and by its states."""
-        by = self.by_coordinates(self.point.values)
-        return self._slopes(k, self.now.frames[k], self.map, by)
+        by = self.coordinates.slopes(self.point.values)
+        return self._slopes(k, self.now.frames[k], self.now.map, by)
 
     def _slopes(
         self, k: int, own: FrameLight, texture: np.ndarray, by: Float[np.ndarray, "p p"]
@@ -428,73 +454,73 @@ class BeamSolver:
         """Derivatives of a frame's light by the parameters' coordinates, and by its states.
 
         Args:
-            by: `by_coordinates` of the parameters.
+            by: of the parameters by their coordinates.
         """
-        by_shift = self._by_shift[k][:, own.cells]
+        by_shift = self.by_shift[k][:, own.cells]
         by_state = np.concatenate([texture[own.cells] * own.by_state, by_shift])
         by_name = by.T @ own.slopes * texture[own.cells]
         return np.concatenate([by_name, _UNITS[:, None] * by_state])
 
-    def learn(self) -> None:
-        """Learn the states' variances and the model's error; cells far off lose their weight."""
-        p, q = len(self.names), len(STATES)
-        states = (self.point.states[self.numbers] / _UNITS).ravel()
+    def learnt(self) -> Self:
+        """With the states' variances and the model's error; cells far off lose their weight."""
+        p, q = len(self.of.names), len(STATES)
+        states = (self.point.states[self.of.numbers] / _UNITS).ravel()
         data, pull = self.equations.information.copy(), -self.equations.gradient
         at = np.arange(p, len(data))
-        stiff = np.tile(self.spread**-2.0, len(self.numbers))
+        stiff = np.tile(self.spread**-2.0, len(self.of.numbers))
         data[at, at] -= stiff
         pull[p:] += stiff * states
         # From above: a spread that was learnt too small hides what would enlarge it.
-        self.spread = np.ones(len(STATES))
+        spread = np.ones(len(STATES))
         for _ in range(_VARIANCE_ROUNDS):
-            stiff = np.tile(self.spread**-2.0, len(self.numbers))
+            stiff = np.tile(spread**-2.0, len(self.of.numbers))
             whole = data.copy()
             whole[at, at] += stiff
             covariance = np.linalg.inv(whole)
             step = pull.copy()
             step[p:] -= stiff * states
             moved = (states + (covariance @ step)[p:]).reshape(-1, q)
-            share = 1.0 - np.diag(covariance)[p:].reshape(-1, q) * self.spread**-2.0
+            share = 1.0 - np.diag(covariance)[p:].reshape(-1, q) * spread**-2.0
             free = np.maximum(share.sum(axis=0), 1e-3)
-            learnt = np.sqrt(np.square(moved).sum(axis=0) / free)
+            wide = np.sqrt(np.square(moved).sum(axis=0) / free)
             # A robot errs alike along all axes, and a microscope shakes alike along both.
             for alike in (TIP, SHIFT):
-                learnt[alike] = np.sqrt(np.mean(np.square(learnt[alike])))
-            self.spread = np.clip(learnt, _LEAST / _UNITS, _MOST / _UNITS)
-        self._learn_error()
-        count = self.cells.along
+                wide[alike] = np.sqrt(np.mean(np.square(wide[alike])))
+            spread = np.clip(wide, _LEAST / _UNITS, _MOST / _UNITS)
+        by_shift = np.zeros_like(self.by_shift)
+        count = self.of.cells.along
         for k, own in enumerate(self.now.frames):
             lit = np.zeros(count**2)
-            lit[own.cells] = self.map[own.cells] * own.light
-            down, right = np.gradient(lit.reshape(count, count), self.cells.side)
-            self._by_shift[k] = -np.stack([right.ravel(), down.ravel()])
+            lit[own.cells] = self.now.map[own.cells] * own.light
+            down, right = np.gradient(lit.reshape(count, count), self.of.cells.side)
+            by_shift[k] = -np.stack([right.ravel(), down.ravel()])
+        return replace(self, spread=spread, by_shift=by_shift)._with_error()
 
-    def _learn_error(self) -> None:
-        """The relative error that makes chi squared what it should be, and robust weights."""
+    def _with_error(self) -> Self:
+        """With the relative error that makes chi squared what it should be, and robust weights."""
         used = self.weight > 0
-        rest = np.zeros(self.seen.shape)
+        rest = np.zeros(self.of.seen.shape)
         for k, (own, off) in enumerate(zip(self.now.frames, self.now.rest, strict=True)):
             rest[k, own.cells] = off
         square, noise = np.square(rest[used]), self.variance[used]
-        signal, degrees = np.square(self.seen[used]), self.degrees_of_freedom
+        signal, degrees = np.square(self.of.seen[used]), self.degrees_of_freedom
 
         def excess(error: float) -> float:
             far = square / (noise + error**2 * signal)
             return float(np.sum(np.minimum(far, _FAR**2))) - degrees
 
-        self.chi_squared = float(np.sum(square / noise))
         error = 0.0 if excess(0.0) <= 0 else brentq(excess, 0.0, 1.0) if excess(1.0) < 0 else 1.0
-        self.error = float(error)
-        far = np.abs(rest) / np.sqrt(self.variance + (self.error * self.seen) ** 2)
+        far = np.abs(rest) / np.sqrt(self.variance + (float(error) * self.of.seen) ** 2)
         # The weight of Geman and McClure, as in the estimator.
-        self.trust = (_FAR / np.maximum(far, _FAR)) ** 4
-        self._reweigh()
+        trust = (_FAR / np.maximum(far, _FAR)) ** 4
+        chi_squared = float(np.sum(square / noise))
+        return replace(self, error=float(error), trust=trust, chi_squared=chi_squared)._reweighed()
 
     @property
     def degrees_of_freedom(self) -> int:
         """Number of data less that of all that was fitted to them."""
         known = 1.0 - self.tau**-2.0 / self.now.information
-        return max(self.data - round(float(known.sum())) - len(self.names), 1)
+        return max(self.data - round(float(known.sum())) - len(self.of.names), 1)
 
     @property
     def misfit(self) -> float:
@@ -505,20 +531,15 @@ class BeamSolver:
         )
         return float(sum(squares)) / self.data
 
-    def flatten(self) -> None:
-        """Take the wall for even, unless that explains the frames worse than chance allows."""
-        before = self.point, self.now, self.equations, self.map
+    def flattened(self) -> Self:
+        """With an even wall, unless that explains the frames worse than chance allows."""
         cells = float(np.sum(1.0 - self.tau**-2.0 / self.now.information))
-        self.tau = EVEN
-        self.minimise(1.0, follow=False)
-        if self.equations.cost - before[2].cost > cells + _SURE * math.sqrt(2.0 * cells):
-            self.tau = _FREE
-            self.point, self.now, self.equations, self.map = before
-        else:
-            # Weights by a map that the frames' noise has shaped prefer the cells that it darkened.
-            self.choose(guess=False)
-            self.minimise(1.0, follow=False)
-            self.learn()
+        even, _ = replace(self, tau=EVEN).minimised(1.0, follow=False)
+        if even.equations.cost - self.equations.cost > cells + _SURE * math.sqrt(2.0 * cells):
+            return self
+        # Weights by a map that the frames' noise has shaped prefer the cells that it darkened.
+        even, _ = even.chosen(guess=False).minimised(1.0, follow=False)
+        return even.learnt()
 
     @property
     def textured(self) -> bool:
@@ -534,30 +555,29 @@ class BeamSolver:
     def surely_textured(self) -> bool:
         """Whether the cells differ by more than an even wall's do."""
         used = self.weight.any(axis=0)
-        far = np.square(self.map[used] - 1.0) * self.now.information[used]
+        far = np.square(self.now.map[used] - 1.0) * self.now.information[used]
         return float(np.mean(far)) > _TEXTURED
 
-    def weigh_by_noise(self) -> None:
-        """Weigh the cells by the camera's noise alone, as if the model missed nothing."""
-        self.error, self.trust = 0.0, np.ones(self.seen.shape)
-        self._reweigh()
-        self.evaluate()
+    def weighed_by_noise(self) -> Self:
+        """With cells weighed by the camera's noise alone, as if the model missed nothing."""
+        fit = replace(self, error=0.0, trust=np.ones(self.of.seen.shape))
+        return fit._reweighed().evaluated()
 
     def effective(self) -> tuple[Float[np.ndarray, "p p"], Callable[[int], np.ndarray]]:
         """Information of the parameters over their sizes, and derivatives by these in a frame.
 
         Both with all else eliminated: the states and the map.
         """
-        p, q = len(self.names), len(STATES)
+        p, q = len(self.of.names), len(STATES)
         whole = self.equations.information
         by_state = np.linalg.solve(whole[p:, p:], whole[p:, :p]).T
         information = whole[:p, :p] - by_state @ whole[p:, :p]
-        by = self.by_coordinates(self.point.values)
+        by = self.coordinates.slopes(self.point.values)
         over_size = np.linalg.solve(by, np.diag(self.sizes))  # derivatives of the coordinates
         projected = []
-        mixed = np.zeros((p, self.map.size))
+        mixed = np.zeros((p, self.now.map.size))
         for k, own in enumerate(self.now.frames):
-            slopes = self._slopes(k, own, self.map, by)
+            slopes = self._slopes(k, own, self.now.map, by)
             alone = over_size.T @ (slopes[:p] - by_state[:, q * k : q * (k + 1)] @ slopes[p:])
             projected.append(alone)
             mixed[:, own.cells] += alone * (self.weight[k, own.cells] * own.light)

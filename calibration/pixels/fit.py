@@ -3,15 +3,15 @@
 import itertools
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from operator import attrgetter
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
 from eyespot.calibration.least_squares import covariance_and_lost, propagated
-from eyespot.calibration.pixels.beam_solver import EVEN, BeamSolver, Point
+from eyespot.calibration.pixels.beam_fit import EVEN, BeamFit, Point
 from eyespot.calibration.pixels.data import DEFAULTS, FREE, NUISANCES, Footage, check_names
 from eyespot.calibration.pixels.lens_light import ENCLOSED, NEAREST_MM, LinearLensLight
 from eyespot.calibration.pixels.light import STATES, VIEW, Cells
@@ -174,6 +174,8 @@ def fit_image(
     """
     free = FREE[source] if free is None else tuple(free)
     check_names(source, start, free, priors or {})
+
+    # 1. What is known in advance, and where the fits start.
     place, radius = bright_spot(footage)
     file, rim = footage.microscope, footage.instrument.fibre_radius
     camera = file.camera()
@@ -205,13 +207,68 @@ def fit_image(
         highest = 0.5 * (start["sag"] + start["aperture_radius"])
         sags = [min(factor * max(start["sag"], 0.01), highest) for factor in _OTHER_SAGS]
         others = [{"sag": sag} for sag in sags]
-    starts = itertools.chain([at_start], ({**at_start, **other} for other in others or ()))
+    still = np.zeros((len(footage.readings), len(STATES)))
+    every = itertools.chain(({},), others or ())
+    starts = (Point({**at_start, **other}, still) for other in every)
     names = (*free, *(name for name in NUISANCES if name not in free))
     lens = LinearLensLight(footage, names) if source == "lens" else None
     considered = {n: known[n] for n in _CONSIDERED if lens and n in known and n in names}
     known |= {n: Prior(prior.mean, _HOLD_SIGMAS * prior.sigma) for n, prior in considered.items()}
-    run = _FitRun(footage, names, known, considered, joint_prior, lens, radius, progress)
-    return run.whole_fit(run.first_fit(starts))
+
+    def begun(point: Point, *, first: bool, every: bool = False) -> BeamFit:
+        """The fit of some or all frames from a point, in cells of a first fit or small ones."""
+        spreads = "blur" in point.values or "spread" in point.values
+        share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
+        side = int(np.clip(round(share * radius), 1, _WIDEST_PX[first]))
+        # A table is not valid near the tip, and a beam whose tip is behind the wall lights nothing.
+        nearest = 0.5 * NEAREST_MM if lens else 0.0
+        usable = np.flatnonzero(footage.readings + point.values["touch"] > nearest)
+        count = len(usable) if every else min(len(usable), _SOME[first])
+        return BeamFit.begun(
+            footage,
+            Cells.over(footage.light.shape[1:], side, beyond=spreads),
+            usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
+            point,
+            names=names,
+            priors=known,
+            joint_prior=joint_prior,
+            lens=lens,
+            progress=progress,
+        )
+
+    # 2. Some frames: the best of the fits from all starts, then one with learnt weights.
+    some = _best_of(starts, begun, is_cone=lens is None)
+    some, _ = some.chosen(guess=False).minimised(_TOLERANCE[True], follow=True)
+    some = some.learnt()
+    if some.error > _HOPELESS:
+        why = (
+            f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
+            f"{100 * _HOPELESS:g} % are allowed"
+        )
+        return _result(some, considered, ("FIRST_ROUND", why))
+
+    # 3. All frames in small cells.
+    fit = replace(begun(some.point, first=False, every=True), spread=some.spread, error=some.error)
+    if lens is not None:
+        lens.follow(fit.point.values, learning=True)
+    for number in range(_FINAL_ROUNDS):
+        fit, _ = fit.chosen(guess=number == 0).minimised(_TOLERANCE[False], follow=False)
+        fit = fit.learnt()
+    if fit.textured and not fit.surely_textured:
+        fit = fit.flattened()
+
+    # 4. What is linear in lens and view is made exact, and other minima are tried.
+    fit, failed, of_table = _settled(fit)
+    if failed is None and "core_radius" in names:
+        fit, of_table = _from_wider_core(fit, of_table)
+    if failed is None:
+        fit, of_table = _with_cut_light(fit, of_table)
+    if fit.of.light.of_view:  # its derivatives are to be those of the end, as all others are
+        fit.look()
+        fit = fit.evaluated()
+
+    # 5. Covariance, misfit and ghost.
+    return _result(fit, considered, failed, of_table)
 
 
 def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
@@ -241,230 +298,171 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     return centre, float(np.sqrt(np.median(areas) / np.pi))
 
 
-class _FitRun(NamedTuple):
-    """What all rounds of a fit share."""
+def _best_of(starts: Iterable[Point], begun: Callable[..., BeamFit], *, is_cone: bool) -> BeamFit:
+    """The best of the fits of some frames from the starts, of which the first may do."""
+    tried: list[BeamFit] = []
+    found: list[BeamFit] = []
+    attempts: Iterable[tuple[Point, bool]] = ((start, False) for start in starts)
+    if is_cone:  # a free wall can take the shape of the light of a cone far off
+        each = list(attempts)
+        attempts = [*each, (each[0][0], True)]
+    for start, even in attempts:
+        tried.append(_guessed(begun(start, first=True), coarse=True, even=even))
+        best = min(tried, key=attrgetter("misfit"))
+        if best.misfit > _POOR:
+            continue
+        tried.remove(best)
+        found.append(_guessed(begun(best.point, first=False)))
+        *before, last = found
+        if last.misfit < _MISSED or any(last.distance(one.point) < _ALIKE for one in before):
+            break
+    if not found:
+        nearest = min(tried, key=attrgetter("misfit"))
+        found.append(_guessed(begun(nearest.point, first=False)))
+    best = min(found, key=attrgetter("misfit"))
+    if tried or best is not found[-1]:  # the last table is that of another start
+        _tabulate(best, coarse=False)
+    return best
 
-    footage: Footage
-    names: tuple[str, ...]
-    priors: dict[str, Prior]
-    considered: dict[str, Prior]
-    joint_prior: JointPrior | None
-    lens: LinearLensLight | None
-    radius_px: float
-    progress: Callable[[float], None]
 
-    def solver(self, point: Point, *, first: bool, every: bool = False) -> BeamSolver:
-        """A solver on some or all frames, in cells of a first fit or small ones."""
-        spreads = "blur" in point.values or "spread" in point.values
-        share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
-        side = int(np.clip(round(share * self.radius_px), 1, _WIDEST_PX[first]))
-        # A table is not valid near the tip, and a beam whose tip is behind the wall lights nothing.
-        nearest = 0.5 * NEAREST_MM if self.lens else 0.0
-        usable = np.flatnonzero(self.footage.readings + point.values["touch"] > nearest)
-        count = len(usable) if every else min(len(usable), _SOME[first])
-        return BeamSolver(
-            self.footage,
-            Cells.over(self.footage.light.shape[1:], side, beyond=spreads),
-            usable[np.linspace(0, len(usable) - 1, count).round().astype(int)].tolist(),
-            point,
-            names=self.names,
-            priors=self.priors,
-            joint_prior=self.joint_prior,
-            lens=self.lens,
-            progress=self.progress,
+def _guessed(fit: BeamFit, *, coarse: bool = False, even: bool = False) -> BeamFit:
+    """A fit of some frames from a point that may be far off.
+
+    Args:
+        coarse: whether it is in wide cells.
+        even: whether the wall counts as even until the beam is found.
+    """
+    _tabulate(fit, coarse=coarse)
+    fit = fit.chosen(guess=True)
+    if coarse:
+        fit = fit.brightened()
+    for tau in (EVEN, fit.tau) if even else (fit.tau,):
+        fit, _ = replace(fit, tau=tau).minimised(
+            _TOLERANCE[True], follow=True, keep_chord=True, most_steps=_GUESS_STEPS
         )
+    return fit
 
-    def first_fit(self, starts: Iterable[dict[str, float]]) -> BeamSolver:
-        """The best of the fits of some frames from the starts, of which the first may do."""
-        tried: list[BeamSolver] = []
-        found: list[BeamSolver] = []
-        attempts: Iterable[tuple[dict[str, float], bool]] = ((start, False) for start in starts)
-        if self.lens is None:  # a free wall can take the shape of the light of a cone far off
-            each = list(attempts)
-            attempts = [*each, (each[0][0], True)]
-        still = np.zeros((len(self.footage.readings), len(STATES)))
-        for start, even in attempts:
-            tried.append(self._guess(Point(dict(start), still), first=True, even=even))
-            best = min(tried, key=attrgetter("misfit"))
-            if best.misfit > _POOR:
-                continue
-            tried.remove(best)
-            found.append(self._guess(best.point, first=False))
-            *before, last = found
-            if last.misfit < _MISSED or any(last.distance(one.point) < _ALIKE for one in before):
-                break
-        if not found:
-            found.append(self._guess(min(tried, key=attrgetter("misfit")).point, first=False))
-        best = min(found, key=attrgetter("misfit"))
-        if tried or best is not found[-1]:  # the last table is that of another start
-            self._tabulate(best, coarse=False)
-        return best
 
-    def _guess(self, point: Point, *, first: bool, even: bool = False) -> BeamSolver:
-        """A fit of some frames, in wide or in small cells, from a point that may be far off.
+def _tabulate(fit: BeamFit, *, coarse: bool) -> None:
+    if fit.of.lens is not None:
+        fit.of.lens.tabulate(fit.point.values, coarse=coarse)
 
-        Args:
-            even: whether the wall counts as even until the beam is found.
-        """
-        solver = self.solver(point, first=first)
-        self._tabulate(solver, coarse=first)
-        solver.choose(guess=True)
-        if first:
-            solver.brighten()
-        for tau in (EVEN, solver.tau) if even else (solver.tau,):
-            solver.tau = tau
-            solver.minimise(_TOLERANCE[True], follow=True, keep_chord=True, most_steps=_GUESS_STEPS)
-        return solver
 
-    def whole_fit(self, some: BeamSolver) -> ImageFit:
-        """The fit of all frames in small cells, after that of some."""
-        some.choose(guess=False)
-        some.minimise(_TOLERANCE[True], follow=True)
-        some.learn()
-        if some.error > _HOPELESS:
+def _linearise(fit: BeamFit) -> None:
+    """Make the light linear in lens and view around those of the fit's point."""
+    _tabulate(fit, coarse=False)
+    fit.look()
+
+
+def _settled(fit: BeamFit) -> tuple[BeamFit, Failure | None, np.ndarray | None]:
+    """Iterate until a lens's table and the view are exact at the minimum; say why if never.
+
+    Within a minimisation the light is linear in the parameters of lens and view. Each new table
+    corrects the terms of second order, and brings new errors of its quadrature, which finds or
+    misses arcs. A step to a table with a larger cost went too far, and is halved. If that ends
+    where the step began, or steps do not become short, the last whole step shows these errors'
+    effect on the parameters, which becomes part of the covariance.
+    """
+    best, least, asked = fit.point, math.inf, np.zeros(len(fit.of.names))
+    left = whole = 0.0
+    for _ in range(_MOST_TABLES):
+        _linearise(fit)
+        point = fit.point
+        fit, found = fit.minimised(_TOLERANCE[False], follow=False)
+        if not found.converged:
             why = (
-                f"after the first rounds the model misses {100 * some.error:.2g} % of the light; "
-                f"{100 * _HOPELESS:g} % are allowed"
+                f"after {found.steps} steps another one would lower chi squared by "
+                f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
             )
-            return _result(some, self.considered, ("FIRST_ROUND", why))
-        solver = self.solver(some.point, first=False, every=True)
-        solver.spread, solver.error = some.spread, some.error
-        if self.lens is not None:
-            self.lens.follow(solver.point.values, learning=True)
-        for number in range(_FINAL_ROUNDS):
-            solver.choose(guess=number == 0)
-            solver.minimise(_TOLERANCE[False], follow=False)
-            solver.learn()
-        if solver.textured and not solver.surely_textured:
-            solver.flatten()
-        failed, of_table = self._settled(solver)
-        if failed is None and "core_radius" in self.names:
-            of_table = self._from_wider_core(solver, of_table)
-        if failed is None:
-            of_table = self._with_cut_light(solver, of_table)
-        if solver.light.of_view:  # its derivatives are to be those of the end, as all others are
-            solver.look()
-            solver.evaluate()
-        return _result(solver, self.considered, failed, of_table)
-
-    def _tabulate(self, solver: BeamSolver, *, coarse: bool) -> None:
-        if self.lens is not None:
-            self.lens.tabulate(solver.point.values, coarse=coarse)
-
-    def _linearise(self, solver: BeamSolver) -> None:
-        self._tabulate(solver, coarse=False)
-        solver.look()
-
-    def _settled(self, solver: BeamSolver) -> tuple[Failure | None, np.ndarray | None]:
-        """Iterate until a lens's table and the view are exact at the minimum; say why if never.
-
-        Within a minimisation the light is linear in the parameters of lens and view. Each new table
-        corrects the terms of second order, and brings new errors of its quadrature, which finds or
-        misses arcs. A step to a table with a larger cost went too far, and is halved. If that ends
-        where the step began, or steps do not become short, the last whole step shows these errors'
-        effect on the parameters, which becomes part of the covariance.
-        """
-        best, least, asked = solver.point, math.inf, np.zeros(len(self.names))
-        left = whole = 0.0
-        for _ in range(_MOST_TABLES):
-            self._linearise(solver)
-            point = solver.point
-            found = solver.minimise(_TOLERANCE[False], follow=False)
-            if not found.converged:
-                why = (
-                    f"after {found.steps} steps another one would lower chi squared by "
-                    f"{found.gain:.2g}; {_TOLERANCE[False]:g} is allowed"
-                )
-                return ("STEPS", why), None
-            too_far = found.first > least
-            if too_far:
-                solver.point = point.halfway(best)
-                left *= 0.5
-            else:
-                best, least, asked = point, found.first, solver.difference(point, solver.point)
-                # In standard errors. By the information, a step along a valley of equal light that
-                # is long and bent would count as a hundred of them.
-                left = whole = math.sqrt(max(found.first - found.at.cost, 0.0))
-            if not solver.is_linear or left < _NEAR:
-                break
+            return fit, ("STEPS", why), None
+        too_far = found.first > least
         if too_far:
-            solver.point = best
-            self._linearise(solver)
-            solver.evaluate()
-            left = whole
-        elif not solver.is_linear or left < _NEAR:
-            return None, None
-        if left > _MOST_OF_TABLE:
-            why = (
-                f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
-                f"the result; {_MOST_OF_TABLE:g} are allowed"
-            )
-            return ("TABLES", why), np.outer(asked, asked)
-        return None, np.outer(asked, asked)
+            fit = replace(fit, point=point.halfway(best))
+            left *= 0.5
+        else:
+            best, least, asked = point, found.first, fit.difference(point, fit.point)
+            # In standard errors. By the information, a step along a valley of equal light that
+            # is long and bent would count as a hundred of them.
+            left = whole = math.sqrt(max(found.first - found.at.cost, 0.0))
+        if not fit.of.is_linear or left < _NEAR:
+            break
+    if too_far:
+        fit = _evaluated_at(best, fit)
+        left = whole
+    elif not fit.of.is_linear or left < _NEAR:
+        return fit, None, None
+    if left > _MOST_OF_TABLE:
+        why = (
+            f"the last two tables of the lens's light differ by {left:.1f} standard errors of "
+            f"the result; {_MOST_OF_TABLE:g} are allowed"
+        )
+        return fit, ("TABLES", why), np.outer(asked, asked)
+    return fit, None, np.outer(asked, asked)
 
-    def _from_wider_core(
-        self, solver: BeamSolver, of_table: np.ndarray | None
-    ) -> np.ndarray | None:
-        """Fit again from a wider core if its error is large, and keep the result if it is alike.
 
-        Behind a high drop the core's edge is imaged far out. Where it leaves the images, these tell
-        how narrow the core may be, but not how wide. A fit from below ends there, with an error
-        that is that of one side only.
-        """
-        values, at = solver.point.values, self.names.index("core_radius")
-        core = values["core_radius"]
-        # As the images tell it: with the scale of robot or microscope it is all lengths that err.
-        own = [k for k, name in enumerate(self.names) if name not in _CONSIDERED]
-        covariance = np.linalg.pinv(solver.effective()[0][np.ix_(own, own)])
-        sigma = math.sqrt(covariance[own.index(at), own.index(at)]) * solver.sizes[at]
-        if sigma < _KNOWN_CORE * core:
-            return of_table
-        wider = core + 2.0 * sigma
-        rim = max(values["aperture_radius"], wider)
-        cap = {"core_radius": wider, "aperture_radius": rim}
-        return self._again(solver, cap, of_table, gain=-_SAME_COST)
+def _evaluated_at(point: Point, fit: BeamFit) -> BeamFit:
+    """The fit at a point where it was before, around which the light becomes linear."""
+    fit = replace(fit, point=point)
+    _linearise(fit)
+    return fit.evaluated()
 
-    def _with_cut_light(self, solver: BeamSolver, of_table: np.ndarray | None) -> np.ndarray | None:
-        """Let a rim at its bound cut off light, and keep the result if the frames demand it.
 
-        Beside the core's edge derivatives are those of the cut, so a rim that the frames do not
-        show would seem known, and a fit can end there although wider rims explain them better.
-        """
-        if not solver.is_at_bound(solver.point.values):
-            return of_table
-        solver.least_rim = ENCLOSED
-        return self._again(solver, {}, of_table, gain=_SAME_COST)
+def _from_wider_core(
+    fit: BeamFit, of_table: np.ndarray | None
+) -> tuple[BeamFit, np.ndarray | None]:
+    """Fit again from a wider core if its error is large, and keep the result if it is alike.
 
-    def _again(
-        self,
-        solver: BeamSolver,
-        changes: dict[str, float],
-        of_table: np.ndarray | None,
-        *,
-        gain: float,
-    ) -> np.ndarray | None:
-        """Fit from a changed lens, and keep the result if chi squared falls by the gain."""
-        here, cost = solver.point, solver.equations.cost
-        solver.point = Point(here.values | changes, here.states)
-        failed, of_last = self._settled(solver)
-        if failed is None and solver.equations.cost < cost - gain:
-            return of_last
-        solver.point = here
-        self._linearise(solver)
-        solver.evaluate()
-        return of_table
+    Behind a high drop the core's edge is imaged far out. Where it leaves the images, these tell
+    how narrow the core may be, but not how wide. A fit from below ends there, with an error
+    that is that of one side only.
+    """
+    values, at = fit.point.values, fit.of.names.index("core_radius")
+    core = values["core_radius"]
+    # As the images tell it: with the scale of robot or microscope it is all lengths that err.
+    own = [k for k, name in enumerate(fit.of.names) if name not in _CONSIDERED]
+    covariance = np.linalg.pinv(fit.effective()[0][np.ix_(own, own)])
+    sigma = math.sqrt(covariance[own.index(at), own.index(at)]) * fit.sizes[at]
+    if sigma < _KNOWN_CORE * core:
+        return fit, of_table
+    wider = core + 2.0 * sigma
+    rim = max(values["aperture_radius"], wider)
+    cap = {"core_radius": wider, "aperture_radius": rim}
+    return _again(fit, cap, of_table, gain=-_SAME_COST)
+
+
+def _with_cut_light(fit: BeamFit, of_table: np.ndarray | None) -> tuple[BeamFit, np.ndarray | None]:
+    """Let a rim at its bound cut off light, and keep the result if the frames demand it.
+
+    Beside the core's edge derivatives are those of the cut, so a rim that the frames do not
+    show would seem known, and a fit can end there although wider rims explain them better.
+    """
+    if not fit.coordinates.is_at_bound(fit.point.values):
+        return fit, of_table
+    cut = replace(fit, coordinates=fit.coordinates._replace(least_rim=ENCLOSED))
+    return _again(cut, {}, of_table, gain=_SAME_COST)
+
+
+def _again(
+    fit: BeamFit, changes: dict[str, float], of_table: np.ndarray | None, *, gain: float
+) -> tuple[BeamFit, np.ndarray | None]:
+    """Fit from a changed lens, and keep the result if chi squared falls by the gain."""
+    changed = Point(fit.point.values | changes, fit.point.states)
+    other, failed, of_last = _settled(replace(fit, point=changed))
+    if failed is None and other.equations.cost < fit.equations.cost - gain:
+        return other, of_last
+    return _evaluated_at(fit.point, fit), of_table
 
 
 def covariance_with(
-    solver: BeamSolver, information: Float[np.ndarray, "p p"], considered: Mapping[str, Prior]
+    fit: BeamFit, information: Float[np.ndarray, "p p"], considered: Mapping[str, Prior]
 ) -> tuple[Float[np.ndarray, "p p"], Float[np.ndarray, "p p"], tuple[str, ...]]:
     """Covariance by noise, with infinite variances of what is considered; that of the considered.
 
-    And what the data do not determine. All are of parameters over their sizes, as the solver's
+    And what the data do not determine. All are of parameters over their sizes, as the fit's
     effective information is. See Schmidt (1966) for parameters whose errors are considered, though
     they are not estimated.
     """
-    names, values = solver.names, solver.point.values
+    names, values = fit.of.names, fit.point.values
     held = np.array([names.index(name) for name in considered], int)
     fitted = np.delete(np.arange(len(names)), held)
     own, lost = covariance_and_lost(
@@ -479,40 +477,40 @@ def covariance_with(
     follows = np.zeros((len(names), len(held)))
     follows[fitted[known]] = -own[np.ix_(known, known)] @ information[np.ix_(fitted[known], held)]
     follows[held, range(len(held))] = 1.0
-    sigmas = [prior.sigma / solver.sizes[names.index(name)] for name, prior in considered.items()]
+    sigmas = [prior.sigma / fit.sizes[names.index(name)] for name, prior in considered.items()]
     root = follows * sigmas
     return by_noise, root @ root.T, lost
 
 
 def _result(
-    solver: BeamSolver,
+    fit: BeamFit,
     considered: Mapping[str, Prior],
     failed: Failure | None,
     of_table: np.ndarray | None = None,
 ) -> ImageFit:
-    values, names = solver.point.values, solver.names
-    information, slopes_of = solver.effective()
-    covariance, of_considered, lost = covariance_with(solver, information, considered)
+    values, names = fit.point.values, fit.of.names
+    information, slopes_of = fit.effective()
+    covariance, of_considered, lost = covariance_with(fit, information, considered)
     held = [names.index(name) for name in considered]
-    frames = solver.now.frames
-    places = solver.cells.centres()
+    frames = fit.now.frames
+    places = fit.of.cells.centres()
 
     def pixels(k: int) -> Pixels:
-        own, rest = frames[k], solver.now.rest[k]
-        weight = np.sqrt(solver.weight[k, own.cells])
+        own, rest = frames[k], fit.now.rest[k]
+        weight = np.sqrt(fit.weight[k, own.cells])
         used = weight > 0
         u, v = places[own.cells[used]].T
-        light = (solver.map[own.cells] * own.light)[used]
+        light = (fit.now.map[own.cells] * own.light)[used]
         slopes = slopes_of(k)[:, used]
         off = -(weight * rest)[used]
-        number = solver.numbers[k]
+        number = fit.of.numbers[k]
         return Pixels(number, u, v, own.direct[used], light, weight[used], off, slopes)
 
-    degrees = solver.degrees_of_freedom
+    degrees = fit.degrees_of_freedom
     misfit, covariance = found_misfit(
         (pixels(k) for k in range(len(frames))),
         covariance,
-        share=solver.error,
+        share=fit.error,
     )
     inflation = 1.0
     if of_table is not None:
@@ -521,28 +519,28 @@ def _result(
         inflation = float(np.sqrt(1 + np.max(grown)))
         covariance = covariance + of_table
     covariance[held, held] = 0.0
-    sizes = np.diag(solver.sizes)
+    sizes = np.diag(fit.sizes)
     covariance = propagated(sizes, covariance + of_considered)
     errors = np.sqrt(np.diag(covariance)).tolist()
-    residuals = np.full(solver.footage.light.shape, np.nan, np.float32)
-    cells = solver.cells
+    residuals = np.full(fit.of.footage.light.shape, np.nan, np.float32)
+    cells = fit.of.cells
     side, count = cells.side, cells.along
-    height, width = solver.footage.light[0].shape
+    height, width = fit.of.footage.light[0].shape
     for k, own in enumerate(frames):
         off = np.full(count**2, np.nan, np.float32)
-        weight = np.sqrt(solver.weight[k, own.cells])
-        off[own.cells] = np.where(weight > 0, weight * solver.now.rest[k], np.nan)
+        weight = np.sqrt(fit.weight[k, own.cells])
+        off[own.cells] = np.where(weight > 0, weight * fit.now.rest[k], np.nan)
         whole = np.kron(off.reshape(count, count), np.ones((side, side), np.float32))
         rows, columns = (
             slice(-cells.top, height - cells.top),
             slice(-cells.left, width - cells.left),
         )
-        residuals[solver.numbers[k]] = whole[rows, columns]
-    ghost = _ghost_of(solver)
-    solver.weigh_by_noise()
-    least, of_considered, _ = covariance_with(solver, solver.effective()[0], considered)
+        residuals[fit.of.numbers[k]] = whole[rows, columns]
+    ghost = _ghost_of(fit)
+    by_noise = fit.weighed_by_noise()
+    least, of_considered, _ = covariance_with(by_noise, by_noise.effective()[0], considered)
     least[held, held] = 0.0
-    beam = [number for number, name in enumerate(names) if name in solver.light.own]
+    beam = [number for number, name in enumerate(names) if name in fit.of.light.own]
     with np.errstate(invalid="ignore"):  # of what is not determined
         over = (
             np.array(errors)[beam]
@@ -551,17 +549,17 @@ def _result(
     return ImageFit(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
-        priors={n: prior for n, prior in {**solver.priors, **considered}.items() if n in names},
+        priors={n: prior for n, prior in {**fit.of.priors, **considered}.items() if n in names},
         covariance=covariance,
-        chi_squared=solver.chi_squared,
+        chi_squared=fit.chi_squared,
         degrees_of_freedom=degrees,
         misfit=misfit,
         tips=np.array([own.tip for own in frames]),
         axis=frames[0].axis,
         undetermined=lost,
         failed=failed,
-        textured=solver.textured,
-        states=solver.states,
+        textured=fit.textured,
+        states=fit.states,
         residuals=residuals,
         numerical_inflation=inflation,
         over_bound=float(np.max(over, initial=0.0, where=np.isfinite(over))),
@@ -570,22 +568,22 @@ def _result(
     )
 
 
-def _ghost_of(solver: BeamSolver) -> Ghost | None:
+def _ghost_of(fit: BeamFit) -> Ghost | None:
     """The ghost that explains best what some frames leave of the light."""
-    cells = solver.cells
-    some = np.unique(np.linspace(0, len(solver.numbers) - 1, _GHOST_FRAMES).round().astype(int))
+    cells = fit.of.cells
+    some = np.unique(np.linspace(0, len(fit.of.numbers) - 1, _GHOST_FRAMES).round().astype(int))
     shape = len(some), cells.along**2
     residual, weight, light = (np.zeros(shape) for _ in range(3))
     total, slopes = np.ones(shape), []
     for row, k in enumerate(some):
-        own = solver.now.frames[k]
-        at, modelled = own.cells, solver.map[own.cells] * own.light
+        own = fit.now.frames[k]
+        at, modelled = own.cells, fit.now.map[own.cells] * own.light
         modelled = np.maximum(modelled, _LEAST_LIGHT * modelled.max())
-        residual[row, at] = solver.now.rest[k] / modelled
-        weight[row, at] = solver.weight[k, at] * modelled**2
+        residual[row, at] = fit.now.rest[k] / modelled
+        weight[row, at] = fit.weight[k, at] * modelled**2
         light[row, at], total[row, at] = np.maximum(own.direct, 0.0), own.light
-        by = np.zeros((len(solver.names) + len(STATES), cells.along**2))
-        by[:, at] = solver.slopes(k) / modelled
+        by = np.zeros((len(fit.of.names) + len(STATES), cells.along**2))
+        by[:, at] = fit.slopes(k) / modelled
         slopes.append(by)
     square = len(some), cells.along, cells.along
     return strongest_ghost(

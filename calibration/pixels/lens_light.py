@@ -5,12 +5,14 @@ The cap is described by its curvature and chord, in which the light is nearly li
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from eyespot.calibration.least_squares import NormalEquations
 from eyespot.calibration.pixels.data import LENS, Footage
 from eyespot.optics.wall_light.lens import (
     FLATTEST,
@@ -198,3 +200,79 @@ def cap_slopes(values: Mapping[str, float]) -> Float[np.ndarray, "2 2"]:
     sag, rim = (values[name] for name in CAP)
     of_sag = np.array([0.5 * chord**2, curvature * chord])
     return np.array([of_sag, (np.array([0.0, chord]) - sag * of_sag) / rim])
+
+
+class Coordinates(NamedTuple):
+    """What a fit steps in: its free parameters, over the sizes of steps.
+
+    In place of sag and rim it is the cap's `cap_shape` if both are free. The light follows the
+    curvature, so the valley of equal light is almost straight.
+
+    Attributes:
+        names: of the free parameters.
+        steps: their sizes.
+        least_rim: over the core, of a cap whose sag is free as well.
+    """
+
+    names: tuple[str, ...]
+    steps: Float[np.ndarray, "p"]
+    least_rim: float = CLEAR
+
+    @property
+    def shapes_cap(self) -> bool:
+        """Whether sag and rim are both free."""
+        return set(CAP) <= set(self.names)
+
+    def of(self, values: Mapping[str, float]) -> Float[np.ndarray, "p"]:
+        """The coordinates of the parameters."""
+        own = dict(values)
+        if self.shapes_cap:
+            own |= zip(CAP, cap_shape(values), strict=True)
+        return np.array([own[name] for name in self.names]) / self.steps
+
+    def values(self, at: Float[np.ndarray, "p"], others: Mapping[str, float]) -> dict[str, float]:
+        """All parameters at these coordinates; those that are not free are as in `others`."""
+        own = dict(zip(self.names, (at * self.steps).tolist(), strict=True))
+        if self.shapes_cap:
+            curvature, chord = (own[name] for name in CAP)
+            sag, rim = cap_of(np.array([curvature, chord]))
+            least = self.least_rim * {**others, **own}["core_radius"]
+            if rim < least and abs(curvature) * least < 1.0:
+                sag, rim = cap_sag(curvature, least), least
+            own |= zip(CAP, (sag, rim), strict=True)
+        return {**others, **own}
+
+    def slopes(self, values: Mapping[str, float]) -> Float[np.ndarray, "p p"]:
+        """Derivatives of the free parameters by their coordinates."""
+        slopes = np.eye(len(self.names))
+        if self.shapes_cap:
+            cap = [self.names.index(name) for name in CAP]
+            slopes[np.ix_(cap, cap)] = cap_slopes(values)
+        return slopes * self.steps
+
+    def is_at_bound(self, values: Mapping[str, float]) -> bool:
+        """Whether the rim of a free cap is the least that it may be."""
+        if not self.shapes_cap:
+            return False
+        return values["aperture_radius"] <= (1.0 + 1e-9) * self.least_rim * values["core_radius"]
+
+    def within_bound(self, found: NormalEquations, values: Mapping[str, float]) -> NormalEquations:
+        """The equations of a step that keeps the rim at its bound, where it would go inside.
+
+        A step then changes the chord only as curvature and core demand it.
+        """
+        if not self.is_at_bound(values):
+            return found
+        at = self.names.index("aperture_radius")
+        if found.gradient[at] <= 0.0:
+            return found
+        rim = self.slopes(values)[at]
+        along = np.eye(len(found.gradient))
+        along[at, : len(rim)] = -rim / rim[at]
+        if "core_radius" in self.names:
+            core = self.names.index("core_radius")
+            along[at, core] += self.least_rim * self.steps[core] / rim[at]
+        along[at, at] = 0.0
+        information = along.T @ found.information @ along
+        information[at, at] = 1.0
+        return NormalEquations(found.cost, along.T @ found.gradient, information)

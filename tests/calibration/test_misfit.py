@@ -140,13 +140,13 @@ def test_a_scale_that_is_considered_is_not_known_by_rounding():
     # What is measured is the product of an aperture and a scale, to 1e-6; a second number does not
     # depend on the scale, but its derivative errs by 1e-3.
     jacobian = np.array([[1.0, 1.0], [0.0, 1e-3]]) / 1e-6
-    solver: Any = SimpleNamespace(
-        names=("numerical_aperture", "scale"),
+    fit: Any = SimpleNamespace(
+        of=SimpleNamespace(names=("numerical_aperture", "scale")),
         sizes=np.ones(2),
         point=SimpleNamespace(values={"numerical_aperture": 1.0, "scale": 1.0}),
     )
     by_noise, of_considered, lost = covariance_with(
-        solver, jacobian.T @ jacobian, {"scale": Prior(1.0, 0.01)}
+        fit, jacobian.T @ jacobian, {"scale": Prior(1.0, 0.01)}
     )
     assert lost == ()
     by_noise[1, 1] = 0.0
