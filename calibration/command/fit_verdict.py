@@ -35,8 +35,6 @@ class PixelResiduals(NamedTuple):
     of_frames: Float[np.ndarray, "n"]
     """Mean over the pixels of each of these."""
     misfit: Misfit
-    over_bound: float = 1.0
-    """See `ImageFit`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

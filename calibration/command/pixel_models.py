@@ -349,5 +349,4 @@ def pixel_residuals(fit: ImageFit) -> PixelResiduals:
         frames=numbers,
         of_frames=single.sum(axis=(1, 2))[numbers] / np.sqrt(count[numbers]),
         misfit=fit.misfit,
-        over_bound=fit.over_bound,
     )

@@ -28,13 +28,7 @@ from scipy.optimize import brentq
 
 from eyespot.calibration.least_squares import MOST_STEPS, Minimum, NormalEquations, minimise
 from eyespot.calibration.pixels.data import Footage, possible
-from eyespot.calibration.pixels.lens_light import (
-    CAP,
-    NEAREST_MM,
-    Coordinates,
-    LinearLensLight,
-    cap_slopes,
-)
+from eyespot.calibration.pixels.lens_light import NEAREST_MM, Coordinates, LinearLensLight
 from eyespot.calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from eyespot.formats.inputs import InputError
@@ -200,14 +194,11 @@ class BeamFit:
             progress=progress,
         )
         sizes = np.array([_size(name, point.values, priors) for name in names])
-        steps = sizes.copy()
-        if set(CAP) <= set(names):
-            steps[names.index("sag")] /= cap_slopes(point.values)[0, 0]
         return cls(
             of=of,
             point=point,
             sizes=sizes,
-            coordinates=Coordinates(names, steps),
+            coordinates=Coordinates.sized(names, sizes, point.values),
             # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
             tau=_FREE if len(numbers) > _FEW else EVEN,
             error=0.0,

@@ -5,7 +5,7 @@ The cap is described by its curvature and chord, in which the light is nearly li
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -217,6 +217,19 @@ class Coordinates(NamedTuple):
     names: tuple[str, ...]
     steps: Float[np.ndarray, "p"]
     least_rim: float = CLEAR
+
+    @classmethod
+    def sized(
+        cls,
+        names: tuple[str, ...],
+        sizes: Float[np.ndarray, "p"],
+        values: Mapping[str, float],
+    ) -> Self:
+        """Coordinates whose steps change the parameters by their sizes, at some values."""
+        steps = sizes.copy()
+        if set(CAP) <= set(names):
+            steps[names.index("sag")] /= cap_slopes(values)[0, 0]
+        return cls(names, steps)
 
     @property
     def shapes_cap(self) -> bool:

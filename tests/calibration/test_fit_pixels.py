@@ -36,7 +36,7 @@ def test_maps_of_noise_alone_have_variance_one(side):
     residuals[:, :, :24] = np.nan
     residuals[30:, :12] = np.nan
     residuals[7] = np.nan
-    fit: Any = SimpleNamespace(residuals=residuals, side=side, misfit=None, over_bound=1.0)
+    fit: Any = SimpleNamespace(residuals=residuals, side=side, misfit=None)
     shown = pixel_residuals(fit)
     assert shown.frames.tolist() == [n for n in range(60) if n != 7]
     # Variance of 59 normal numbers, to four of its standard errors.
