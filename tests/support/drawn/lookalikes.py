@@ -157,7 +157,11 @@ def _turned(rng: np.random.Generator, squeezed: float) -> tuple[np.ndarray, np.n
 
 
 def spotless_frame(rng: np.random.Generator) -> np.ndarray:
-    """A retina without a spot, with random ambient light, and sometimes glints or a shaft."""
+    """A retina without a spot, with random ambient light, and sometimes glints or a shaft.
+
+    A glint is a lamp's mirror image, brighter than the camera can show: a round disc of these sizes
+    that is not clipped is a small spot.
+    """
     scene = Drawing(
         truth=any_truth(rng, 60),
         amplitude=0.0,
@@ -167,6 +171,7 @@ def spotless_frame(rng: np.random.Generator) -> np.ndarray:
     )
     if rng.random() < 0.6:
         scene = with_glints(scene, rng, on_edge=False, number=int(rng.integers(1, 8)))
+        scene = replace(scene, glints=3 * scene.glints)
     if rng.random() < 0.5:
         scene = with_shaft(scene, rng, rng.uniform(-2, 2), rng.uniform(40, 100))
     return frame_of(scene, rng)
