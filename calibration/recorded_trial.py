@@ -17,6 +17,7 @@ from jaxtyping import ArrayLike, Float
 from eyespot import optics
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior, phantom_wall
 from eyespot.estimator import track_whole_source
+from eyespot.estimator.distance.cone_range import unblurred
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.estimator.ghost import Ghost
 from eyespot.estimator.recording import Recording
@@ -173,7 +174,7 @@ def recorded_trial(
             f"{name} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
             f"{_FEWEST_SPOTS}. `eyespot track {name} --out spots.csv` shows the reasons."
         )
-    spots = [spot for _, spot, _ in usable]
+    spots = [unblurred(spot) for _, spot, _ in usable]
     columns = jnp.array([spot.ellipse for spot in spots])
     ellipses = optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
     rim = rig.instrument.fibre_diameter_mm / 2

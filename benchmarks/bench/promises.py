@@ -177,7 +177,7 @@ def _measured(
         semi_minor_px=mean - half,
         angle_rad=(angle + math.pi / 2) % math.pi - math.pi / 2,
         covariance=covariance,
-        edge_width_px=1.0,
+        edge_width_px=0.5,
         coverage=1.0,
         inlier_fraction=1.0,
         saturated=0.0,

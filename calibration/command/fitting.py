@@ -53,6 +53,7 @@ from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS
 from eyespot.estimator import Ranger
+from eyespot.estimator.distance.cone_range import SOFT_EDGE
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.estimator.viewer import recording_of
@@ -101,17 +102,9 @@ def record_fit(target: str, fit: "Fit") -> None:
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 
-SOFT_EDGE = 0.1
-"""Edge width over semi-minor axis above which a spot's edge is soft.
-
-A cone's edge is as wide as the camera's blur: 1 px for radii of 40 to 90 px in the renders. A blur
-of 4 px would be a camera far out of focus. With a lens the edge is as wide as the core's image: for
-caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
-of 0.5 to 6 mm is 0.25 to 0.8.
-"""
 SHARP_EDGE = 0.05
-"""The same, below which the edge is surely a cone's. Between the two it may also be that of a small
-core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
+"""As `SOFT_EDGE`; below it the edge is surely a cone's. Between the two it may also be that of a
+small core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
 
 
 class FitModel(NamedTuple):

@@ -15,6 +15,7 @@ from eyespot.estimator.distance.cone_range import (
     AreaDistances,
     ConePoses,
     calibrated_view,
+    unblurred,
 )
 from eyespot.estimator.distance.lens_range import distance_from_lens, lens_curve
 from eyespot.estimator.distance.range import Range
@@ -113,6 +114,8 @@ class Ranger:
             InputError: the axis is not a unit vector, or the frame is not an image.
         """
         direction = None if axis is None else _unit(axis)
+        if self.model in CONE_MODELS:
+            spot = unblurred(spot)
         if self.model == "exact":
             found = self._exact(spot, direction, axis_sigma_rad)
         elif self.model == "area":

@@ -7,6 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.signal import fftconvolve
 
 from eyespot import optics
 from eyespot.estimator import SubpixelSettings, TrackState, measure
@@ -361,6 +362,32 @@ def test_a_mode_without_errors_gives_a_distance_without_one():
         result = Ranger(calibration(), microscope(), model=model).distance(literal)
         assert result.flag is None
         assert math.isnan(result.sigma_mm)
+
+
+def kernel(shape, size, samples):
+    """A blur as an image of `samples` a pixel, its `size` in px."""
+    reach = math.ceil(6 * size * samples)
+    away = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) / (size * samples)
+    light = {"gaussian": np.exp(-0.5 * away**2), "defocus": away <= 1.0, "tails": np.exp(-away)}
+    return light[shape] / np.sum(light[shape])
+
+
+@pytest.mark.parametrize("shape, size", [("gaussian", 2.0), ("defocus", 3.0), ("tails", 1.5)])
+def test_a_blurred_edge_does_not_shorten_the_distance_of_a_cone(shape, size):
+    samples, pixels = 5, 160
+    v, u = (np.mgrid[: samples * pixels, : samples * pixels] + 0.5) / samples - 0.5
+    sharp = ((u - 80.3) / 40) ** 2 + ((v - 79.6) / 30) ** 2 < 1
+    light = fftconvolve(sharp.astype(float), kernel(shape, size, samples), mode="same")
+    light = light.reshape(pixels, samples, pixels, samples).mean(axis=(1, 3))
+    noise = np.random.default_rng(3).normal(0, 1, light.shape)
+    image = np.rint(10 + 180 * light + noise).astype(np.uint8)
+    spot, _ = measure(image, TrackState(), SubpixelSettings())
+    # Half of the light lies inside of the edge, which the ellipse's own errors do not contain.
+    assert spot.semi_minor_px < 30 - 3 * spot.sigma_semi_minor_px
+    found = Ranger(calibration(model="planar"), microscope()).distance(spot)
+    assert found.distance_mm == pytest.approx(SCALE * K * 30 + B, abs=3 * found.sigma_mm)
+    # The shift, three or four times the noise's error, is known to 15 %.
+    assert found.sigma_mm < 1.5 * SCALE * K * spot.sigma_semi_minor_px
 
 
 @pytest.mark.parametrize("model", ["small_plane", "corrected", "exact"])

@@ -34,7 +34,7 @@ def a_spot(*ellipse: float, covariance: np.ndarray | None = None, **changed: flo
     """A clean one; an ellipse without an angle has 0."""
     names = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
     given: dict[str, Any] = dict(zip(names, map(float, (*ellipse, 0.0)), strict=False))
-    given |= {"edge_width_px": 1.0, "coverage": 1.0, "inlier_fraction": 1.0, "saturated": 0.0}
+    given |= {"edge_width_px": 0.5, "coverage": 1.0, "inlier_fraction": 1.0, "saturated": 0.0}
     given |= {"covariance": np.eye(5) if covariance is None else covariance}
     return Spot(**given | changed)
 
