@@ -18,7 +18,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import LENS_PARAMETERS
 from eyespot.formats.camera import Response
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Reason
+from eyespot.formats.spots import Reason, Spot
 from tests.support.command_line import run_python
 from tests.support.drawn.exact_spots import exact_spots
 from tests.support.drawn.made_up import CONE, a_calibration, a_microscope, a_spot
@@ -382,6 +382,7 @@ def test_a_blurred_edge_does_not_shorten_the_distance_of_a_cone(shape, size):
     noise = np.random.default_rng(3).normal(0, 1, light.shape)
     image = np.rint(10 + 180 * light + noise).astype(np.uint8)
     spot, _ = measure(image, TrackState(), SubpixelSettings())
+    assert isinstance(spot, Spot)
     # Half of the light lies inside of the edge, which the ellipse's own errors do not contain.
     assert spot.semi_minor_px < 30 - 3 * spot.sigma_semi_minor_px
     found = Ranger(calibration(model="planar"), microscope()).distance(spot)

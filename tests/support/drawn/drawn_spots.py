@@ -109,7 +109,12 @@ def with_quarter_in_shadow(drawing: Drawing, rng: np.random.Generator) -> Drawin
 
 
 def with_glints(
-    drawing: Drawing, rng: np.random.Generator, *, on_edge: bool, number: int = 4
+    drawing: Drawing,
+    rng: np.random.Generator,
+    *,
+    on_edge: bool,
+    number: int = 4,
+    level: float = 250.0,
 ) -> Drawing:
     """A drawing with bright discs of 3 to 9 px radius on the contour, or within 1.6 radii."""
     v, u = np.ogrid[: SHAPE[0], : SHAPE[1]]
@@ -118,5 +123,5 @@ def with_glints(
         angle, radius = rng.uniform(0, 2 * math.pi), rng.uniform(3, 9)
         away = drawing.truth.semi_minor * (1.0 if on_edge else rng.uniform(0.2, 1.6))
         x, y = drawing.truth.x + away * math.cos(angle), drawing.truth.y + away * math.sin(angle)
-        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = 250
+        glints[(u - x) ** 2 + (v - y) ** 2 < radius**2] = level
     return replace(drawing, glints=gaussian_filter(glints, 1.0))

@@ -170,8 +170,8 @@ def spotless_frame(rng: np.random.Generator) -> np.ndarray:
         wall=any_wall(rng),
     )
     if rng.random() < 0.6:
-        scene = with_glints(scene, rng, on_edge=False, number=int(rng.integers(1, 8)))
-        scene = replace(scene, glints=3 * scene.glints)
+        number = int(rng.integers(1, 8))
+        scene = with_glints(scene, rng, on_edge=False, number=number, level=750.0)
     if rng.random() < 0.5:
         scene = with_shaft(scene, rng, rng.uniform(-2, 2), rng.uniform(40, 100))
     return frame_of(scene, rng)
