@@ -148,9 +148,20 @@ def toml_in(text: str) -> dict[str, Any]:
     except RecursionError as fault:
         raise InputError("not a TOML file: nested too deeply to be read.") from fault
     except ValueError as fault:  # also a number of more digits than Python reads
-        raise InputError(f"not a TOML file: {_cut(' '.join(f'{fault}'.split()))}.") from fault
+        said = _cut(" ".join(f"{fault}".split()))
+        raise InputError(f"not a TOML file: {said}{_faulty_line(text, said)}.") from fault
     check_values(content)
     return content
+
+
+def _faulty_line(text: str, said: str) -> str:
+    """The line that a parser names, and what to do about a decimal comma."""
+    found = re.search(r"\(at line (\d+),", said)
+    if found is None:
+        return ""
+    line = text.split("\n")[int(found[1]) - 1].strip()
+    comma = re.search(r"=\s*[-+]?\d+,\d+\s*(?:#|$)", line)
+    return f": {shortened(line)}" + (". Write numbers with a point" if comma else "")
 
 
 def check_schema(found: object, history: Mapping[int, str], *, remedy: str) -> None:

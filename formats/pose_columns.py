@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 from eyespot.formats.inputs import InputError, shortened
@@ -31,6 +32,7 @@ _UNITS = {
 }
 _USUAL = {"time_s", *(f"{axis}_mm" for axis in POSITION), *QUATERNION, *AXIS}
 """Names that eyespot itself writes; they are meant where others have the same meaning."""
+_HEADER = "time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw"
 _MOST_NAMES = 40
 _LONGEST_NAME = 100
 REMEDY = (
@@ -106,11 +108,23 @@ def pose_columns(
             )
         candidates[part] = [(name, length or own)]
     found = {part: _column(part, columns, unit) for part, columns in candidates.items()}
+    if "time" not in found and names and all(map(_is_number, names)):
+        raise InputError(
+            f"no header: the first line is the numbers {listed}. Write the columns' names above "
+            f"them, such as {_HEADER}."
+        )
     if "time" not in found:
         raise InputError(f"no times among the columns {listed}. {REMEDY}")
     if "travel" not in found and not found.keys() >= set(POSITION):
         raise InputError(f"no positions among the columns {listed}. {REMEDY}")
     return found
+
+
+def _is_number(name: str) -> bool:
+    with suppress(ValueError):
+        float(name)
+        return True
+    return False
 
 
 def _column(part: str, columns: list[tuple[str, float | None]], unit: str | None) -> PoseColumn:

@@ -33,13 +33,16 @@ LATEST_S = 1e11
 _DATE = re.compile(r"\s*\d{4}-\d\d-\d\d")
 """With it begins a time after ISO 8601."""
 _SEPARATORS = ",;\t"
+_DECIMAL_COMMA = r"^\s*([-+]?\d*),(\d+(?:[eE][-+]?\d+)?)\s*$"
+"""A number as spreadsheets write it beside semicolons where the decimal sign is a comma."""
 _MOST_COLUMNS = 1000
 
 
 def read_table(path: Path) -> "pd.DataFrame":
     """Read a CSV file with a header; its cells are separated by commas, semicolons or tabs.
 
-    Cells that a shorter row lacks are NaN. A column with a cell that is no number is text.
+    Cells that a shorter row lacks are NaN. A column with a cell that is no number is text. Between
+    semicolons, 0,5 is the number 0.5. Rows without content at the end are left out.
 
     Raises:
         InputError: not CSV, too large, or rows longer than the header; the message names the file.
@@ -53,9 +56,10 @@ def read_table(path: Path) -> "pd.DataFrame":
             with warnings.catch_warnings():
                 # Pandas raises if some rows are longer than the header, and warns if all are.
                 warnings.simplefilter("error", pd.errors.ParserWarning)
+                separator = _separator(path)
                 table = pd.read_csv(
                     path,
-                    sep=_separator(path),
+                    sep=separator,
                     encoding="utf-8-sig",
                     index_col=False,
                     keep_default_na=False,
@@ -67,11 +71,22 @@ def read_table(path: Path) -> "pd.DataFrame":
         except InputError:
             raise
         except UnicodeDecodeError as error:
-            raise InputError(f"not a text file: {error}.") from None
-        except (ValueError, OverflowError, pd.errors.ParserWarning) as error:
+            raise InputError(f"not a text file: {error}. Save it as CSV in UTF-8.") from None
+        except pd.errors.ParserWarning as error:
+            raise InputError(
+                "its rows have more cells than its header. Name every column; if numbers have "
+                "decimal commas, write points, or separate the cells by semicolons."
+            ) from error
+        except (ValueError, OverflowError) as error:
             raise InputError(f"not a CSV file: {' '.join(f'{error}'.split())}.") from error
         if len(table) > MOST_ROWS:
             raise InputError(f"more than {MOST_ROWS:,} rows. Split the file.")
+        while len(table) and (table.iloc[-1] == "").all():
+            table = table.iloc[:-1]
+        if separator == ";":
+            for name in table.columns:
+                if not pd.api.types.is_numeric_dtype(table[name]):
+                    table[name] = table[name].replace(_DECIMAL_COMMA, r"\1.\2", regex=True)
         return table
 
 

@@ -241,13 +241,56 @@ def test_rows_of_one_time_are_refused():
     coarse = plain().assign(time_s=np.floor(TIMES_S / 0.2) * 0.2 + 0.05)
     with pytest.raises(InputError, match=r"but another place.*more digits"):
         withdrawn(poses_of_table(coarse))
-    with pytest.raises(InputError, match=r"poses go from 7\.000 to 7\.000 s.*robot\.columns"):
+    with pytest.raises(InputError, match=r"All 51 poses .* 7\.000 s.*robot\.columns"):
         withdrawn(poses_of_table(plain().assign(time_s=7.0)))
 
 
 def test_a_recording_given_twice_goes_back_in_time():
     with pytest.raises(InputError, match=r"row 51: the time goes back.*two recordings"):
         poses_of_table(pd.concat([plain(), plain()], ignore_index=True))
+
+
+def test_times_in_milliseconds_that_are_called_seconds_are_a_likely_cause():
+    slow = plain().assign(time_s=1e3 * TIMES_S)
+    with pytest.raises(InputError, match=r"last 5000 s and the frames' 4\.8 s.*time_ms"):
+        withdrawn(poses_of_table(slow))
+
+
+def test_frames_without_a_time_have_no_poses():
+    with pytest.raises(InputError, match=r"1 of 2 frames of trial have no time.*frames\.csv"):
+        withdrawal_of(
+            poses_of_table(plain()), np.array([0.1, np.nan]), robot=RobotKeys(), where="trial"
+        )
+
+
+@pytest.mark.parametrize(("comma", "cells"), [(",", ";"), (".", ";"), (".", "\t"), (".", ",")])
+def test_a_spreadsheets_table_has_the_same_poses(tmp_path, comma, cells):
+    path = tmp_path / "robot.csv"
+    text = plain().to_csv(index=False, sep=cells, decimal=comma, lineterminator="\r\n")
+    # A spreadsheet marks UTF-8 and keeps the rows that were emptied.
+    path.write_text(f"\ufeff{text}{cells * 6}\r\n", newline="")
+    poses = read_poses(path)
+    np.testing.assert_allclose(poses.times_s, TIMES_S, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(poses.positions_mm, TIPS_MM, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s,x_mm,y_mm\n0,1,2,3,4,5\n", "more cells than its header.*decimal commas"),
+        (
+            "time_s;x;y;z;axis_x;axis_y;axis_z\n0;1.000,5;2;3;0;0;-1\n",
+            r"x must be a finite number; got '1\.000,5'",
+        ),
+        ("0.1,2,3,-4,0,0,-1\n0.2,2,3,-4,0,0,-1\n", "no header: the first line is the numbers"),
+        ("time_s,x_mm\n".encode("utf-16").decode("latin-1"), "not a text file.*UTF-8"),
+    ],
+)
+def test_a_table_that_is_written_in_another_way_says_what_to_do(tmp_path, text, said):
+    path = tmp_path / "robot.csv"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(InputError, match=rf"robot\.csv.*{said}"):
+        read_poses(path)
 
 
 def test_a_table_without_rows_is_refused():
