@@ -135,6 +135,8 @@ with less, rounding of the two variances is as large as their difference."""
 
 _FEWEST_FRAMES, _LEAST_TRAVEL_MM = 5, 1.0
 """Of a withdrawal that shows how true distances are."""
+_LEAST_WAY_MM = 0.1
+"""Way of a tip below which no distance can change by `_STILL_MM`, however the beam leans."""
 _STILL_MM = 0.5
 """Change of the distances while the robot reports no motion at all that is not an eye's: breath and
 pulse move a retina by some tenths of a millimetre."""
@@ -198,12 +200,12 @@ class TipWay:
         place, axis, at_px, distance, sigma = np.split(rows, (3, 6, 8, 9), axis=1)
         distance, sigma = distance[:, 0], sigma[:, 0]
         gone = place[0] - place
-        if not gone.any():
-            return self._standstill(distance)
+        length = float(np.linalg.norm(gone, axis=1).max())
+        if length < _LEAST_WAY_MM:
+            return self._standstill(distance, length)
         towards = axis.mean(axis=0) / np.linalg.norm(axis.mean(axis=0))
         along = gone @ towards
         aside = np.linalg.norm(gone - np.outer(along, towards), axis=1)
-        length = float(np.linalg.norm(gone, axis=1).max())
         if np.ptp(along) < _LEAST_TRAVEL_MM or aside.max() > max(
             MOST_ASIDE_MM, math.sin(math.radians(MOST_ASKEW_DEG)) * length
         ):
@@ -224,11 +226,16 @@ class TipWay:
         )
         return [Compared("travel", sigmas, says)]
 
-    def _standstill(self, distance: np.ndarray) -> list[Compared]:
-        changed = float(np.ptp(distance))
+    def _standstill(self, distance: np.ndarray, length: float) -> list[Compared]:
+        # Of a robot at rest whose poses jitter, a tenth of the distances may be wrong.
+        shares = (0.1, 0.9) if length else (0.0, 1.0)
+        changed = float(np.ptp(np.quantile(distance, shares)))
+        moved = (
+            f"The robot moves by {length:.2g} mm" if length else "All poses of the robot are equal"
+        )
         says = (
-            f"All poses of the robot are equal, but the distances change by {changed:.2f} mm. Its "
-            "file has stopped, or another column or topic has the positions"
+            f"{moved}, but the distances change by {changed:.2f} mm. The robot's file has stopped "
+            "or is in another unit (robot.unit), or another column or topic has the positions"
         )
         return [Compared("standstill", math.inf if changed > _STILL_MM else 0.0, says)]
 

@@ -23,6 +23,8 @@ _LEAST_TRAVEL_MM = 0.1
 """Shortest withdrawal: from it on, errors of 2 um in the robot's readings make less than 2 %."""
 _MOST_TRAVEL_MM = 60.0
 """Longest withdrawal: more than twice the length of an eye, 24 mm."""
+_OTHER_CLOCK = 100.0
+"""How much longer than the frames poses last that may count milliseconds as seconds."""
 _DEEPEST_MM = 0.1
 """How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
 _RATE_S = 0.05
@@ -76,7 +78,17 @@ def withdrawal_of(
             towards the wall or beside the tool's axis; the text names value, cause and remedy.
     """
     known = poses.times_s
-    # An unknown time is NaN, for which these comparisons are false.
+    if np.isnan(times_s).any():
+        raise InputError(
+            f"{np.isnan(times_s).sum()} of {times_s.size} frames of {where} have no time, so that "
+            "no pose belongs to them. Give the times: frames.csv beside the images (file,time_s), "
+            "or --fps."
+        )
+    if len(known) > 1 and known[0] == known[-1]:
+        raise InputError(
+            f"All {len(known)} poses of {where} have the time {known[0]:.3f} s. Name the column of "
+            "their times in robot.columns, or record them again."
+        )
     if not (known[0] <= times_s.min() and times_s.max() <= known[-1]):
         raise InputError(
             f"The robot's poses go from {known[0]:.3f} to {known[-1]:.3f} s, but the frames of "
@@ -102,7 +114,8 @@ def withdrawal_of(
     axis = poses.axes[first : last + 1].mean(axis=0)
     axis /= np.linalg.norm(axis)
     motion, readings, aside = straight_line(places, axis)
-    _check_travel(float(np.ptp(readings)), where)
+    lasting_s = float(known[-1] - known[0]), float(np.ptp(times_s))
+    _check_travel(float(np.ptp(readings)), *lasting_s, where)
     askew = math.degrees(math.acos(min(float(motion @ axis), 1.0)))
     if aside > MOST_ASIDE_MM or askew > MOST_ASKEW_DEG:
         raise InputError(
@@ -158,7 +171,7 @@ def _check_times(poses: PoseTrack, first: int, last: int, where: str) -> None:
     )
 
 
-def _check_travel(travel_mm: float, where: str) -> None:
+def _check_travel(travel_mm: float, poses_s: float, frames_s: float, where: str) -> None:
     if travel_mm < 1e-9:
         raise InputError(
             f"The robot stands still in all frames of {where}; a withdrawal is at least "
@@ -166,17 +179,25 @@ def _check_travel(travel_mm: float, where: str) -> None:
             "or topic of poses. Correct robot.columns or robot.pose_topic, or record again."
         )
     if travel_mm < _LEAST_TRAVEL_MM:
+        clock = (
+            f" Or its times, which last {poses_s:.4g} s and the frames' {frames_s:.4g} s, are in "
+            "another unit, such as ms: rename their column to time_ms."
+            if poses_s > _OTHER_CLOCK * frames_s
+            else ""
+        )
         raise InputError(
             f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at least "
             f"{_LEAST_TRAVEL_MM} mm long. If its file is in m (the travel is then "
-            f"{1e3 * travel_mm:.4g} mm), write robot.unit = 'm'; otherwise it stood still."
+            f"{1e3 * travel_mm:.4g} mm), write robot.unit = 'm' and, if their names state mm, "
+            f"rename its columns (x_mm to x_m); otherwise it stood still.{clock}"
         )
     if travel_mm > _MOST_TRAVEL_MM:
         raise InputError(
             f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at most "
             f"{_MOST_TRAVEL_MM:g} mm long, more than an eye. If its file is in µm (the travel is "
-            f"then {1e-3 * travel_mm:.4g} mm), write robot.unit = 'um'; otherwise leave out the "
-            "frames of other motions."
+            f"then {1e-3 * travel_mm:.4g} mm), write robot.unit = 'um' and, if their names state "
+            "mm, rename its columns (x_mm to x_um); otherwise leave out the frames of other "
+            "motions."
         )
 
 

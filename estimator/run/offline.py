@@ -200,6 +200,11 @@ def _clocks(frames: int, earliest_s: float, latest_s: float, poses: PoseTrack | 
     if poses is None or not len(poses) or latest_s < earliest_s:
         return ""
     first, last = poses.times_s[0], poses.times_s[-1]
+    if first == last and len(poses) > 1:
+        return (
+            f"All {len(poses)} poses have the time {first:.3f} s. Name the column of their times "
+            "in robot.columns."
+        )
     if latest_s >= first and earliest_s <= last:
         return ""
     return (

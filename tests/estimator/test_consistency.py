@@ -79,6 +79,16 @@ def test_poses_that_never_change_contradict_distances_that_do():
     assert disagreements(still) == []
 
 
+def test_poses_in_another_unit_contradict_distances_of_millimetres():
+    # Metres that are called millimetres: 4 mm become 0.004 mm.
+    (said,) = disagreements(withdrawal(np.random.default_rng(3), longer=-0.999))
+    assert "The robot moves by" in said
+    assert "robot.unit" in said
+    # A robot at rest whose poses jitter, with one wrong distance.
+    still = withdrawal(np.random.default_rng(3), longer=-0.999, travel_mm=0.05)
+    assert disagreements(still) == []
+
+
 def test_a_slope_through_correlated_scatter_has_the_error_that_it_states():
     # Texture pulls neighbouring frames alike: an autoregressive scatter with a correlation of 0.6.
     rng, travel = np.random.default_rng(4), np.linspace(0.0, 4.0, 60)
