@@ -23,7 +23,7 @@ from eyespot.estimator.ghost import Ghost
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import SubpixelMode
-from eyespot.formats.inputs import InputError
+from eyespot.formats.inputs import InputError, in_file
 from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.poses import Quaternion, RobotKeys, turned
@@ -177,6 +177,8 @@ def recorded_trial(
     spots = [unblurred(spot) for _, spot, _ in usable]
     columns = jnp.array([spot.ellipse for spot in spots])
     ellipses = optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
+    with in_file(name):
+        view.require_wall_at(np.asarray(ellipses.centre))
     rim = rig.instrument.fibre_diameter_mm / 2
     if touch is None:
         touch = _stated_touch(rig.robot)

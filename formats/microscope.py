@@ -38,6 +38,8 @@ from eyespot.formats.inputs import (
 from eyespot.formats.settings_files import PairKey, VectorKey
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
+
     from eyespot import optics
 
 SCHEMA = 1
@@ -284,6 +286,21 @@ class MicroscopeFile(Strict):
             distortion=np.array(self.distortion),
             model=self.distortion_model,
         )
+
+    def require_wall_at(self, at_px: "Float[np.ndarray, 'n 2']") -> None:
+        """Raise an InputError if a line of sight through an undistorted pixel misses the wall."""
+        from eyespot.optics.surface import MISS
+
+        found = self.wall().intersect(*self.ideal_microscope().ray(at_px))
+        missed = np.asarray(found.status) == MISS
+        if missed.any():
+            away_px = np.linalg.norm(at_px - np.array(self.principal_point_px), axis=1)
+            raise InputError(
+                f"{missed.sum()} of {missed.size} spots lie beside the wall: up to "
+                f"{away_px.max() * self.scale_mm_px:.3g} mm from the microscope's axis, in an eye "
+                f"of {self.eye_radius_mm:g} mm radius. Correct microscope.scale_mm_px (now "
+                f"{self.scale_mm_px:g}), microscope.principal_point_px or wall.radius_mm."
+            )
 
     def ideal_microscope(self) -> "optics.Camera":
         """The camera without distortion, in whose image undistorted spots lie. Loads JAX."""

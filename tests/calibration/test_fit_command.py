@@ -21,6 +21,7 @@ from eyespot.estimator import open_source
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.sources.ros import write_bag
 from eyespot.formats.calibration import read_calibration
+from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import read_poses
 from eyespot.formats.spots import Spot
 from tests.support.command_line import call, printed
@@ -181,6 +182,15 @@ def recorded(tmp_path, spots, poses, **changes):
     keys = (key if "." in key else f"robot.{key}" for key in changes)
     changed = rig | dict(zip(keys, changes.values(), strict=True))
     return Recording.open(spots, rig=tmp_path / "microscope.json", changes=changed, poses=poses)
+
+
+def test_spots_beside_the_wall_are_refused_with_the_keys_that_place_them(rig, tmp_path):
+    spots, poses = rig()
+    a_microscope_file(tmp_path, scale_mm_px=10 * SCALE, principal_point_px=[100.0, 240.0])
+    # 220 px of 0.067 mm are 14.7 mm.
+    said = r"16 of 16 spots lie beside the wall: up to 14\.7 mm.*radius\. Correct.*scale_mm_px"
+    with pytest.raises(InputError, match=said):
+        recorded_trial(recorded(tmp_path, spots, poses, **{"wall.kind": "eyeball"}))
 
 
 def test_a_tip_that_leaves_its_line_is_no_withdrawal(rig, tmp_path):
