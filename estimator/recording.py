@@ -163,6 +163,11 @@ class Recording:
             self._poses = poses_of_table(self._poses, robot=robot)
         return self._poses
 
+    @property
+    def has_poses(self) -> bool:
+        """Whether there are poses of the robot, readable or not."""
+        return self._poses is not None or self.source.poses_file is not None
+
     def robot(self) -> PoseTrack:
         """The robot's poses, of a stack or a bag its own if no others were given.
 

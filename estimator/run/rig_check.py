@@ -61,7 +61,7 @@ class RigCheck(NamedTuple):
         image, size, noise = figure.subplots(1, 3)
         if self.first is not None:
             frame, spot = self.first
-            image.imshow(frame.image, cmap="gray")
+            image.imshow(frame.image / max(float(frame.image.max()), 1.0), cmap="gray")
             turn = np.linspace(0, 2 * math.pi, 200)
             wave = spot.semi_major_px * np.cos(turn) + 1j * spot.semi_minor_px * np.sin(turn)
             wave = wave * np.exp(1j * spot.angle_rad)
@@ -94,6 +94,7 @@ def checked(recording: Recording) -> RigCheck:
     lines: list[tuple[str, str, str, str, str]] = []
     lines += _of_times(recording, frames)
     lines += _of_images(recording, frames, spots)
+    lines += _of_wall(recording, spots)
     noise, levels, sigmas = _of_noise(recording)
     lines += noise
     travel, of_robot = _of_robot(recording, frames, spots)
@@ -145,8 +146,16 @@ def _of_times(recording: Recording, frames: list[Frame]) -> Iterator[Line]:
     if np.isnan(exposures).any():
         remedy = "Fits take each frame's gain as free; exposure_s in frames.csv makes it known."
         yield "exposure_s", "", "unknown", "unknown", remedy
-    pairs = itertools.pairwise(frames)
-    same = sum(np.array_equal(one.image, other.image) for one, other in pairs)
+    pairs = [*itertools.pairwise(frames)]
+    alike = [np.array_equal(one.image, other.image) for one, other in pairs]
+    same = sum(alike)
+    at_once = sum(
+        one.time_s == other.time_s and not equal
+        for (one, other), equal in zip(pairs, alike, strict=True)
+    )
+    if at_once:
+        remedy = "Stamp each image with its own time, with more digits."
+        yield "times", "", f"{at_once} frames have the time of another", "wrong", remedy
     if same:
         remedy = "A capture card repeats frames: fits count each once."
         yield "frames", "", f"{same} equal the one before", "right", remedy
@@ -201,6 +210,25 @@ def _of_images(
         yield "ghost", "none", found, "wrong", remedy
 
 
+def _of_wall(recording: Recording, spots: list[tuple[Frame, Spot]]) -> Iterator[Line]:
+    """What no microscope over an eye can have."""
+    view = recording.view
+    if view is None or view.plane_normal is not None:
+        return
+    height, radius = view.pinhole_height_mm, view.eye_radius_mm
+    if height < radius:
+        yield (
+            *("microscope.pinhole_height_mm", f"{height:g} mm", "inside the eye", "wrong"),
+            f"A microscope's pinhole lies outside of the eye, whose radius is {radius:g} mm: state "
+            "the height in mm, often near 200.",
+        )
+    if spots:
+        try:
+            view.require_wall_at(np.array([(spot.x_px, spot.y_px) for _, spot in spots]))
+        except InputError as error:
+            yield "wall.radius_mm", f"{radius:g} mm", "spots beside the wall", "wrong", f"{error}"
+
+
 def _of_noise(recording: Recording) -> tuple[list[Line], np.ndarray, np.ndarray]:
     none: np.ndarray = np.empty(0)
     if recording.view is None:
@@ -238,6 +266,8 @@ def _of_robot(
     try:
         poses = recording.robot()
     except (InputError, OSError) as error:
+        if recording.has_poses:
+            return none, [("robot", "poses", "not readable", "wrong", f"{error}")]
         return none, [("robot", "", "no poses", "unknown", f"{error}")]
     times = np.array([frame.time_s for frame, _ in spots])
     if times.size < 2 or np.isnan(times).any():

@@ -66,7 +66,7 @@ def check(
         table.add_column(name, overflow="fold", no_wrap=name in ("key", "verdict"))
     for row in found.lines.itertuples(index=False):
         table.add_row(*row)
-    Console().print(table)
+    Console(markup=False).print(table)  # a key such as [robot] is no markup
     wrong = int((found.lines.verdict == "wrong").sum())
     lines = "line is" if wrong == 1 else "lines are"
     said = f"{wrong} {lines} wrong." if wrong else "Nothing contradicts the rig file."

@@ -109,6 +109,6 @@ class Source:
                 names = [one.file_name or f"frame {one.index}" for one in (first, frame)]
                 raise InputError(
                     f"{self.name}: {names[1]} has {sizes[1]}, but {names[0]} {sizes[0]}. Leave the"
-                    " others out, or measure every image by itself (--unrelated)."
+                    " others out, or measure every image by itself (`eyespot track --unrelated`)."
                 )
             yield frame

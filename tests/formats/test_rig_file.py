@@ -195,6 +195,9 @@ def test_a_rig_that_is_as_its_file_says_is_not_contradicted():
         ({"robot.eye_from_robot": [1.0, 0.0, 0.0, 0.0]}, "robot.eye_from_robot"),
         ({"microscope.width_px": 640}, "microscope.width_px"),
         ({"camera.black_level_dn": 90.0}, "camera.black_level_dn"),
+        ({"microscope.pinhole_height_mm": 0.2}, "microscope.pinhole_height_mm"),
+        ({"wall.radius_mm": 0.005}, "wall.radius_mm"),
+        ({"microscope.principal_point_px": [2000.0, 120.0]}, "wall.radius_mm"),
     ],
 )
 def test_a_rig_that_lies_is_contradicted(lie, key):
@@ -203,6 +206,15 @@ def test_a_rig_that_lies_is_contradicted(lie, key):
             checked(withdrawal(**lie))
         return
     assert verdicts(withdrawal(**lie))[key] == "wrong"
+
+
+def test_frames_of_one_time_are_contradicted():
+    recording = withdrawal()
+    frames = np.stack([frame.image for frame in recording.source])
+    times = np.repeat(np.arange(6) / 5, 2)
+    at_once = Recording(frames, times=times, poses=recording.robot(), rig=recording.rig)
+    found = checked(at_once).lines.set_index("key").found["times"]
+    assert "6 frames have the time of another" in [*found]
 
 
 def test_a_turn_is_proposed_for_a_robot_whose_z_points_down():
@@ -228,6 +240,20 @@ def test_the_command_writes_one_picture_and_says_what_is_wrong(tmp_path):
     said = printed("rig", "check", tmp_path / "rig.toml", folder, "--fps", "10", "--out", out)
     assert "12 of 12 frames" in said
     assert out.read_bytes().startswith(b"\x89PNG")
+
+
+def test_poses_that_cannot_be_read_contradict_and_brackets_stay(tmp_path):
+    from tests.support.drawn.drawn_recording import write_folder
+
+    recording = withdrawal()
+    folder = write_folder(tmp_path / "images[a]", [frame.image for frame in recording.source])
+    (tmp_path / "rig.toml").write_text(recording.rig.toml(tmp_path))
+    (tmp_path / "robot.csv").write_text("a,b\n1,2\n")
+    words = ("--fps", "10", "--poses", tmp_path / "robot.csv", "--out", tmp_path / "check.png")
+    said = printed("rig", "check", tmp_path / "rig.toml", folder, *words)
+    assert "1 line is wrong" in said
+    assert "no times among the columns 'a', 'b'" in said
+    assert "images[a]: 12 of 12 frames" in said
 
 
 def test_the_template_of_a_rendered_scene_has_its_numbers():
