@@ -7,6 +7,7 @@ can be locked, and the next writer of NAME starts with an empty folder.
 
 import errno
 import fcntl
+import functools
 import os
 import shutil
 from collections.abc import Iterator
@@ -31,7 +32,7 @@ class BeingWrittenError(InputError):
 
 
 @contextmanager
-def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
+def written_whole(path: Path, *, replace: bool | None = None) -> Iterator[Path]:
     """Write a file or folder in another place; it gets its name when it is whole.
 
     Enter this before long work, not after it: it fails at once if the file could not be written,
@@ -40,7 +41,7 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
     Args:
         replace: replace a file of this name in one step; only for a file that eyespot itself has
             written. Otherwise an existing file or folder is an error, also if it appears while the
-            block runs.
+            block runs; None if the caller offers nobody to replace it.
 
     Yields:
         A path with the same name in another folder; nothing is there yet.
@@ -51,7 +52,8 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         OSError: it cannot be written; the error has the finished file's name.
     """
     path = Path(path)
-    check = refuse_foreign if replace else refuse_existing
+    offered = replace is False
+    check = refuse_foreign if replace else functools.partial(refuse_existing, offered=offered)
     place = hidden_beside(path, UNFINISHED)
     handle = lock(place, of=path)
     try:
@@ -60,13 +62,13 @@ def written_whole(path: Path, *, replace: bool = False) -> Iterator[Path]:
         with errors_named(place / path.name, path):
             yield place / path.name
             check(path)
-            give_name(place / path.name, path, replace=replace)
+            give_name(place / path.name, path, replace=bool(replace))
     finally:
         shutil.rmtree(place, ignore_errors=True)
         os.close(handle)
 
 
-def write_text(path: Path, text: str, *, replace: bool = False) -> None:
+def write_text(path: Path, text: str, *, replace: bool | None = None) -> None:
     """Write a text file in UTF-8, as `written_whole` does."""
     with written_whole(path, replace=replace) as partial:
         partial.write_text(text, encoding="utf-8")
@@ -83,10 +85,14 @@ def hidden_beside(path: Path, ending: str) -> Path:
     return path.with_name(f".{path.name}{ending}")
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise an InputError if there is a file, folder or link of this name."""
+def refuse_existing(path: Path, *, offered: bool = False) -> None:
+    """Raise an InputError if there is a file, folder or link of this name.
+
+    Args:
+        offered: whether the caller could have been told to replace it.
+    """
     if os.path.lexists(path):
-        raise _taken(path)
+        raise _taken(path, offered=offered)
 
 
 def refuse_foreign(path: Path) -> None:
@@ -248,7 +254,10 @@ def damage_reported(where: str, remedy: str) -> Iterator[None]:
         raise InputError(f"{where}: cannot be read: {said}. {remedy}") from error
 
 
-def _taken(path: Path) -> InputError:
-    return InputError(
-        f"{path} already exists. Choose another name, or delete it (some commands: --overwrite)."
+def _taken(path: Path, *, offered: bool = False) -> InputError:
+    way_out = (
+        "delete it, or replace it (--overwrite; in Python overwrite=True)"
+        if offered
+        else "or delete it"
     )
+    return InputError(f"{path} already exists. Choose another name, {way_out}.")

@@ -74,4 +74,6 @@ def fit(
     if as_json:
         return
     print(f"{found.verdict}. Wrote {out} and {report}.")
-    print(f"Next: eyespot track SOURCE --calibration {shlex.quote(str(out))} --out spots.csv")
+    rig = shlex.join([word for file in choices.rig[:1] for word in ("--rig", str(file))])
+    words = f"--calibration {shlex.quote(str(out))}" + (f" {rig}" if rig else "")
+    print(f"Next: eyespot track SOURCE {words} --out spots.csv")

@@ -85,10 +85,11 @@ def track(
     if as_json:
         print(json.dumps(summary))
     else:
-        Console().print(table_of(summary))
+        Console(markup=False).print(table_of(summary))  # a name may have brackets
         print(f"Wrote {out}" + (f" and {drawn}." if drawn else "."))
         if options.calibration:
-            words = ("budget", source, "--calibration", str(options.calibration))
+            rig = ("--rig", str(options.rig)) if options.rig else ()
+            words = ("budget", source, "--calibration", str(options.calibration), *rig)
             print(f"Next: eyespot {shlex.join(words)}")
         else:
             print("Next: eyespot fit makes the --calibration with which spots become distances.")
@@ -155,7 +156,7 @@ def _check_results(out: Path, overlay: Path | None, rerun: str | None, *, overwr
     recording = None if rerun in (None, "live") else Path(rerun)
     for path in filter(None, (out, overlay, recording)):
         if path != out or not overwrite:
-            refuse_existing(path)
+            refuse_existing(path, offered=path == out)
         if path.suffix and path != out and in_utf8(path) != str(path):
             raise InputError(f"{path}: the name of a video or recording must be UTF-8. Choose one.")
         if not path.parent.is_dir():

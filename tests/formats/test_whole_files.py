@@ -50,6 +50,14 @@ def test_what_exists_is_refused_before_the_work_and_left_as_it_is(kind, tmp_path
     assert everything(tmp_path) == before
 
 
+@pytest.mark.parametrize(("replace", "offered"), [(None, False), (False, True)])
+def test_replacing_is_offered_where_it_can_be_asked_for(tmp_path, replace, offered):
+    (tmp_path / "out").write_text("theirs")
+    with pytest.raises(InputError) as caught, written_whole(tmp_path / "out", replace=replace):
+        pytest.fail("the work has begun")
+    assert ("--overwrite" in str(caught.value)) == offered
+
+
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("made", ["file", "folder"])
 def test_what_appears_during_the_work_is_left_as_it_is(kind, made, tmp_path):
