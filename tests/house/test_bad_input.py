@@ -1,5 +1,6 @@
 """Bad input: whatever a file or a value holds, the answer is one short message and exit code 2."""
 
+import csv
 import json
 import os
 import resource
@@ -64,6 +65,10 @@ def folder(tmp_path_factory):
     shutil.copyfile(Path(eye.__file__).parent / "eyes" / "navarro.toml", folder / "eye.toml")
     frames = np.random.default_rng(0).integers(0, 255, (3, 60, 80), np.uint8)
     np.save(folder / "frames.npy", frames)
+    write_timed_images(folder / "timed", frames)
+    with (folder / "poses.csv").open(newline="") as file:
+        rows = [";".join(row).replace(".", ",") for row in csv.reader(file)]
+    (folder / "poses of a spreadsheet.csv").write_text("\n".join(rows))
     np.savez(folder / "frames.npz", frames=frames)
     with h5py.File(folder / "frames.h5", "w") as file:
         file["frames"] = frames
@@ -91,6 +96,15 @@ def folder(tmp_path_factory):
     write_bag(folder / "ros1.bag", frames=bagged, poses=poses, ros=1)
     write_bag(folder / "ros2", frames=bagged, poses=poses, ros=2)
     return folder
+
+
+def write_timed_images(folder, frames):
+    """Images with the file of their times, as a lab has them."""
+    folder.mkdir()
+    for number, frame in enumerate(frames):
+        assert cv2.imwrite(str(folder / f"{number}.png"), frame)
+    rows = [f"{number}.png,{number / 10},0.01" for number in range(len(frames))]
+    (folder / "frames.csv").write_text("\n".join(["file,time_s,exposure_s", *rows]) + "\n")
 
 
 RIG = """\
@@ -276,6 +290,8 @@ TARGETS = {
     "spots": alone(read_spots, "spots.csv", "csv"),
     "parquet": alone(read_spots, "spots.parquet", "bytes"),
     "poses": alone(read_poses, "poses.csv", "csv"),
+    "poses of a spreadsheet": alone(read_poses, "poses of a spreadsheet.csv", "words"),
+    "times": ("timed/frames.csv", "csv", lambda folder: frames_of(folder / "timed")),
     "wall image": alone(
         lambda path: wall_image(path, width_mm=24.0, white=0.5, extent_mm=24.0, pixels=64),
         "image.png",
