@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from eyespot.formats.inputs import InputError
+from eyespot.formats.inputs import InputError, shortened
 from eyespot.formats.tables import SECONDS, lines_of, read_table, seconds
 
 if TYPE_CHECKING:
@@ -66,18 +66,21 @@ def _of_table(path: Path, names: Sequence[str]) -> FrameTimes:
     files = next((name for name in ("file", "file_name", "filename") if name in table), None)
     time = _column(table, "time")
     if files is None or time is None:
+        listed = shortened(", ".join(map(str, table.columns)))
         raise InputError(
             f"{path}: column {'file' if files is None else 'time_s'!r} is missing; it has "
-            f"{', '.join(table.columns)}."
+            f"{listed}. Write file,time_s,exposure_s above the rows."
         )
     images = pd.Index([Path(f"{name}").name for name in table[files]])
     if images.has_duplicates:
-        raise InputError(f"{path}: {images[images.duplicated()][0]} stands in it twice.")
+        twice = shortened(images[images.duplicated()][0])
+        raise InputError(f"{path}: {twice} stands in it twice. Remove one of the rows.")
     order = images.get_indexer(pd.Index(names))
     missing = [name for name, row in zip(names, order, strict=True) if row < 0]
     if missing:
         raise InputError(
-            f"{path}: {len(missing)} of {len(names)} images are not in it, as {missing[0]}."
+            f"{path}: {len(missing)} of {len(names)} images are not in it, as {missing[0]}. "
+            "Add their rows, or move the images away."
         )
     times = seconds(table[time[0]], place, unit_s=time[1])[order]
     backwards = np.flatnonzero(np.diff(times) < 0)

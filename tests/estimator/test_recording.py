@@ -82,12 +82,13 @@ def test_a_table_beside_the_images_has_their_times(images, tmp_path, column, val
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        (lambda table: table.drop(columns="file"), "column 'file' is missing; it has time_s"),
+        (lambda table: table.drop(columns="file"), "column 'file' is missing; it has 'time_s'"),
+        (lambda table: table.rename(columns={"file": "x" * 10**5}), "it has 'x{199}….*Write file"),
         (lambda table: table.drop(columns="time_s"), "column 'time_s' is missing"),
         (lambda table: table.iloc[:3], r"1 of 4 images are not in it, as frame3\.png"),
         (lambda table: table.assign(time_s=[0, 1, 3, 2]), "times must grow.*frame3.png of 2.0"),
         (lambda table: table.assign(time_s=["a", 1, 2, 3]), "line 2: time_s .*got 'a'"),
-        (lambda table: pd.concat([table, table]), r"frame0\.png stands in it twice"),
+        (lambda table: pd.concat([table, table]), r"frame0\.png' stands in it twice"),
         (lambda table: table.assign(exposure_s=0.0), "exposures must be positive"),
     ],
 )
