@@ -127,7 +127,7 @@ def _of_tree(tree: Any, rng: Rng) -> Any:
         case 2 if isinstance(parent, list):
             parent.insert(key, copy.deepcopy(parent[key]))
         case 3 if isinstance(parent[key], int | float):
-            scale = rng.choice([-1.0, 0.0, 1e3, 1e-6, 1e12, 1.5])
+            scale = float(rng.choice([-1.0, 0.0, 1e3, 1e-6, 1e12, 1.5]))
             parent[key] = type(parent[key])(parent[key] * scale)
         case _:
             parent[key] = odd(rng)
