@@ -181,7 +181,7 @@ _CONE = "--model cone, which fits the exact geometry"
 _LENS = "--model lens, if the spot's edge is soft"
 _PLACES = "withdrawals at other places, one within 1 mm of the axis and one beyond 3 mm"
 _ROBOT = (
-    "to check that --eye-from-robot is right to a degree, that the eye did not turn, and that "
+    "to check that robot.eye_from_robot is right to a degree, that the eye did not turn, and that "
     "--calibration belongs to this fibre; or leave out the withdrawal farthest from the axis"
 )
 
@@ -334,7 +334,10 @@ def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -
     reasons = [doubt.reason for doubt in found]
     more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
     remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.fault.harmless)
-    tries = "; ".join(list(dict.fromkeys(filter(None, remedies)))[:_SHOWN])
+    shown = list(dict.fromkeys(filter(None, remedies)))[:_SHOWN]
+    if shown and _LENS in shown[0]:  # one remedy of two faults is named once
+        shown[1:] = [text.removeprefix(f"{_LENS}, or ") for text in shown[1:]]
+    tries = "; ".join(shown)
     said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}."
     said += f"\nTry {tries}." if tries else ""
     details = f"\nNo calibration was written; {report} shows the residuals."

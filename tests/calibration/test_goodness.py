@@ -158,6 +158,14 @@ def test_a_refusal_says_what_to_try_for_its_criterion(model, change, tries):
         assert words in remedy
 
 
+def test_a_remedy_of_two_faults_is_named_once():
+    found = good(chi_squared_per_degree=9.0, misfit=None, residuals={"size": 90 * BEND})
+    _, tries, _ = refusal(found, model="cone", report=Path("c.html")).splitlines()
+    assert len(found) == 2
+    assert tries.count("--model lens") == 1
+    assert "keeps still" in tries
+
+
 def test_every_fault_has_a_remedy_with_options_that_the_model_has():
     for fault, model in itertools.product(Fault, MODELS):
         said = remedy(fault, model=model)
