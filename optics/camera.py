@@ -23,9 +23,9 @@ class Camera(eqx.Module):
         principal_point: (u0, v0), px; may lie outside the window.
     """
 
-    scale: Float[Array, ""]
-    pole_height: Float[Array, ""]
-    principal_point: Float[Array, "2"]
+    scale: eqx.AbstractVar[Float[Array, ""]]
+    pole_height: eqx.AbstractVar[Float[Array, ""]]
+    principal_point: eqx.AbstractVar[Float[Array, "2"]]
 
     @abstractmethod
     def project(self, points: Float[ArrayLike, "*batch 3"]) -> Float[Array, "*batch 2"]:
@@ -91,7 +91,7 @@ class Microscope(Camera):
     which is $u_0 + f X/(z_F - Z)$ with $f = (z_F + r)/\delta$, and stays finite for the telecentric
     microscope ($\kappa = 0$). With $\kappa < 0$ the lines of sight meet behind the retina, so that
     magnification grows with depth, as it does through a contact lens. Integer pixel coordinates are
-    pixel centres (OpenCV's convention).
+    pixel centres (OpenCV's convention). The attributes of `Camera` are not repeated.
 
     Attributes:
         inverse_working_distance: kappa, 1/mm; 0 is telecentric, below 0 the pinhole lies behind
@@ -100,7 +100,10 @@ class Microscope(Camera):
             (Brown 1966); without effect for a telecentric microscope.
     """
 
+    scale: Float[Array, ""]
     inverse_working_distance: Float[Array, ""]
+    pole_height: Float[Array, ""]
+    principal_point: Float[Array, "2"]
     distortion: Float[Array, "5"]
 
     @property

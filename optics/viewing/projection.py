@@ -46,7 +46,8 @@ class PathCamera(Camera):
 
         $$ t\,(a(t^2) - b(t^2)\,\Delta) = \rho. $$
 
-    It takes the place of a `Microscope` wherever points are projected.
+    It takes the place of a `Microscope` wherever points are projected. The attributes of `Camera`
+    are not repeated.
 
     Attributes:
         crossing: Chebyshev coefficients of a.
@@ -57,6 +58,9 @@ class PathCamera(Camera):
         orientation: +1 if the image is upright, -1 if it is inverted.
     """
 
+    scale: Float[Array, ""]
+    principal_point: Float[Array, "2"]
+    pole_height: Float[Array, ""]
     crossing: Float[Array, "terms"]
     steepness: Float[Array, "terms"]
     passing: Float[Array, "terms"]
