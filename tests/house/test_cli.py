@@ -2,7 +2,9 @@
 
 import errno
 import importlib.metadata
+import inspect
 import os
+from importlib import import_module
 
 import pydantic
 import pytest
@@ -71,6 +73,15 @@ def test_every_option_of_every_command_is_explained_in_a_sentence(words):
         told = option.parameter.help or ""
         assert told[:1].isupper() or told.startswith("microscope.json"), f"{words} {option.name}"
         assert told.endswith("."), f"{words} {option.name}: {told}"
+
+
+@pytest.mark.parametrize("path", [path for group in COMMANDS.values() for path in group])
+def test_an_argument_of_a_command_has_a_place_or_a_name_but_not_both(path):
+    """Of others `signatures` takes no annotation, so that their options would have no type."""
+    module, _, name = path.partition(":")
+    parameters = inspect.signature(getattr(import_module(f"eyespot.{module}"), name)).parameters
+    both = inspect.Parameter.POSITIONAL_OR_KEYWORD
+    assert not [one.name for one in parameters.values() if one.kind is both]
 
 
 @pytest.mark.parametrize("words", WORDS)
