@@ -99,6 +99,15 @@ class RecordedTrial(NamedTuple):
         """Derivatives of (beam_x, beam_y) of a calibration with respect to the boresight."""
         return self.across @ np.stack(optics.perpendicular_frame(self.trial.axis)).T
 
+    @property
+    def sharp_trial(self) -> ConeTrial:
+        """The trial with the contours that a sharp cone has before its light is blurred."""
+        spots = [unblurred(one.result) for one in self.records if isinstance(one.result, Spot)]
+        if not spots:
+            return self.trial
+        covariances = np.stack([spot.covariance for spot in spots])
+        return replace(self.trial, ellipses=_ellipses(spots), covariances=covariances)
+
     def only(self, spots: "np.ndarray") -> "RecordedTrial":
         """The recording with some of its usable spots, by their numbers."""
         own = self.trial
@@ -174,9 +183,8 @@ def recorded_trial(
             f"{name} has {len(usable)} usable spots in {len(records)} frames; a fit needs "
             f"{_FEWEST_SPOTS}. `eyespot track {name} --out spots.csv` shows the reasons."
         )
-    spots = [unblurred(spot) for _, spot, _ in usable]
-    columns = jnp.array([spot.ellipse for spot in spots])
-    ellipses = optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
+    spots = [spot for _, spot, _ in usable]
+    ellipses = _ellipses(spots)
     with in_file(name):
         view.require_wall_at(np.asarray(ellipses.centre))
     rim = rig.instrument.fibre_diameter_mm / 2
@@ -212,6 +220,11 @@ def recorded_trial(
         records=[record for record, _, _ in usable],
         ghost=ghost,
     )
+
+
+def _ellipses(spots: Sequence[Spot]) -> optics.Ellipse:
+    columns = jnp.array([spot.ellipse for spot in spots])
+    return optics.Ellipse(columns[:, :2], *columns[:, 2:].T)
 
 
 def _known(rig: Rig, recording: Recording) -> tuple[str, Quaternion]:

@@ -174,7 +174,7 @@ def _first_distance(one: RecordedTrial, own: Fitted) -> tuple[float, float]:
 def read_by_cone(own: Fitted, other: Fitted) -> Read:
     """Distances of a recording's spots by another one's cone, along the recording's own beam."""
     (one,) = own.recordings
-    trial, view = one.trial, one.microscope
+    trial, view = one.sharp_trial, one.microscope
     names = ("half_angle", "b")
     angle, b = (other.values[name] for name in names)
     beam = trial.axis + one.across.T @ [own.values.get(name, 0.0) for name in BEAM]

@@ -222,7 +222,7 @@ def fit_cone_to_spots(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     start = dict(own.mean) if own else cone_start(recordings)
     for _ in range(_CORE_ROUNDS if core else 1):
         joint = own if core is None else cone_from(core, start["half_angle"])
-        trials = [recording.trial for recording in recordings]
+        trials = [recording.sharp_trial for recording in recordings]
         if core and joint:
             trials = [_begun(recording, joint.mean["b"]) for recording in recordings]
         fit = fit_cone(
@@ -440,7 +440,7 @@ def fit_eye(
     ]
     eccentricities = microscope.scale_mm_px * np.array(offsets)
     fit = fit_cone(
-        [recording.trial for recording in recordings],
+        [recording.sharp_trial for recording in recordings],
         microscope.pinhole(),
         start=dict(own.mean) | {"eye_radius": priors["eye_radius"].mean},
         free=tuple(dict.fromkeys((*(choices.names or EYE), *own.mean, *of_robot))),

@@ -114,7 +114,7 @@ class Ranger:
             InputError: the axis is not a unit vector, or the frame is not an image.
         """
         direction = None if axis is None else _unit(axis)
-        if self.model in CONE_MODELS:
+        if "half_angle" in self.calibration.values:  # k is of a line through half maxima
             spot = unblurred(spot)
         if self.model == "exact":
             found = self._exact(spot, direction, axis_sigma_rad)

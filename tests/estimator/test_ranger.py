@@ -385,7 +385,8 @@ def test_a_blurred_edge_does_not_shorten_the_distance_of_a_cone(shape, size):
     assert isinstance(spot, Spot)
     # Half of the light lies inside of the edge, which the ellipse's own errors do not contain.
     assert spot.semi_minor_px < 30 - 3 * spot.sigma_semi_minor_px
-    found = Ranger(calibration(model="planar"), microscope()).distance(spot)
+    cone = calibration(model="planar", half_angle=math.atan(1 / K), b=B)
+    found = Ranger(cone, microscope()).distance(spot)
     assert found.distance_mm == pytest.approx(SCALE * K * 30 + B, abs=3 * found.sigma_mm)
     # The shift, three or four times the noise's error, is known to 15 %.
     assert found.sigma_mm < 1.5 * SCALE * K * spot.sigma_semi_minor_px
