@@ -57,14 +57,15 @@ def ellipse_of_contour(contour: Float[Array, "*batch n 2"], *, reweightings: int
         reweightings: refinements of the weights: one leaves 1e-5 px, two 1e-7 px.
 
     Returns:
-        The ellipse; exact (to rounding) if the contour is one.
+        The ellipse; exact (to rounding) if the contour is one. NaN if the conic is no ellipse.
     """
     xp = array_namespace(contour)
-    state = contour, _fit(contour, xp.ones(contour.shape[:-1]))
-    if xp is np:
-        for step in range(reweightings):
-            state = _refitted(step, state)
-        return state[1]
+    with np.errstate(invalid="ignore"):
+        state = contour, _fit(contour, xp.ones(contour.shape[:-1]))
+        if xp is np:
+            for step in range(reweightings):
+                state = _refitted(step, state)
+            return state[1]
     from jax.lax import fori_loop
 
     # Unrolled, the loop would take seconds to compile wherever it is used; and with a function of

@@ -57,6 +57,7 @@ def of_one_frame(length: float, *, radius_px: float, table: LensTable | None) ->
             reach_mm=lambda distance: 2.0,
             slopes=lambda values: np.zeros((0, 0)),
             tables=1,
+            where=(),
         )
     cells = Cells.over((96, 96), max(1, round(radius_px / 16)), beyond=True)
     values = dict.fromkeys(POSE, 0.0) | {"half_angle": HALF_ANGLE, "b": B, "spread": length}
