@@ -60,11 +60,15 @@ def _memory_is_limited():
 
 
 @pytest.fixture(scope="module")
-def fast_compilation():
+def fast_compilation(request: pytest.FixtureRequest):
     """Compile with few optimisations, for a file whose time goes into compiling.
 
-    The light of a lens then takes 21 s of a processor instead of 37 s to compile.
+    The light of a lens then takes 21 s of a processor instead of 37 s to compile. Slow tests run
+    for longer than they compile, and a cone's fit ten times as long without optimisations.
     """
+    if any(item.get_closest_marker("slow") for item in request.session.items):
+        yield
+        return
     import jax
 
     jax.config.update("jax_disable_most_optimizations", True)
