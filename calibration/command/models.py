@@ -253,7 +253,7 @@ def _begun(recording: RecordedTrial, b: float) -> ConeTrial:
     The line is d = k R + b of the readings, which lack the first distance. From one that is some
     millimetres off, the solver goes astray.
     """
-    trial = recording.trial
+    trial = recording.sharp_trial
     if trial.touch != FREE_TOUCH:
         return trial
     return replace(trial, touch=Prior(b - line_through([recording]).b, FREE_TOUCH.sigma))

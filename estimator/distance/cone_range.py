@@ -55,7 +55,7 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     )
 
 
-_SHARP_EDGE_PX = 0.55
+_PIXEL_EDGE_PX = 0.55
 """Edge width of a sharp disc, which a pixel's side and the interpolation between pixels make: 0.51
 to 0.55 of drawn and rendered ones. With it a Gaussian of 1 px has 1.14 px, one of 2 px 2.08 px."""
 SOFT_EDGE = 0.1
@@ -79,10 +79,10 @@ def unblurred(spot: Spot) -> Spot:
     width. A soft edge, which may be a lens's, stays as it is, and so does a spot of
     a mode that measures no width.
     """
-    if not _SHARP_EDGE_PX < spot.edge_width_px < SOFT_EDGE * spot.semi_minor_px:
+    if not _PIXEL_EDGE_PX < spot.edge_width_px < SOFT_EDGE * spot.semi_minor_px:
         return spot
     major, minor = spot.semi_major_px, spot.semi_minor_px
-    blur = spot.edge_width_px**2 - _SHARP_EDGE_PX**2
+    blur = spot.edge_width_px**2 - _PIXEL_EDGE_PX**2
     shift = blur / 2 * np.array([major / minor**2, minor / major**2])
     covariance = spot.covariance.copy()
     covariance[2:4, 2:4] += np.outer(shift, shift) * _KERNEL_SPREAD**2
