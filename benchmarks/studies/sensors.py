@@ -11,7 +11,6 @@ import math
 from collections.abc import Iterator
 from enum import StrEnum
 from itertools import product
-from operator import add, itemgetter
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -27,15 +26,16 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import DISTANCE
 from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, where
-from eyespot.benchmarks.statistics import largest
 from eyespot.benchmarks.study import Study
 from eyespot.benchmarks.study_command import command
+from eyespot.optics.instrument import BareFibre
 from eyespot.optics.viewing import (
+    SideCamera,
     ThinLens,
+    ViewingPath,
     bare_path,
     load_eye,
     load_viewing_lens,
-    path_camera,
     side_camera,
     viewing_path,
 )
@@ -73,70 +73,63 @@ Numbers = Any
 class InstrumentPlace(NamedTuple):
     """An instrument at the wall, and the light guide that makes its shadow; mm, eye frame."""
 
-    eccentricity: Numbers
-    distance: Numbers
     tip: Numbers
     axis: Numbers  # unit vector from the trocar to O
     spot: Numbers
     lamp: Numbers
-    lamp_axis: Numbers
 
 
 class Views(NamedTuple):
     """The microscope that sees spot and shadow, and the pair; the pole is at pixel (0, 0)."""
 
-    centre: optics.Camera
-    left: optics.Camera
-    right: optics.Camera
+    centre: SideCamera
+    left: SideCamera
+    right: SideCamera
 
 
-def places(eccentricities: Numbers, distances: Numbers) -> InstrumentPlace:
-    """Places at pairs of c and d (mm), with a leading axis."""
-    azimuth, trocars = math.radians(SPOT_AZIMUTH_DEG), {}
-    for name, azimuth_deg in (("tool", TOOL_AZIMUTH_DEG), ("lamp", LAMP_AZIMUTH_DEG)):
-        turn, polar = math.radians(azimuth_deg), math.radians(TROCAR_POLAR_DEG)
-        aside = math.sin(polar) * np.array([math.cos(turn), math.sin(turn)])
-        trocars[name] = RADIUS_MM * np.array([*aside, math.cos(polar)])
-    c, d = np.asarray(eccentricities, float), np.asarray(distances, float)
-    spot = np.array([WALL.frame_at(eccentricity=one, azimuth=azimuth).origin for one in c])
-    axis = _unit(spot - trocars["tool"])
-    lamp_axis = np.broadcast_to(_unit(POLE - trocars["lamp"]), spot.shape)
-    tip, lamp = spot - d[:, None] * axis, POLE - LAMP_ABOVE_MM * lamp_axis
-    return InstrumentPlace(c, d, tip, axis, spot, lamp, lamp_axis)
-
-
-def views(path: str) -> Views:
-    """The microscopes that look through a path."""
-    if (name := PATHS[path]) is None:
-        bare = bare_path(eye_radius=RADIUS_MM, pinhole_height=PINHOLE_HEIGHT_MM)
-        return _views(bare, bare=True, inverted=False)
-    eye, lens = load_eye(EYE, wavelength_nm=WAVELENGTH_NM), load_viewing_lens(name)
-    cornea = float(eye.axial_length) - RADIUS_MM
-    seen = viewing_path(eye, lens, pinhole_distance=PINHOLE_HEIGHT_MM - cornea)
-    return _views(seen, bare=False, inverted=isinstance(lens, ThinLens))
-
-
-@eqx.filter_jit
-def _views(seen: Any, *, bare: bool, inverted: bool) -> Views:
-    if bare:
-        centre: optics.Camera = optics.microscope(
-            scale=SCALE_MM_PX, pinhole_height=PINHOLE_HEIGHT_MM, eye_radius=RADIUS_MM
-        )
-    else:
-        centre = path_camera(seen, scale=SCALE_MM_PX, upright=True)
-    half = math.tan(math.radians(CONVERGENCE_DEG / 2)) * (PINHOLE_HEIGHT_MM + RADIUS_MM)
-    left, right = (
-        side_camera(seen, aside=jnp.array([x, 0.0]), scale=SCALE_MM_PX, upright=True)
-        # A stereo inverter turns both images, and exchanges them; else near would look far.
-        for x in ((half, -half) if inverted else (-half, half))
-    )
-    up = jnp.array([0.0, 0.0, 1.0])
-    every = centre, left, right
-    return Views(*(c.centred_on(c.pole_height * up, width=1, height=1) for c in every))
+def _trocar(azimuth_deg: float) -> np.ndarray:
+    turn, polar = math.radians(azimuth_deg), math.radians(TROCAR_POLAR_DEG)
+    aside = math.sin(polar) * np.array([math.cos(turn), math.sin(turn)])
+    return RADIUS_MM * np.array([*aside, math.cos(polar)])
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+LAMP_AXIS = _unit(POLE - _trocar(LAMP_AZIMUTH_DEG))
+
+
+def places(eccentricities: Numbers, distances: Numbers) -> InstrumentPlace:
+    """Places at pairs of c and d (mm), with a leading axis."""
+    azimuth = math.radians(SPOT_AZIMUTH_DEG)
+    spot = np.array([WALL.frame_at(eccentricity=c, azimuth=azimuth).origin for c in eccentricities])
+    axis = _unit(spot - _trocar(TOOL_AZIMUTH_DEG))
+    lamp = np.broadcast_to(POLE - LAMP_ABOVE_MM * LAMP_AXIS, spot.shape)
+    return InstrumentPlace(spot - np.asarray(distances)[:, None] * axis, axis, spot, lamp)
+
+
+def views(path: str) -> Views:
+    """The microscopes that look through a path."""
+    half = math.tan(math.radians(CONVERGENCE_DEG / 2)) * (PINHOLE_HEIGHT_MM + RADIUS_MM)
+    if (name := PATHS[path]) is None:
+        bare = bare_path(eye_radius=RADIUS_MM, pinhole_height=PINHOLE_HEIGHT_MM)
+        return _views(bare, half)
+    eye, lens = load_eye(EYE, wavelength_nm=WAVELENGTH_NM), load_viewing_lens(name)
+    cornea = float(eye.axial_length) - RADIUS_MM
+    seen = viewing_path(eye, lens, pinhole_distance=PINHOLE_HEIGHT_MM - cornea)
+    # A stereo inverter turns both images, and exchanges them; else near would look far.
+    return _views(seen, -half if isinstance(lens, ThinLens) else half)
+
+
+@eqx.filter_jit
+def _views(path: ViewingPath, half: float) -> Views:
+    up = jnp.array([0.0, 0.0, 1.0])
+    cameras = (
+        side_camera(path, aside=jnp.array([x, 0.0]), scale=SCALE_MM_PX, upright=True)
+        for x in (0.0, -half, half)
+    )
+    return Views(*(c.centred_on(c.pole_height * up, width=1, height=1) for c in cameras))
 
 
 # The sensors: what they see, and the distances that follow.
@@ -156,19 +149,6 @@ class Sensor(StrEnum):
     STEREO = "stereo"
 
 
-class Known(NamedTuple):
-    """What the sensors take as known; a wrong assumption is a wrong value here.
-
-    The cameras; the radius of the wall's sphere, whose pole is at the cameras' pole height, mm; the
-    light guide's end, mm; and the instrument's unit vector.
-    """
-
-    views: Views
-    radius: Numbers
-    lamp: Numbers
-    axis: Numbers
-
-
 class Marks(NamedTuple):
     """What is measured in the images, px.
 
@@ -183,124 +163,91 @@ class Marks(NamedTuple):
     wall_pair: Numbers
 
 
-def shadow_of(one: InstrumentPlace) -> Numbers:
-    """Where the tip's shadow falls on the wall, from a lamp without extent, mm."""
-    towards = one.tip - one.lamp
-    return WALL.intersect(one.tip, towards / jnp.linalg.norm(towards)).point
-
-
-def contour_of(one: InstrumentPlace, points: int) -> Numbers:
-    """The edge of the spot on the wall, mm."""
+def marks_of(one: InstrumentPlace, seen: Views, points: int = _POINTS) -> Marks:
+    """The true marks; the lamp has no extent."""
     beam = optics.Beam(tip=jnp.asarray(one.tip), axis=jnp.asarray(one.axis), **CONE)
-    return optics.cone_contour(beam, WALL, points=points).point
-
-
-def marks_of(one: InstrumentPlace, views: Views, *, points: int = _POINTS) -> Marks:
-    """The true marks."""
-    tip_and_shadow = jnp.stack([one.tip, shadow_of(one)])
+    contour = optics.cone_contour(beam, WALL, points=points).point
+    towards = one.tip - one.lamp
+    shadow = WALL.intersect(one.tip, towards / jnp.linalg.norm(towards)).point
     # Each camera projects all of its points at once: the compilation of a path takes seconds.
-    central = views.centre.project(jnp.concatenate([contour_of(one, points), tip_and_shadow]))
+    central = seen.centre.project(jnp.concatenate([contour, jnp.stack([one.tip, shadow])]))
     both = jnp.stack([one.tip, one.spot])
-    pair = jnp.stack([camera.project(both) for camera in (views.left, views.right)])
+    pair = jnp.stack([camera.project(both) for camera in (seen.left, seen.right)])
     return Marks(central[:-2], central[-2], central[-1], pair[:, 0], pair[:, 1])
 
 
 @eqx.filter_jit
-def by_spot(ellipse: optics.Ellipse, known: Known) -> Numbers:
-    """d by the exact spot with the ellipse's area, mm (`optics.distance_by_area`)."""
-    return optics.distance_by_area(
-        ellipse, optics.Sphere(known.radius), known.views.centre, axis=known.axis, **CONE
-    )
+def read(
+    marks: Marks, one: InstrumentPlace, seen: Views, radius: Numbers = RADIUS_MM
+) -> dict[Sensor, Numbers]:
+    """Distances from the marks of one place, mm.
 
-
-@eqx.filter_jit
-def by_shadow(tip: Numbers, shadow: Numbers, known: Known) -> Numbers:
-    """d by the tip and its shadow in one image (px), mm.
-
-    The shadow's line of sight meets the wall at a point; the line from there to the lamp and the
-    tip's line of sight meet at the tip.
+    Args:
+        one: its axis and lamp are known; a wrong assumption is a wrong value here.
+        seen: the cameras, as they are known.
+        radius: of the wall's sphere, whose pole is at the cameras' pole height, mm.
     """
-    wall = optics.Sphere(known.radius)
-    points, directions = known.views.centre.ray(jnp.stack([tip, shadow]))
+    wall = optics.Sphere(radius)
+    ellipse = optics.ellipse_of_contour(marks.contour)
+    by_spot = optics.distance_by_area(ellipse, wall, seen.centre, axis=one.axis, **CONE)
+
+    # The shadow's line of sight meets the wall at a point; the line from there to the lamp and the
+    # tip's line of sight meet at the tip.
+    points, directions = seen.centre.ray(jnp.stack([marks.tip, marks.shadow]))
     foot = wall.intersect(points[1], directions[1]).point
-    by_both = optics.nearest_point((points[0], directions[0]), (foot, known.lamp - foot))
-    return wall.intersect(by_both, known.axis).distance
+    under_lamp = optics.nearest_point((points[0], directions[0]), (foot, one.lamp - foot))
 
-
-@eqx.filter_jit
-def by_stereo(tip_pair: Numbers, wall_pair: Numbers, known: Known) -> Numbers:
-    """d by the tip and a point of the wall in a stereo pair (px), mm.
-
-    The wall's point says how high the wall lies; the wall's curvature is known.
-    """
-    pairs = jnp.stack([tip_pair, wall_pair], axis=1)
-    tip, wall = optics.nearest_point(
-        known.views.left.ray(pairs[0]), known.views.right.ray(pairs[1])
-    )
-    return optics.Sphere(jnp.linalg.norm(wall)).intersect(tip, known.axis).distance
-
-
-@eqx.filter_jit
-def readings(marks: Marks, known: Known) -> dict[Sensor, Any]:
-    """Distances from marks at all places, each with a lamp and an axis, mm."""
-
-    def one(own: Marks, lamp: Any, axis: Any) -> dict[Sensor, Any]:
-        here = known._replace(lamp=lamp, axis=axis)
-        return {
-            Sensor.SPOT: by_spot(optics.ellipse_of_contour(own.contour), here),
-            Sensor.SHADOW: by_shadow(own.tip, own.shadow, here),
-            Sensor.STEREO: by_stereo(own.tip_pair, own.wall_pair, here),
-        }
-
-    return jax.vmap(one)(marks, known.lamp, known.axis)
+    # The wall's point in the pair says how high the wall lies; its curvature is known.
+    pairs = jnp.stack([marks.tip_pair, marks.wall_pair], axis=1)
+    tip, at_wall = optics.nearest_point(seen.left.ray(pairs[0]), seen.right.ray(pairs[1]))
+    raised = optics.Sphere(jnp.linalg.norm(at_wall))
+    return {
+        Sensor.SPOT: by_spot,
+        Sensor.SHADOW: wall.intersect(under_lamp, one.axis).distance,
+        Sensor.STEREO: raised.intersect(tip, one.axis).distance,
+    }
 
 
 # Which sensors see their marks: the window, the iris, and the instrument in front.
 
 READ, OUT_OF_VIEW = "read", "out of view"
 HIDDEN = "hidden"  # The instrument hides its tip's shadow.
-_EDGE_POINTS = 32  # All of them must be in view.
-_SHAFT_POINTS = 200
 
 
-def outcomes_at(every: InstrumentPlace, seen: Views) -> dict[Sensor, np.ndarray]:
+def outcomes_at(marks: Marks, every: InstrumentPlace, seen: Views) -> dict[Sensor, np.ndarray]:
     """Whether each sensor can see its marks, for places with a leading axis."""
-    in_view, hidden = _in_view_and_hidden(every, seen)
+    in_view, sights = _in_view(marks, every, seen)
+    tool = BareFibre(TOOL_RADIUS_MM, math.inf)
+    lines = zip(*map(np.asarray, sights), every.tip, every.axis, strict=True)
+    hidden = [tool.hides(p, u, tip=tip, axis=axis, margin=0.0) for p, u, tip, axis in lines]
     found = {sensor: np.where(in_view[sensor], READ, OUT_OF_VIEW) for sensor in Sensor}
-    found[Sensor.SHADOW][in_view[Sensor.SHADOW] & hidden] = HIDDEN
+    found[Sensor.SHADOW][in_view[Sensor.SHADOW] & np.array(hidden)] = HIDDEN
     return found
 
 
 @eqx.filter_jit
-def _in_view_and_hidden(every: InstrumentPlace, seen: Views) -> tuple[dict[Sensor, Any], Any]:
-    def in_view(camera: Any, points: Any) -> Any:
-        """Whether points are in the window, centred on the first one, and not behind the iris."""
-        pixels = camera.project(points)
-        inside = jnp.all(jnp.abs(pixels - pixels[0]) < WINDOW_PX / 2, axis=-1)
-        # The transmittance behind the iris is 0.
-        bare = isinstance(camera, optics.Microscope)
-        return inside if bare else inside & (camera.transmittance(pixels) > 0)
+@eqx.filter_vmap(in_axes=(0, 0, None))
+def _in_view(
+    marks: Marks, one: InstrumentPlace, seen: Views
+) -> tuple[dict[Sensor, Numbers], tuple[Numbers, Numbers]]:
+    """Whether each sensor's marks are in view, and the shadow's line of sight."""
 
-    def at(one: InstrumentPlace) -> tuple[dict[Sensor, Any], Any]:
-        shadow = shadow_of(one)
-        marks = jnp.stack([one.spot, one.tip, shadow])
-        central = in_view(seen.centre, jnp.concatenate([marks, contour_of(one, _EDGE_POINTS)]))
-        pair = jnp.stack([in_view(camera, marks[:2]) for camera in seen[1:]])
-        _, down = seen.centre.ray(seen.centre.project(shadow))
-        shaft = one.tip - jnp.linspace(0.0, RADIUS_MM, _SHAFT_POINTS)[:, None] * one.axis - shadow
-        aside = jnp.linalg.norm(shaft - (shaft @ down)[:, None] * down, axis=-1)
-        seen_by = {
-            Sensor.SPOT: jnp.all(central[3:]),
-            Sensor.SHADOW: central[1] & central[2],
-            Sensor.STEREO: jnp.all(pair),
-        }
-        return seen_by, jnp.any(aside < TOOL_RADIUS_MM)
+    def visible(camera: SideCamera, pixels: Numbers, middle: Numbers) -> Numbers:
+        """Whether pixels are in the window around the spot, and not behind the iris."""
+        inside = jnp.abs(pixels - middle) < WINDOW_PX / 2
+        return jnp.all(inside) & jnp.all(camera.transmittance(pixels) > 0)
 
-    return jax.vmap(at)(every)
+    spot, both = seen.centre.project(one.spot), jnp.stack([marks.tip, marks.shadow])
+    halves = zip((seen.left, seen.right), marks.tip_pair, marks.wall_pair, strict=True)
+    pair = [visible(camera, jnp.stack([tip, wall]), wall) for camera, tip, wall in halves]
+    return {
+        Sensor.SPOT: visible(seen.centre, marks.contour, spot),
+        Sensor.SHADOW: visible(seen.centre, both, spot),
+        Sensor.STEREO: pair[0] & pair[1],
+    }, seen.centre.ray(marks.shadow)
 
 
 # What each sensor can reach: exact marks with stated noise, and with one wrong assumption.
-
 
 WRONG_PATH = "the path is taken for a pinhole"
 WRONG_LAMP = "the light guide is 1 mm elsewhere"
@@ -317,38 +264,38 @@ def expected(
     cameras at the same places without a path.
     """
     pairs = product((0.0, 1.5, 3.0), (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0))
-    every = places(*np.transpose([*pairs]))
-    true = eqx.filter_jit(jax.vmap(lambda one: marks_of(one, seen)))(every)
+    c, d = np.transpose([*pairs])
+    every, at = places(c, d), {"c_mm": c, "d_mm": d}
+    true = eqx.filter_jit(eqx.filter_vmap(marks_of, in_axes=(0, None)))(every, seen)
+    outcomes, sigmas, biases = outcomes_at(true, every, seen), [], []
+    # An array, so that another radius is not compiled anew.
+    radius = np.asarray(RADIUS_MM)
+    readings = eqx.filter_jit(eqx.filter_vmap(read, in_axes=(0, 0, None, None)))
+
     rng, sigma = np.random.default_rng(seed), Marks(CONTOUR_PX, MARK_PX, MARK_PX, MARK_PX, WALL_PX)
     noise = jax.tree.map(lambda leaf, s: s * rng.standard_normal((draws, *leaf.shape)), true, sigma)
-    right = Known(seen, np.asarray(RADIUS_MM), every.lamp, every.axis)
-    noisy = [
-        readings(jax.tree.map(add, true, jax.tree.map(itemgetter(k), noise)), right)
-        for k in range(draws)
-    ]
-    aside = math.tan(math.radians(_AXIS_OFF_DEG))
-    turned = [_unit(every.axis + v) for v in _aside(every.axis, aside)]
-    assumed = {
-        WRONG_PATH: [] if path == "pinhole" else [right._replace(views=pinholes)],
-        WRONG_LAMP: [
-            right._replace(lamp=every.lamp + aside)
-            for aside in _aside(every.lamp_axis, _LAMP_OFF_MM)
-        ],
-        "the axis is 1° off": [right._replace(axis=axis) for axis in turned],
-        "the eye's radius is 0.5 mm larger": [_in_larger_sphere(right, _RADIUS_OFF_MM)],
-    }
-    at = {"c_mm": every.eccentricity, "d_mm": every.distance}
-    outcomes = outcomes_at(every, seen)
-    sigmas, biases = [], []
+    drawn = (jax.tree.map(lambda leaf, off, k=k: leaf + off[k], true, noise) for k in range(draws))
+    noisy = [readings(marks, every, seen, radius) for marks in drawn]
     for sensor, outcome in outcomes.items():
         spread = np.std([one[sensor] for one in noisy], axis=0)
         found = {"outcome": outcome, "sigma_mm": np.where(outcome == READ, spread, np.nan)}
         sigmas.append(pd.DataFrame({"sensor": sensor, "path": path, **at, **found}))
+
+    turns = _aside(every.axis, math.tan(math.radians(_AXIS_OFF_DEG)))
+    shifts = _aside(LAMP_AXIS, _LAMP_OFF_MM)
+    assumed = {
+        WRONG_PATH: [] if path == "pinhole" else [(every, pinholes, radius)],
+        WRONG_LAMP: [(every._replace(lamp=every.lamp + by), seen, radius) for by in shifts],
+        "the axis is 1° off": [
+            (every._replace(axis=_unit(every.axis + by)), seen, radius) for by in turns
+        ],
+        "the eye's radius is 0.5 mm larger": [_in_larger_sphere(every, seen, _RADIUS_OFF_MM)],
+    }
     for wrong, ones in assumed.items():
-        read = [readings(true, one) for one in ones]
+        found_by = [readings(true, *one) for one in ones]
         affected = [Sensor.SHADOW] if wrong == WRONG_LAMP else list(Sensor)
         for sensor in affected if ones else ():
-            error = np.array([one[sensor] for one in read]) - every.distance
+            error = np.array([found[sensor] for found in found_by]) - d
             # Displacements in opposite directions have opposite effects; their size counts.
             size = error[0] if len(error) == 1 else np.sqrt(np.mean(error**2, axis=0))
             rows = {"sensor": sensor, "path": path, "wrong": wrong, **at, "error_mm": size}
@@ -356,17 +303,17 @@ def expected(
     return pd.concat(sigmas, ignore_index=True), pd.concat(biases, ignore_index=True)
 
 
-def _in_larger_sphere(known: Known, by: float) -> Known:
-    """What is known, in the frame of a larger sphere through the same pole; mm.
+def _in_larger_sphere(
+    every: InstrumentPlace, seen: Views, by: float
+) -> tuple[InstrumentPlace, Views, Numbers]:
+    """What is known, in the frame of a sphere larger by some mm through the same pole.
 
     Its centre lies higher above the pole, so cameras and lamp, which stay, lie lower in its frame.
     """
-    lowered = [
-        eqx.tree_at(lambda c: c.pole_height, camera, camera.pole_height - by)
-        for camera in known.views
-    ]
-    lamp = known.lamp - by * np.array([0.0, 0.0, 1.0])
-    return Known(Views(*lowered), known.radius + by, lamp, known.axis)
+    lower = [camera.pole_height - by for camera in seen]
+    moved = eqx.tree_at(lambda views: [camera.pole_height for camera in views], seen, lower)
+    lamp = every.lamp - by * np.array([0.0, 0.0, 1.0])
+    return every._replace(lamp=lamp), moved, np.asarray(RADIUS_MM + by)
 
 
 def _aside(axes: np.ndarray, size: float) -> list[np.ndarray]:
@@ -444,33 +391,25 @@ def _report(noise: pd.DataFrame, wrong: pd.DataFrame) -> page.Report:
 
 
 def _claims(noise: pd.DataFrame, wrong: pd.DataFrame) -> Iterator[page.Claim]:
-    named, paths = ", ".join(Sensor), noise.path.unique().tolist()
-    for path in paths:
-        sigmas = [where(noise, path=path, outcome=READ, sensor=s).sigma_mm for s in Sensor]
-        medians, seen = tuple(float(s.median()) for s in sigmas), [len(s) for s in sigmas]
+    named = ", ".join(Sensor)
+    for path, every in grouped(noise, "path"):
+        in_view = every[every.outcome == READ].groupby("sensor").sigma_mm
+        medians, seen = (found.reindex([*Sensor]) for found in (in_view.median(), in_view.size()))
         yield page.Claim(
             name=f"noise, {path}",
             sentence=f"Through {path}, marks of the stated noise give {listed(medians, '.4f')} mm "
             f"({named}; medians over the places in view). In view are {listed(seen, 'd')} of "
-            f"{len(where(noise, sensor=Sensor.SPOT, path=path))} places.",
-            value=medians,
+            f"{len(every) // len(Sensor)} places.",
+            value=tuple(medians.tolist()),
         )
-    for path in paths[1:]:
-        taken = where(wrong, path=path, wrong=WRONG_PATH)
-        worst = tuple(largest(where(taken, sensor=sensor).error_mm) for sensor in Sensor)
+    for path, taken in grouped(where(wrong, wrong=WRONG_PATH), "path"):
+        worst = taken.error_mm.abs().groupby(taken.sensor).max().reindex([*Sensor])
         yield page.Claim(
             name=f"unknown path, {path}",
             sentence=f"If {path} is taken for a pinhole, the largest errors are "
             f"{listed(worst, '.2f')} mm ({named}).",
-            value=worst,
+            value=tuple(worst.tolist()),
         )
-    lamp = largest(where(wrong, wrong=WRONG_LAMP).error_mm)
-    yield page.Claim(
-        name="light guide",
-        sentence="A light guide 1 mm beside the place where it is thought to be changes the "
-        f"shadow's distance by up to {lamp:.2f} mm.",
-        value=lamp,
-    )
 
 
 @command(with_scene=False)

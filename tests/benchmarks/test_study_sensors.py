@@ -2,12 +2,12 @@
 
 import json
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from eyespot import optics
 from eyespot.benchmarks.reporting import where
 from eyespot.benchmarks.studies import sensors
 from eyespot.benchmarks.studies.sensors import (
@@ -33,30 +33,25 @@ def pinholes():
     return views("pinhole")
 
 
-def known(seen, one):
-    return sensors.Known(seen, jnp.asarray(RADIUS_MM), one.lamp, one.axis)
-
-
 def test_each_sensor_reads_the_distance_of_exact_marks(pinholes):
     one = jax.tree.map(lambda leaf: leaf[0], places([2.0], [3.0]))
     found = sensors.marks_of(one, pinholes, points=64)
-    given = known(pinholes, one)
-    ellipse = optics.ellipse_of_contour(found.contour)
+    read = sensors.read(found, one, pinholes)
     # The spot's contour of 64 points is within 1e-7 px of that of 32; rounding for the others.
-    assert float(sensors.by_spot(ellipse, given)) == pytest.approx(3.0, abs=1e-6)
-    assert float(sensors.by_shadow(found.tip, found.shadow, given)) == pytest.approx(3.0, abs=1e-9)
-    pairs = found.tip_pair, found.wall_pair
-    assert float(sensors.by_stereo(*pairs, given)) == pytest.approx(3.0, abs=1e-9)
+    assert float(read[Sensor.SPOT]) == pytest.approx(3.0, abs=1e-6)
+    assert float(read[Sensor.SHADOW]) == pytest.approx(3.0, abs=1e-9)
+    assert float(read[Sensor.STEREO]) == pytest.approx(3.0, abs=1e-9)
 
 
 def test_a_stereo_error_is_the_disparitys_times_distance_over_base(pinholes):
     """By similar triangles dz = e H/B, with e the disparity's error on the object."""
-    lamp, above = np.array([-5.0, 0.0, 3.0]), np.asarray(2.0)
-    one = InstrumentPlace(np.zeros(()), above, POLE - above * DOWN, DOWN, POLE, lamp, DOWN)
+    lamp, above = np.array([-5.0, 0.0, 3.0]), 2.0
+    one = InstrumentPlace(POLE - above * DOWN, DOWN, POLE, lamp)
     true = sensors.marks_of(one, pinholes, points=32)
     off = 0.2
     pair = true.tip_pair + jnp.array([[off, 0.0], [0.0, 0.0]])
-    read = float(sensors.by_stereo(pair, true.wall_pair, known(pinholes, one)))
+    seen = true._replace(tip_pair=pair)
+    read = float(sensors.read(seen, one, pinholes)[Sensor.STEREO])
     height = PINHOLE_HEIGHT_MM + RADIUS_MM
     base = 2 * height * np.tan(np.radians(CONVERGENCE_DEG / 2))
     # Pixels are SCALE_MM_PX wide at the pole, and 1 % less 2 mm nearer to the pinhole. The tip has
@@ -75,22 +70,23 @@ def test_a_shadows_error_is_that_of_a_lamp_over_a_plane(pinholes):
     lamp = POLE + np.array([x, 0.0, up])
     height = 3.0
     tip = POLE + height / up * (lamp - POLE)
-    one = InstrumentPlace(np.zeros(()), np.asarray(height), tip, DOWN, POLE, lamp, DOWN)
+    one = InstrumentPlace(tip, DOWN, POLE, lamp)
     true = sensors.marks_of(one, pinholes, points=32)
     np.testing.assert_allclose(true.shadow, pinholes.centre.project(POLE), atol=1e-9)
-    given = known(pinholes, one)
     off = 1.0
     read = [
-        float(sensors.by_shadow(true.tip, true.shadow + jnp.array([s * off, 0.0]), given))
+        sensors.read(true._replace(shadow=true.shadow + jnp.array([s * off, 0.0])), one, pinholes)
         for s in (-1.0, 1.0)
     ]
-    slope = (read[1] - read[0]) / (2 * off * SCALE_MM_PX)
+    slope = (read[1][Sensor.SHADOW] - read[0][Sensor.SHADOW]) / (2 * off * SCALE_MM_PX)
     # The tip's line of sight leans by x h/H / 212 mm = 0.6 % of its height.
-    assert slope == pytest.approx(-(up - height) / x, rel=0.02)
+    assert float(slope) == pytest.approx(-(up - height) / x, rel=0.02)
 
 
 def test_the_instrument_hides_the_shadow_of_a_tip_near_the_wall(pinholes):
-    found = outcomes_at(places([0.0, 0.0], [0.3, 3.0]), pinholes)
+    every = places([0.0, 0.0], [0.3, 3.0])
+    marks = eqx.filter_vmap(sensors.marks_of, in_axes=(0, None))(every, pinholes)
+    found = outcomes_at(marks, every, pinholes)
     # The instrument is 0.255 mm thick, and the shadow 0.15 mm beside the tip at d = 0.3 mm.
     assert found[Sensor.SHADOW].tolist() == [sensors.HIDDEN, sensors.READ]
     assert found[Sensor.STEREO].tolist() == [sensors.READ, sensors.READ]
