@@ -2,7 +2,8 @@
 
 Exit codes:
     0    done
-    1    `eyespot doctor` found something missing; any other command: a bug, with its traceback
+    1    `eyespot doctor` found something missing, `eyespot rig check` a line that is wrong;
+         any other command: a bug, with its traceback
     2    bad input, or a part of this machine that is missing; one message on stderr says which
     130  stopped with Ctrl-C
 """

@@ -1,5 +1,6 @@
 """The commands `eyespot rig init` and `eyespot rig check`."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -40,6 +41,7 @@ def check(
     """Compare a rig file with a recording: what is stated, what is found, what to do.
 
     Seconds, before a fit of minutes: times, poses, units, directions, contact, clipping, noise.
+    The exit code is 1 if a line is wrong.
 
     Args:
         rig: Rig file.
@@ -71,3 +73,4 @@ def check(
     lines = "line is" if wrong == 1 else "lines are"
     said = f"{wrong} {lines} wrong." if wrong else "Nothing contradicts the rig file."
     print(f"{said} Wrote {out}.")
+    sys.exit(int(wrong > 0))

@@ -250,7 +250,9 @@ def test_poses_that_cannot_be_read_contradict_and_brackets_stay(tmp_path):
     (tmp_path / "rig.toml").write_text(recording.rig.toml(tmp_path))
     (tmp_path / "robot.csv").write_text("a,b\n1,2\n")
     words = ("--fps", "10", "--poses", tmp_path / "robot.csv", "--out", tmp_path / "check.png")
-    said = printed("rig", "check", tmp_path / "rig.toml", folder, *words)
+    done = call(["rig", "check", *map(str, (tmp_path / "rig.toml", folder, *words))])
+    assert done.exit_code == 1
+    said = done.stdout
     assert "1 line is wrong" in said
     assert "no times among the columns 'a', 'b'" in said
     assert "images[a]: 12 of 12 frames" in said
