@@ -1,10 +1,9 @@
 """`eyespot study pose`: tip and axis of the tool from one spot and from three."""
 
 import math
-from collections.abc import Iterator
-from enum import StrEnum
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +18,7 @@ from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.paper import MICROSCOPE_HEIGHT_MM, require_roomy_eyeball
 from eyespot.benchmarks.reporting import listed, number, where
 from eyespot.benchmarks.statistics import rms
-from eyespot.benchmarks.study import Study
+from eyespot.benchmarks.study import Study, geometry_of
 from eyespot.benchmarks.study_command import command
 from eyespot.calibration.spots.tool_pose import (
     Tool,
@@ -36,7 +35,6 @@ from eyespot.formats.stack import Stack
 from eyespot.formats.whole_files import written_whole
 from eyespot.scenes import Scene
 from eyespot.scenes.world.true_calibration import true_calibration
-from eyespot.scenes.world.world import World
 
 # The working volume, a pose in it, and how far an estimate is from it.
 
@@ -54,15 +52,8 @@ analysis of spotlight-based instrument localization for retinal surgery", Roboti
 in Blender, with another light and eye."""
 
 
-class AxisPrior(StrEnum):
-    """Prior knowledge of the axis."""
-
-    ROUGH = "5 deg"
-    NONE = "none"
-    KNOWN = "axis known"
-
-
-SIGMA_RAD = {AxisPrior.ROUGH: math.radians(PRIOR_DEG), AxisPrior.NONE: 1e6, AxisPrior.KNOWN: 1e-6}
+ROUGH, KNOWN = "5 deg", "axis known"
+SIGMA_RAD = {ROUGH: math.radians(PRIOR_DEG), KNOWN: 1e-6}
 """The solver's standard deviation of a prior across the axis, rad."""
 
 _LEAST_MIRRORED_DEG = 2.0  # An axis nearer to the truth is not mirrored.
@@ -79,81 +70,37 @@ def tools_of(half_angle: float, apex_offset: float) -> tuple[Tool, Tool]:
     return Tool(*cone, 1, 0.0, 0.0), Tool(*cone, 3, circle, math.radians(_SPLAY_DEG))
 
 
-class Place(NamedTuple):
-    """A pose of the working volume, the wall's normal where its axis meets it, and `where` that is.
+PLACE = ("c_mm", "d_mm", "incidence_deg", "azimuth_deg")
+"""Columns of the CSV files; a place also has `around_deg`, O's azimuth, and `roll_deg`."""
 
-    `where` has the columns c_mm, d_mm, incidence_deg and azimuth_deg of pose_error.csv.
+
+def poses_at(wall: optics.Sphere, places: pd.DataFrame) -> list[ToolPose]:
+    """Poses whose axes meet the wall at places; see `optics.beam_at_spot`."""
+    found = []
+    for place in page.rows_of(places):
+        beam = optics.beam_at_spot(
+            wall,
+            eccentricity=place.c_mm,
+            azimuth=math.radians(place.around_deg),
+            distance=place.d_mm,
+            incidence=math.radians(place.incidence_deg),
+            incidence_azimuth=math.radians(place.azimuth_deg),
+            half_angle=0.0,
+            apex_offset=0.0,
+        )
+        roll = math.radians(place.roll_deg)
+        found.append(ToolPose(np.asarray(beam.tip), np.asarray(beam.axis), roll))
+    return found
+
+
+def bound_of(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviations of the tip in three dimensions, mm, and of the axis, degrees.
+
+    Of the axis both perpendiculars together; 0 if the covariance has none, since it is known.
     """
-
-    pose: ToolPose
-    outward: np.ndarray
-    where: dict[str, float]
-
-
-def place_at(
-    wall: optics.Sphere,
-    *,
-    c: float,
-    around_deg: float,
-    d: float,
-    incidence_deg: float,
-    azimuth_deg: float,
-    roll: float = 0.0,
-) -> Place:
-    """The pose whose axis meets the wall there; arguments as of `optics.beam_at_spot`."""
-    beam = optics.beam_at_spot(
-        wall,
-        eccentricity=c,
-        azimuth=math.radians(around_deg),
-        distance=d,
-        incidence=math.radians(incidence_deg),
-        incidence_azimuth=math.radians(azimuth_deg),
-        half_angle=0.0,
-        apex_offset=0.0,
-    )
-    tip, axis = np.asarray(beam.tip), np.asarray(beam.axis)
-    outward = (tip + d * axis) / float(wall.radius)
-    at = {"c_mm": c, "d_mm": d, "incidence_deg": incidence_deg, "azimuth_deg": azimuth_deg}
-    return Place(ToolPose(tip, axis, roll), outward, at)
-
-
-Estimate = tuple[Any, Any, float, float]
-"""An estimated pose: tip (3,), mm, axis (3,), distance and the distance's own sigma, mm."""
-
-
-def pose_error(
-    place: Place, found: Estimate, *, covariance: np.ndarray, noise_px: float, **about: Any
-) -> dict[str, Any]:
-    """Row of pose_error.csv; errors are estimate - truth, or lengths and angles between the two.
-
-    `mirrored`: whether the solution has the reversed incidence. The bounds, of tip and axis or of
-    the tip only, are the Cramér-Rao standard deviations for the noise of the contour's points.
-    `sigma_distance_mm` is what the estimator states. `about` has the first columns.
-    """
-    tip, axis, distance, sigma_distance = map(np.asarray, found)
-    true = np.asarray(place.pose.axis)
-    return {
-        **about,
-        **place.where,
-        "noise_px": noise_px,
-        "mirrored": is_mirrored(axis, true, place.outward),
-        "tip_error_mm": float(np.linalg.norm(tip - np.asarray(place.pose.tip))),
-        "axis_error_deg": angle_deg(axis, true),
-        "distance_error_mm": float(distance - place.where["d_mm"]),
-        "tip_bound_mm": tip_bound(covariance),
-        "axis_bound_deg": axis_bound_deg(covariance),
-        "sigma_distance_mm": float(sigma_distance),
-    }
-
-
-def tip_bound(covariance: np.ndarray) -> float:
-    """Standard deviation of the tip in three dimensions, mm."""
-    return float(np.sqrt(np.trace(covariance[:3, :3])))
-
-
-def axis_bound_deg(covariance: np.ndarray) -> float:
-    """Standard deviation of the axis, both perpendiculars together; 0 if the axis is known."""
-    return math.degrees(np.sqrt(np.trace(covariance[3:, 3:])))
+    variances = np.diagonal(covariance, axis1=-2, axis2=-1)
+    tip, axis = (np.sqrt(part.sum(axis=-1)) for part in (variances[..., :3], variances[..., 3:]))
+    return tip, np.degrees(axis)
 
 
 def drawn_prior(axis: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -180,38 +127,25 @@ def is_mirrored(found: np.ndarray, true: np.ndarray, outward: np.ndarray) -> boo
 # The bound: what noise on exact contours leaves of a pose, over the working volume.
 
 
-def places(wall: optics.Sphere, *, count: int, seed: int) -> list[Place]:
-    """Poses that fill the working volume evenly: scrambled Sobol points."""
+def volume(*, count: int, seed: int) -> pd.DataFrame:
+    """Places that fill the working volume evenly: scrambled Sobol points."""
     engine, half = qmc.Sobol(d=6, scramble=True, rng=np.random.default_rng(seed)), HALF_WIDTH_MM
     low = [-half, -half, NEAREST_MM, INCIDENCE_DEG[0], 0.0, 0.0]
     high = [half, half, FARTHEST_MM, INCIDENCE_DEG[1], 360.0, 360.0]
-    return [
-        place_at(
-            wall,
-            c=math.hypot(x, y),
-            around_deg=math.degrees(math.atan2(y, x)),
-            d=d,
-            incidence_deg=incidence,
-            azimuth_deg=azimuth,
-            roll=math.radians(roll),
-        )
-        for x, y, d, incidence, azimuth, roll in qmc.scale(engine.random(count), low, high)
-    ]
+    x, y, d, incidence, azimuth, roll = qmc.scale(engine.random(count), low, high).T
+    place = dict(zip(PLACE, (np.hypot(x, y), d, incidence, azimuth), strict=True))
+    return pd.DataFrame(place | {"around_deg": np.degrees(np.arctan2(y, x)), "roll_deg": roll})
 
 
 def bounds(
-    tool: Tool, every: list[Place], wall: optics.Sphere, view: optics.Microscope
+    tool: Tool, places: pd.DataFrame, wall: optics.Sphere, view: optics.Microscope
 ) -> pd.DataFrame:
     """Rows of pose_bound.csv: Cramér-Rao standard deviations at each place for `NOISE_PX`."""
-    poses = ToolPose(*map(np.array, zip(*(place.pose for place in every), strict=True)))
     of_each = jax.vmap(lambda pose: tool_pose_bound(tool, pose, wall, view, sigma_px=NOISE_PX))
-    covariances = [*np.asarray(of_each(poses))]
+    poses = ToolPose(*map(np.array, zip(*poses_at(wall, places), strict=True)))
+    tip, axis = bound_of(np.asarray(of_each(poses)))
     about = {"spots": tool.cones, "z_f_mm": float(view.pinhole_height)}
-    return pd.DataFrame([place.where for place in every]).assign(
-        **about,
-        tip_bound_mm=[*map(tip_bound, covariances)],
-        axis_bound_deg=[*map(axis_bound_deg, covariances)],
-    )
+    return places[[*PLACE]].assign(**about, tip_bound_mm=tip, axis_bound_deg=axis)
 
 
 # The rendered part: frames of an even wall, spots by the estimator, poses by its exact model.
@@ -231,31 +165,25 @@ _GOLDEN_DEG = 180.0 * (3.0 - math.sqrt(5.0))  # At steps of the golden angle azi
 _POINTS = 128
 
 
-def places_at(scene: Scene, *, c: float, poses: int) -> list[Place]:
-    """Poses with their axis through one point of the wall, at several distances and incidences."""
-    return [
-        place_at(
-            optics.Sphere(scene.phantom.radius_mm),
-            c=c,
-            around_deg=scene.spot.azimuth_deg,
-            d=1.0 + (_FARTHEST_RENDERED_MM - 1.0) * (i + 0.5) / poses,
-            incidence_deg=_INCIDENCES_DEG[i % len(_INCIDENCES_DEG)],
-            azimuth_deg=(i * _GOLDEN_DEG) % 360.0,
-            roll=i * math.radians(_GOLDEN_DEG),
-        )
-        for i in range(poses)
-    ]
+def places_at(scene: Scene, *, c: float, poses: int) -> pd.DataFrame:
+    """Places at one point of the wall, at several distances and incidences."""
+    n = np.arange(poses)
+    turns = n * _GOLDEN_DEG
+    d = 1.0 + (_FARTHEST_RENDERED_MM - 1.0) * (n + 0.5) / poses
+    place = dict(zip(PLACE, (c, d, np.resize(_INCIDENCES_DEG, poses), turns % 360.0), strict=True))
+    return pd.DataFrame(place | {"around_deg": scene.spot.azimuth_deg, "roll_deg": turns})
 
 
-def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[dict[str, Any]]:
-    """Render, track and solve with one spot and with three, at each eccentricity (mm)."""
-    tools = tools_of(*World(study.scene).cone)
-    trials, every = {}, {}
+def measure(
+    study: Study, tools: Sequence[Tool], *, eccentricities: list[float], poses: int
+) -> pd.DataFrame:
+    """Render, track and solve with each tool, at each eccentricity (mm): pose_error.csv."""
+    wall, trials, every = optics.Sphere(study.scene.phantom.radius_mm), {}, {}
     for c in eccentricities:
-        name = f"c-{c:g}"
-        every[name] = places_at(study.scene, c=c, poses=poses)
+        name, places = f"c-{c:g}", places_at(study.scene, c=c, poses=poses)
+        every[name] = places[[*PLACE]].to_dict("records"), poses_at(wall, places)
         file = study.folder / "poses" / f"{name}.csv"
-        write_poses(file, tools, every[name])
+        write_poses(file, tools, every[name][1])
         trials[name] = scenes.changed(
             study.scene,
             STILL | {"spot.eccentricity_mm": c, "motion": {"kind": "recorded", "file": str(file)}},
@@ -272,67 +200,80 @@ def measure(study: Study, *, eccentricities: list[float], poses: int) -> list[di
     rows = []
     for name, (ranger, results) in study.measured(trials, track).items():
         lit = iter(results)
-        for place in every[name]:
-            of_tool = {tool: [next(lit) for _ in range(tool.cones)] for tool in tools}
-            prior = drawn_prior(np.asarray(place.pose.axis), rng)
-            for tool, seen in of_tool.items():
+        for place, pose in zip(*every[name], strict=True):
+            prior = drawn_prior(np.asarray(pose.axis), rng)
+            for tool in tools:
+                seen = [next(lit) for _ in range(tool.cones)]
                 found = [result for result in seen if isinstance(result, Spot)]
                 if len(found) == tool.cones:
-                    rows += _errors(tool, place, found, prior, ranger)
-    return rows
+                    rows += [place | row for row in _errors(tool, pose, found, prior, ranger)]
+    first = ["spots", "prior", "z_f_mm"]
+    return pd.DataFrame(rows).set_index(first).reset_index()
 
 
-def write_poses(file: Path, tools: tuple[Tool, ...], every: list[Place]) -> None:
+def write_poses(file: Path, tools: Sequence[Tool], poses: list[ToolPose]) -> None:
     """Write one beam a second, at rest while the camera exposes."""
     file.parent.mkdir(exist_ok=True)
-    beams = [tool_beams(tool, place.pose) for place in every for tool in tools]
-    lit = np.concatenate([np.hstack([beam.tip, beam.axis]) for beam in beams]).tolist()
-    # The first frame is due at the first row, the last at the last.
-    rows = [
-        (time, *pose)
-        for i, pose in enumerate(lit)
-        for time in (i - _HALF_REST_S * (i > 0), i + _HALF_REST_S * (i < len(lit) - 1))
-    ]
+    beams = [tool_beams(tool, pose) for pose in poses for tool in tools]
+    lit = np.concatenate([np.hstack([beam.tip, beam.axis]) for beam in beams])
+    times = np.add.outer(np.arange(len(lit)), [-_HALF_REST_S, _HALF_REST_S]).ravel()
+    times[[0, -1]] = (
+        0,
+        len(lit) - 1,
+    )  # The first frame is due at the first row, the last at the last.
     columns = "time_s x_mm y_mm z_mm axis_x axis_y axis_z".split()
+    rows = pd.DataFrame(np.column_stack([times, lit.repeat(2, axis=0)]), columns=columns)
     with written_whole(file, replace=True) as partial:
-        pd.DataFrame(rows, columns=columns).to_csv(partial, index=False)
+        rows.to_csv(partial, index=False)
 
 
 def _errors(
-    tool: Tool, place: Place, seen: list[Spot], prior: np.ndarray, ranger: Ranger
-) -> list[dict[str, Any]]:
-    """Errors with each kind of prior, all from the same spots."""
+    tool: Tool, pose: ToolPose, seen: list[Spot], prior: np.ndarray, ranger: Ranger
+) -> Iterator[dict[str, Any]]:
+    """Rows of pose_error.csv without the place: with each kind of prior, from the same spots.
+
+    Errors are estimate - truth, or lengths and angles between the two. `mirrored`: whether the
+    solution has the reversed incidence. The bounds, of tip and axis or of the tip only, are the
+    Cramér-Rao standard deviations for the noise of the contour's points.
+    """
     microscope = ranger.microscope
-    surface, view = optics.Sphere(microscope.eye_radius_mm), microscope.pinhole()
+    wall, view = optics.Sphere(microscope.eye_radius_mm), microscope.pinhole()
     # The noise of each of n = 128 points that gives a circle's semi-axis this standard error. The
     # semi-axis is the sum of two independent terms of the radius, of 1 and of cos 2t, whose
     # variances are 1/n and 2/n of the noise's.
     sigma = float(np.mean([spot.sigma_semi_minor_px for spot in seen])) * math.sqrt(_POINTS / 3)
-    true, rows = np.asarray(place.pose.axis), []
-    found: Estimate
+    true_tip, true_axis = np.asarray(pose.tip), np.asarray(pose.axis)
+    met = wall.intersect(true_tip, true_axis)
     for kind, sigma_rad in SIGMA_RAD.items():
-        known = kind == AxisPrior.KNOWN
-        axis = true if known else prior
-        covariance = np.asarray(
-            tool_pose_bound(tool, place.pose, surface, view, sigma_px=sigma, axis_known=known)
-        )
+        known = kind == KNOWN
+        expected = true_axis if known else prior
+        tip: Any
+        axis: Any
         # With a fixed axis the ranger may end with the cone's apex on the wall; see `fit_tool`.
         if tool.cones == 1 and not known:
-            alone = ranger.distance(seen[0], axis=axis, axis_sigma_rad=sigma_rad)
-            pose = alone.poses[0]
-            found = pose.tip_mm, pose.axis, alone.distance_mm, alone.sigma_mm
+            alone = ranger.distance(seen[0], axis=expected, axis_sigma_rad=sigma_rad)
+            tip, axis, distance = alone.poses[0].tip_mm, alone.poses[0].axis, alone.distance_mm
         else:
             x, y, *columns = jnp.array([spot.ellipse for spot in seen]).T
             ellipses = optics.Ellipse(jnp.stack([x, y], axis=1), *columns)
             spread = jnp.stack([jnp.asarray(spot.covariance) for spot in seen])
             missed = np.asarray(_mismatch_covariances(ellipses, spread))
-            beside = optics.DirectionPrior(jnp.asarray(axis), sigma_rad)
-            best, distance = fit_tool(tool, ellipses, missed, surface, view, beside)
-            found = best.tip, best.axis, distance, math.nan
-        height = microscope.pinhole_height_mm
-        about = {"spots": tool.cones, "prior": kind, "z_f_mm": height}
-        rows.append(pose_error(place, found, noise_px=sigma, covariance=covariance, **about))
-    return rows
+            beside = optics.DirectionPrior(jnp.asarray(expected), sigma_rad)
+            (tip, axis, _), distance = fit_tool(tool, ellipses, missed, wall, view, beside)
+        covariance = tool_pose_bound(tool, pose, wall, view, sigma_px=sigma, axis_known=known)
+        tip_bound, axis_bound = bound_of(np.asarray(covariance))
+        yield {
+            "spots": tool.cones,
+            "prior": kind,
+            "z_f_mm": microscope.pinhole_height_mm,
+            "noise_px": sigma,
+            "mirrored": is_mirrored(np.asarray(axis), true_axis, -np.asarray(met.normal)),
+            "tip_error_mm": float(np.linalg.norm(np.asarray(tip) - true_tip)),
+            "axis_error_deg": angle_deg(np.asarray(axis), true_axis),
+            "distance_error_mm": float(distance - met.distance),
+            "tip_bound_mm": tip_bound,
+            "axis_bound_deg": axis_bound,
+        }
 
 
 _mismatch_covariances = jax.jit(jax.vmap(optics.mismatch_covariance))
@@ -353,28 +294,24 @@ def check(scene: Scene) -> None:
 # Summaries.
 
 
-def scatter(rows: pd.DataFrame) -> pd.Series:
-    """Root mean squares and means of poses; their number of spots and prior are those of the first.
+def scatter(errors: pd.DataFrame, by: str) -> pd.DataFrame:
+    """Root mean squares and means of poses by the values of a column.
 
-    The errors of tip and axis exclude mirrored solutions; `tip_all_mm` and `distance_mm` include
-    them.
+    The errors of tip and axis exclude mirrored solutions; `tip_all_mm` includes them.
     """
-    right = rows[~rows.mirrored]
-    return pd.Series(
-        {
-            **rows.iloc[0][["prior", "spots"]],
-            "poses": len(rows),
-            "mirrored": 1.0 - len(right) / len(rows),
-            "tip_mm": rms(right.tip_error_mm),
-            "tip_mean_mm": right.tip_error_mm.mean(),
-            "tip_bound_mm": rms(right.tip_bound_mm),
-            "tip_all_mm": rms(rows.tip_error_mm),
-            "axis_deg": rms(right.axis_error_deg),
-            "axis_mean_deg": right.axis_error_deg.mean(),
-            "axis_bound_deg": rms(right.axis_bound_deg),
-            "distance_mm": rms(rows.distance_error_mm),
-            "sigma_distance_mm": rms(rows.sigma_distance_mm),
-        }
+    sizes = ["tip_error_mm", "tip_bound_mm", "axis_error_deg", "axis_bound_deg"]
+    right = errors.assign(tip_all_mm=errors.tip_error_mm)
+    right[sizes] = errors[sizes].where(~errors.mirrored)
+    return right.groupby(by).agg(
+        poses=("mirrored", "size"),
+        mirrored=("mirrored", "mean"),
+        tip_mm=("tip_error_mm", rms),
+        tip_mean_mm=("tip_error_mm", "mean"),
+        tip_bound_mm=("tip_bound_mm", rms),
+        tip_all_mm=("tip_all_mm", rms),
+        axis_deg=("axis_error_deg", rms),
+        axis_mean_deg=("axis_error_deg", "mean"),
+        axis_bound_deg=("axis_bound_deg", rms),
     )
 
 
@@ -410,10 +347,8 @@ _ERRORS, _BOUNDS = "pose_error.csv", "pose_bound.csv"
 
 
 def _report(errors: pd.DataFrame, bounds: pd.DataFrame) -> page.Report:
-    by_prior = errors.groupby(["prior", "spots"], sort=False)
-    scatters = pd.DataFrame([scatter(rows) for _, rows in by_prior])
-    rough = where(errors, prior=AxisPrior.ROUGH)
-    one, three = (scatter(where(rough, spots=spots)) for spots in REPORTED)
+    rough = where(errors, prior=ROUGH)
+    one, three = page.rows_of(scatter(rough, "spots"))
     by_tool = bounds.groupby(["spots", "z_f_mm"], sort=False)
     return page.Report(
         title="How accurately do one spot and three spots give the tool's pose?",
@@ -430,7 +365,8 @@ def _report(errors: pd.DataFrame, bounds: pd.DataFrame) -> page.Report:
                 "incidence",
                 _by_incidence(rough, bounds),
                 "A tilted beam tells tip and axis better than a square one. Crosses: rendered "
-                f"frames, direction prior {PRIOR_DEG:g}°, without mirrored solutions. Lines: the "
+                f"frames, direction prior {PRIOR_DEG:g}°, without mirrored solutions: a beam that "
+                "is tilted the other way explains a single spot almost as well. Lines: the "
                 f"Cramér–Rao bound for {NOISE_PX:g} px across each of {_POINTS} points of exact "
                 "contours. Dotted: the mean errors reported by Zhou et al. (2023).",
                 data=_ERRORS,
@@ -443,22 +379,7 @@ def _report(errors: pd.DataFrame, bounds: pd.DataFrame) -> page.Report:
             ),
         ],
         claims=list(_claims(errors, rough)),
-        sections=[
-            page.Section(
-                "The mirror solution",
-                page.Table(
-                    scatters,
-                    scatters.columns,
-                    "Root mean square errors with every prior: how often the mirrored solution is "
-                    "taken, and the tip's error without and with it.",
-                    data=_ERRORS,
-                ),
-                "A beam that is tilted the other way explains a spot almost as well, at the same "
-                "distance but with another tip: for one spot only the contour's deviation from an "
-                "ellipse differs, which an estimator that reports ellipses does not measure. The "
-                "positions of three splayed spots distinguish the two.",
-            ),
-        ],
+        sections=[],
         data={_ERRORS: errors, _BOUNDS: bounds},
     )
 
@@ -469,34 +390,35 @@ _REQUIRED_DISTANCE_MM = 0.005
 
 
 def _claims(errors: pd.DataFrame, rough: pd.DataFrame) -> Iterator[page.Claim]:
-    single = where(rough, spots=1)
-    each = pd.DataFrame({deg: scatter(rows) for deg, rows in single.groupby("incidence_deg")}).T
+    by_spots = page.rows_of(scatter(rough, "spots").reset_index())
+    by_incidence = scatter(where(rough, spots=1), "incidence_deg")
     for n, (part, (unit, end, digits, required)) in enumerate(_ASKED.items()):
-        for spots, reported in REPORTED.items():
-            found = scatter(where(rough, spots=spots))
-            mean, size, bound = found[[f"{part}_{x}{end}" for x in ("mean_", "", "bound_")]]
+        for found in by_spots:
+            reported = REPORTED[found.spots][n]
+            columns = (f"{part}_{which}{end}" for which in ("mean_", "", "bound_"))
+            mean, size, bound = (getattr(found, column) for column in columns)
             yield page.Claim(
-                name=f"{NAMES[spots]}, {part}",
+                name=f"{NAMES[found.spots]}, {part}",
                 sentence=f"The mean error of the {part} is {mean:.{digits}f}{unit} (reported by "
-                f"others, with another light, eye and camera: {reported[n]:g}{unit}), root mean "
-                f"square {size:.{digits}f}{unit} over {found.poses} poses without mirrored ones, "
-                f"the bound {bound:.{digits}f}{unit}.",
+                f"others, with another light, eye and camera: {reported:g}{unit}), root mean "
+                f"square {size:.{digits}f}{unit} over {found.poses} poses without mirrored "
+                f"ones, the bound {bound:.{digits}f}{unit}.",
                 value=mean,
-                high=reported[n],
+                high=reported,
             )
-        found = scatter(single)
-        size, by_incidence = found[f"{part}_{end}"], listed(each[f"{part}_{end}"], f".{digits}f")
+        single, column = by_spots[0], f"{part}_{end}"
+        size = getattr(single, column)
         yield page.Claim(
             name=f"requirement, {part}",
-            sentence=f"Single spots give the {part} to {size:.{digits}f}{unit} (required: "
-            f"{required:g}{unit}), at incidences of {listed(each.index, 'g')}° to "
-            f"{by_incidence}{unit}. A prior drawn with {PRIOR_DEG:g}° led to the mirrored solution "
-            f"in {found.mirrored:.0%} of the frames; with these the tip is off by "
-            f"{found.tip_all_mm:.3f} mm.",
+            sentence=f"Single spots give the {part} to {size:.{digits}f}{unit} "
+            f"(required: {required:g}{unit}), at incidences of {listed(by_incidence.index, 'g')}° "
+            f"to {listed(by_incidence[column], f'.{digits}f')}{unit}. A prior drawn with "
+            f"{PRIOR_DEG:g}° led to the mirrored solution in {single.mirrored:.0%} of the frames; "
+            f"with these the tip is off by {single.tip_all_mm:.3f} mm.",
             value=size,
             high=required,
         )
-    known = where(errors, spots=1, prior=AxisPrior.KNOWN)
+    known = where(errors, spots=1, prior=KNOWN)
     worst = float(known.groupby("c_mm").distance_error_mm.agg(rms).max())
     yield page.Claim(
         name="requirement, distance",
@@ -522,18 +444,15 @@ VARIED = (
 @command(defaults=("source.kind=cone",), check=check, varies=VARIED)
 def pose(study: Study) -> pd.DataFrame:
     """Estimate the tool's tip and axis from one spot and from three, beside their bounds."""
-    wall, least = optics.Sphere(study.scene.phantom.radius_mm), []
+    geometry, least = geometry_of(study.scene), []
+    tools = tools_of(geometry.half_angle, geometry.apex_offset)
     with study.timed("bounds"):
-        own, every = study.scene.microscope, places(wall, count=128, seed=study.seed)
-        for height in dict.fromkeys((own.pinhole_height_mm, MICROSCOPE_HEIGHT_MM)):
-            view = optics.microscope(
-                scale=own.scale_mm_px, pinhole_height=height, eye_radius=wall.radius
-            )
-            tools = tools_of(*World(study.scene).cone)
-            least += [bounds(tool, every, wall, view) for tool in tools]
+        places = volume(count=128, seed=study.seed)
+        for height in dict.fromkeys((geometry.pinhole_height, MICROSCOPE_HEIGHT_MM)):
+            wall, view = geometry._replace(pinhole_height=height).world
+            least += [bounds(tool, places, wall, view) for tool in tools]
     with study.timed("render and measure"):
         c = np.linspace(0.0, LARGEST_C_MM, 2 if study.quick else 6).tolist()
-        rows = measure(study, eccentricities=c, poses=3 if study.quick else 6)
-    found = pd.DataFrame(rows)
+        found = measure(study, tools, eccentricities=c, poses=3 if study.quick else 6)
     study.publish(_report, found, pd.concat(least, ignore_index=True))
     return found

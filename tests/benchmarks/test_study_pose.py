@@ -6,13 +6,14 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.reporting import where
+from eyespot.benchmarks.reporting import rows_of, where
 from eyespot.benchmarks.statistics import rms
 from eyespot.benchmarks.studies import pose
-from eyespot.benchmarks.studies.pose import AxisPrior, scatter, tools_of
+from eyespot.benchmarks.studies.pose import scatter, tools_of
 from eyespot.calibration.spots.tool_pose import (
     Tool,
     ToolPose,
@@ -31,18 +32,18 @@ VIEW = optics.microscope(scale=0.0065, pinhole_height=11.5, eye_radius=11.5)
 SIGMA_PX = 0.05
 
 
-def place(incidence_deg: float, *, c: float = 3.0, d: float = 4.0) -> pose.Place:
-    return pose.place_at(
-        WALL, c=c, around_deg=30.0, d=d, incidence_deg=incidence_deg, azimuth_deg=60.0, roll=0.7
-    )
+def pose_at(incidence_deg: float, **changes: float) -> ToolPose:
+    place = {"c_mm": 3.0, "d_mm": 4.0, "incidence_deg": incidence_deg, "azimuth_deg": 60.0}
+    place |= {"around_deg": 30.0, "roll_deg": 40.0} | changes
+    (found,) = pose.poses_at(WALL, pd.DataFrame([place]))
+    return found
 
 
 def bounds(tool: Tool, incidence_deg: float) -> tuple[float, float]:
     """Of the tip, um, and of the axis, degrees."""
-    covariance = np.asarray(
-        tool_pose_bound(tool, place(incidence_deg).pose, WALL, VIEW, sigma_px=SIGMA_PX)
-    )
-    return 1e3 * pose.tip_bound(covariance), pose.axis_bound_deg(covariance)
+    covariance = tool_pose_bound(tool, pose_at(incidence_deg), WALL, VIEW, sigma_px=SIGMA_PX)
+    tip, axis = pose.bound_of(np.asarray(covariance))
+    return 1e3 * float(tip), float(axis)
 
 
 @jax.jit
@@ -62,9 +63,10 @@ def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
 
 
 def test_a_known_axis_leaves_the_known_bound_of_the_tip():
-    known = tool_pose_bound(ONE, place(20.0).pose, WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
+    known = tool_pose_bound(ONE, pose_at(20.0), WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
     # By an independent computation: 0.6 um.
-    assert 1e3 * pose.tip_bound(np.asarray(known)) == pytest.approx(0.6, abs=0.1)
+    tip, axis = pose.bound_of(np.asarray(known))
+    assert (1e3 * tip, axis) == (pytest.approx(0.6, abs=0.1), 0.0)
 
 
 def test_three_splayed_spots_tell_more_than_three_measurements_of_one():
@@ -75,24 +77,24 @@ def test_three_splayed_spots_tell_more_than_three_measurements_of_one():
 
 def test_three_spots_give_the_tool_back_even_where_the_mirror_image_is_expected():
     for incidence in (10.0, 25.0):
-        true = place(incidence)
-        tip, axis = np.asarray(true.pose.tip), np.asarray(true.pose.axis)
-        _, ellipses = spots(true.pose)
+        true = pose_at(incidence)
+        tip, axis = np.asarray(true.tip), np.asarray(true.axis)
+        outward = (tip + 4.0 * axis) / 11.5
+        _, ellipses = spots(true)
         covariances = np.tile(SIGMA_PX**2 * np.eye(5), (3, 1, 1))
-        for expected in (axis, 2.0 * (true.outward @ axis) * true.outward - axis):
+        for expected in (axis, 2.0 * (outward @ axis) * outward - axis):
             prior = optics.DirectionPrior(jnp.asarray(expected), 1e6)  # which weighs nothing
             best, distance = fit_tool(THREE, ellipses, covariances, WALL, VIEW, prior)
             # 32 points of the compared contour leave 1e-7 px, 1e-9 mm; the solver stops at 1e-10
             # of the cost, which is a 1e-5th of the bound's 1e-3 mm.
             assert np.asarray(best.tip) == pytest.approx(tip, abs=1e-6)
             assert np.asarray(best.axis) == pytest.approx(axis, abs=1e-6)
-            assert best.roll == pytest.approx(true.pose.roll, abs=1e-6)
+            assert best.roll == pytest.approx(true.roll, abs=1e-6)
             assert distance == pytest.approx(4.0, abs=1e-6)
 
 
 def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
-    at = pose.place_at(WALL, c=0.0, around_deg=0.0, d=3.0, incidence_deg=0.0, azimuth_deg=0.0)
-    contours, _ = spots(at.pose)
+    contours, _ = spots(pose_at(0.0, c_mm=0.0, d_mm=3.0))
     centres = np.asarray(contours).mean(axis=1)
     apart = np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1)
     assert apart == pytest.approx(apart[0])
@@ -103,18 +105,15 @@ def test_spots_of_a_tool_lie_evenly_round_its_axis_at_square_incidence():
 
 
 def test_places_fill_the_working_volume():
-    every = pose.places(WALL, count=32, seed=3)
-    for at in every:
-        tip, axis = np.asarray(at.pose.tip), np.asarray(at.pose.axis)
-        spot = tip + at.where["d_mm"] * axis
+    places = pose.volume(count=32, seed=3)
+    for at, found in zip(rows_of(places), pose.poses_at(WALL, places), strict=True):
+        tip, axis = np.asarray(found.tip), np.asarray(found.axis)
+        spot = tip + at.d_mm * axis
         assert np.linalg.norm(spot) == pytest.approx(11.5)
         assert np.abs(spot[:2]).max() <= 5.0
-        assert math.degrees(math.acos(axis @ spot / 11.5)) == pytest.approx(
-            at.where["incidence_deg"]
-        )
+        assert math.degrees(math.acos(axis @ spot / 11.5)) == pytest.approx(at.incidence_deg)
     # A Sobol net of 32 puts one point into each of 32 equal parts of every axis.
-    d = [at.where["d_mm"] for at in every]
-    assert np.histogram(d, 32, (0.5, 5.5))[0].tolist() == [1] * 32
+    assert np.histogram(places.d_mm, 32, (0.5, 5.5))[0].tolist() == [1] * 32
 
 
 def test_an_axis_near_the_mirror_image_is_mirrored_and_one_near_the_truth_is_not():
@@ -138,7 +137,7 @@ def test_priors_are_off_by_five_degrees_both_ways():
 
 def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
     scene = scenes.load_scene(None, ("source.kind=cone",))
-    every = pose.places_at(scene, c=2.0, poses=2)
+    every = pose.poses_at(WALL, pose.places_at(scene, c=2.0, poses=2))
     file = Path(tmp_path) / "poses" / "c.csv"
     pose.write_poses(file, (ONE, THREE), every)
     still = scenes.changed(scene, pose.STILL | {"motion": {"kind": "recorded", "file": str(file)}})
@@ -148,17 +147,17 @@ def test_the_tool_stands_still_while_the_camera_exposes(tmp_path):
     for aside in (-0.4, 0.4):
         moved = motion.at(motion.moments + aside).tip - motion.at(motion.moments).tip
         assert np.abs(moved).max() < 1e-12
-    assert motion.at(motion.moments).tip[4] == pytest.approx(np.asarray(every[1].pose.tip))
+    assert motion.at(motion.moments).tip[4] == pytest.approx(np.asarray(every[1].tip))
 
 
 @pytest.mark.slow
 def test_a_quick_run_is_within_what_was_asked(tmp_path):
     errors = pose.pose(out=tmp_path / "run", quick=True)
     assert set(errors.spots) == {1, 3}
-    found = scatter(where(errors, spots=1, prior=AxisPrior.ROUGH))
+    found = scatter(where(errors, prior=pose.ROUGH), "spots").loc[1]
     assert found.tip_mm < 0.010
     assert found.axis_deg < 0.1
-    known = where(errors, prior=AxisPrior.KNOWN)
+    known = where(errors, prior=pose.KNOWN)
     assert rms(known.distance_error_mm) < 0.005
     for name in ("report.html", "pose_error.csv", "pose_bound.csv", "figures/incidence.png"):
         assert (tmp_path / "run" / name).stat().st_size > 0
