@@ -17,11 +17,11 @@ from eyespot import optics, scenes
 from eyespot.benchmarks import paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, number, rows_of, where
-from eyespot.benchmarks.statistics import first_reached, largest, rms
+from eyespot.benchmarks.statistics import largest, rms
 from eyespot.benchmarks.study import Study
 from eyespot.benchmarks.study_command import LightSource, command
 from eyespot.calibration import fit_plane
-from eyespot.estimator import Ranger, Reading, open_source
+from eyespot.estimator import Ranger, open_source
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
 from eyespot.formats.poses import PoseTrack, read_poses
 from eyespot.formats.stack import Stack
@@ -37,7 +37,13 @@ _HAND_FRAMES = 10
 _SLOWEST_HAND_MM_S = 2.0  # Below, the residual tremor is faster than the hand.
 _FREEZING_GAIN = 1e4  # Exposures become shorter by as much.
 
-_REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
+_REST = {
+    "motion.kind": "withdrawal",
+    "motion.start_mm": 1.0,
+    "motion.travel_mm": 3.5,
+    "motion.speed_mm_s": 0.1,
+    "motion.frames": 15,
+}
 """A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
 
 
@@ -73,37 +79,46 @@ def trials(
             "phantom.texture_seed": scene.phantom.texture_seed + run - 1,
             "clocks.seed": scene.clocks.seed + run - 1,
             "exposures.kinds": [way.exposure],
-            "exposures.sensitivity_mm2_sr_mj": sensitivity,
         },
     )
-    frozen = scenes.changed(own, {"exposures.sensitivity_mm2_sr_mj": sensitivity * _FREEZING_GAIN})
     found = []
     for motion, speed in product(MOTIONS, speeds):
         if motion != "hand" or speed >= _SLOWEST_HAND_MM_S:
             path = _path(motion, speed, interval_s=1 / scene.clocks.camera_hz, seed=own.seed)
-            moving, still = (_with_motion(s, motion, path) for s in (own, frozen))
-            found.append(MovingTrial(motion, way, speed, run, moving, still))
+            moving, frozen = (
+                scenes.changed(own, path | {"exposures.sensitivity_mm2_sr_mj": sensitivity * gain})
+                for gain in (1.0, _FREEZING_GAIN)
+            )
+            found.append(MovingTrial(motion, way, speed, run, moving, frozen))
     return found
 
 
-def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, float | int]:
+def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, object]:
     """Settings of a motion; its first and last frames, at its ends, are not evaluated."""
     intervals = 1 + (_HAND_FRAMES if motion == "hand" else _STRAIGHT_FRAMES)
     duration = intervals * interval_s
-    if motion == "withdrawal":
-        travel = speed * duration
-        start = {"start_mm": _MEAN_DISTANCE_MM - travel / 2, "travel_mm": travel}
-        return start | {"speed_mm_s": speed, "frames": intervals + 1}
-    way = {"duration_s": duration, "top_speed_mm_s": speed, "seed": seed}
-    if motion == "scan":
-        # From a trocar infinitely far away, so the tip is as fast as its spot.
-        way = {"length_mm": speed * duration, "speed_mm_s": speed, "trocar_mm": math.inf}
-    return {"distance_mm": _MEAN_DISTANCE_MM} | way
-
-
-def _with_motion(scene: Scene, kind: str, path: dict[str, float | int]) -> Scene:
-    changes = {"motion.kind": kind} | {f"motion.{name}": value for name, value in path.items()}
-    return scenes.changed(scene, changes)
+    travel = speed * duration
+    path: dict[str, float] = {
+        "withdrawal": {
+            "start_mm": _MEAN_DISTANCE_MM - travel / 2,
+            "travel_mm": travel,
+            "speed_mm_s": speed,
+            "frames": intervals + 1,
+        },
+        "scan": {
+            "distance_mm": _MEAN_DISTANCE_MM,
+            "length_mm": travel,
+            "speed_mm_s": speed,
+            "trocar_mm": math.inf,  # so the tip is as fast as its spot
+        },
+        "hand": {
+            "distance_mm": _MEAN_DISTANCE_MM,
+            "duration_s": duration,
+            "top_speed_mm_s": speed,
+            "seed": seed,
+        },
+    }[motion]
+    return {"motion.kind": motion} | {f"motion.{name}": value for name, value in path.items()}
 
 
 # What a moving tip adds to the error of a distance, part by part.
@@ -125,9 +140,7 @@ LATENCIES_S = (0.0, 0.05, 0.1)  # A pose without a time stamp is read so late.
 PARTS = ("rest", "blur", "stamps", "latency")
 
 
-def parts(
-    *, estimate: float, frozen: float, d: float, stamped: float, late: float
-) -> dict[str, float]:
+def parts(*, estimate: Any, frozen: Any, d: Any, stamped: Any, late: Any) -> dict[str, Any]:
     """Columns of the error and its `PARTS`, from d', d'_0, d, d_s and d_l; mm."""
     split = estimate - late, frozen - d, estimate - frozen, d - stamped, stamped - late
     return dict(zip((f"{name}_mm" for name in ("error", *PARTS)), split, strict=True))
@@ -170,60 +183,56 @@ def small_plane_line(spots: pd.DataFrame, microscope: MicroscopeFile) -> dict[st
     scale, r = microscope.scale_mm_px, microscope.eye_radius_mm
     e, phi, d = spots[["semi_minor_px", "phi_rad", "d_mm"]].to_numpy(float).T
     seen = e * np.cos(phi)
-    sagitta = r - np.sqrt(r**2 - (scale * seen) ** 2)
+    sagitta = optics.sagitta(spot_radius=scale * seen, eye_radius=r)
     line = fit_plane(semi_minor_px=seen, distance=d - sagitta)
     return {"k": line.delta_k / scale, "b": line.b}
 
 
-def errors(
-    trial: MovingTrial, *, moving: Stack, frozen: Stack, ranger: Ranger
-) -> Iterator[dict[str, Any]]:
-    """Rows of dynamic_error.csv, latency by latency; error = estimate - reading.
+def errors(trial: MovingTrial, *, moving: Stack, frozen: Stack, ranger: Ranger) -> pd.DataFrame:
+    """Rows of dynamic_error.csv, frame by frame and latency by latency; error = estimate - reading.
 
     `set_speed_mm_s` is the trial's, `speed_mm_s` the tip's in the middle of the exposure. `doubt`
     is why an estimate does not count, `rest_doubt` the same of the frame without blur. The first
     frame and the last are left out, where the tip is at rest for half of the exposure.
     """
-    poses = read_poses(moving.folder / "kinematics.csv")
-    wall = World(trial.moving).wall
+    poses, wall = read_poses(moving.folder / "kinematics.csv"), World(trial.moving).wall
+    labels = pd.DataFrame([vars(row) for row in moving.exposed(trial.way.exposure)])
     seen, still = (_readings(stack, trial.way, ranger, poses) for stack in (moving, frozen))
-    labels = moving.exposed(trial.way.exposure)
-    for n in range(1, len(labels) - 1):
-        row, doubt, rest_doubt = labels[n], *(r[n].doubt.replace("_", " ") for r in (seen, still))
-        if row.visible_fraction < paper.VISIBLE_ENOUGH:
-            doubt = doubt or "less than half of the contour in view"
-        estimate = math.nan if doubt else seen[n].distance_mm
-        about = {
-            "source": trial.moving.source.kind,
-            "motion": trial.motion,
-            "way": trial.way.name,
-            "set_speed_mm_s": trial.speed_mm_s,
-            "run": trial.run,
-            **{name: getattr(row, name) for name in _OF_LABELS},
+    hidden = (labels.visible_fraction < paper.VISIBLE_ENOUGH) & (seen.doubt == "")
+    seen.loc[hidden, :] = "less than half of the contour in view", math.nan
+    about = {
+        "source": trial.moving.source.kind,
+        "motion": trial.motion,
+        "way": trial.way.name,
+        "set_speed_mm_s": trial.speed_mm_s,
+        "run": trial.run,
+        **labels[["frame", "time_s", "exposure_s", "speed_mm_s", "d_mm"]],
+    }
+    known = {"estimate": seen.distance_mm, "frozen": still.distance_mm, "d": labels.d_mm}
+    known["stamped"] = pd.Series([reading(poses, time, wall) for time in labels.time_s])
+    tables = []
+    for latency_s in LATENCIES_S:
+        late = pd.Series([reading(poses, time + latency_s, wall) for time in labels.time_s])
+        rows = about | {
+            "latency_s": latency_s,
+            "doubt": seen.doubt,
+            "rest_doubt": still.doubt,
+            "estimate_mm": seen.distance_mm,
+            "reading_mm": late,
         }
-        known = {"estimate": estimate, "d": row.d_mm}
-        known["frozen"] = math.nan if rest_doubt else still[n].distance_mm
-        known["stamped"] = reading(poses, row.time_s, wall)
-        for latency_s in LATENCIES_S:
-            late = reading(poses, row.time_s + latency_s, wall)
-            yield about | {
-                "latency_s": latency_s,
-                "doubt": doubt,
-                "rest_doubt": rest_doubt,
-                "estimate_mm": estimate,
-                "reading_mm": late,
-                **parts(**known, late=late),
-            }
+        tables.append(pd.DataFrame(rows | parts(**known, late=late))[1:-1])
+    return pd.concat(tables).sort_values("frame", kind="stable")
 
 
-_OF_LABELS = ("frame", "time_s", "exposure_s", "speed_mm_s", "d_mm")
-
-
-def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> list[Reading]:
+def _readings(stack: Stack, way: paper.Way, ranger: Ranger, poses: PoseTrack) -> pd.DataFrame:
+    """Why each frame's estimate does not count, and those that do, mm."""
     start = way.click(stack.exposed(way.exposure))
     reader = way.reader(ranger, eye_from_robot=_EYE_FROM_ROBOT, start=start)
     frames = open_source(stack.folder, exposure=way.exposure)
-    return [reader.read(frame, poses=poses) for frame in frames]
+    found = [reader.read(frame, poses=poses) for frame in frames]
+    doubt = pd.Series([one.doubt.replace("_", " ") for one in found])
+    distance = pd.Series([one.distance_mm for one in found]).where(doubt == "")
+    return pd.DataFrame({"doubt": doubt, "distance_mm": distance})
 
 
 # Sizes.
@@ -234,57 +243,23 @@ def spreads(errors: pd.DataFrame, speeds: tuple[float, ...]) -> pd.DataFrame:
 
     `left_out` is the number of frames without an estimate.
     """
-    keys = ["source", "motion", "way", "speed_mm_s", "latency_s"]
     counts_for = [min(speeds, key=lambda s: (abs(s - speed), s)) for speed in errors.speed_mm_s]
     frames = errors.assign(speed_mm_s=counts_for, left_out=errors.doubt != "")
-    by = frames.groupby(keys)
-    columns = [f"{name}_mm" for name in ("error", *PARTS)]
-    used = frames[columns].where(~frames.left_out).groupby([frames[key] for key in keys])
-    sizes, means = used.agg(rms).add_prefix("rms_"), used.mean().add_prefix("mean_")
-    sizes.insert(1, "largest_error_mm", used.error_mm.agg(largest))
-    left_out = by.left_out.sum()
+    sizes = [f"{name}_mm" for name in ("error", *PARTS)]
+    frames[sizes] = frames[sizes].where(~frames.left_out)
+    by = frames.groupby(["source", "motion", "way", "speed_mm_s", "latency_s"])
+    left_out, largest_error = by.left_out.sum(), by.error_mm.agg(largest)
+    found = by[sizes].agg(rms).add_prefix("rms_").join(by[sizes].mean().add_prefix("mean_"))
+    found.insert(1, "largest_error_mm", largest_error)
     counts = pd.DataFrame({"spots": by.size() - left_out, "left_out": left_out})
-    return pd.concat([counts, sizes, means], axis=1).reset_index()
+    return counts.join(found).reset_index()
 
 
-def speed_at(rows: pd.DataFrame, limit_mm: float) -> float:
-    """Speed (mm/s) at which the RMS error of rows that differ in the speed only reaches a limit.
-
-    Linear between the speeds, from the error at rest; NaN if the limit is not reached.
-    """
-    known = rows.dropna(subset="rms_error_mm").sort_values("speed_mm_s") if len(rows) else rows
-    if known.empty:
-        return math.nan
-    sizes = [rms(known.rms_rest_mm), *known.rms_error_mm]
-    return first_reached([0.0, *known.speed_mm_s], sizes, limit_mm)
-
-
-def limits(spreads: pd.DataFrame) -> pd.DataFrame:
-    """Content of dynamic_limits.csv: where the RMS error is no longer acceptable, by motion."""
-    keys = ["source", "way", "latency_s"]
-    return pd.DataFrame(
-        dict(zip(keys, key, strict=True))
-        | {f"{m}_mm_s": speed_at(where(rows, motion=m), paper.ACCEPTABLE_ERROR_MM) for m in MOTIONS}
-        for key, rows in grouped(spreads, *keys)
-    )
-
-
-def by_speed(
-    spreads: pd.DataFrame, source: str, motion: str, way: str, latency_s: float
-) -> pd.DataFrame:
-    """Rows that differ in the speed only, in its order."""
-    of = where(spreads, source=source, motion=motion, way=way, latency_s=latency_s)
-    return of.sort_values("speed_mm_s")
-
-
-def _rows(
-    study: Study, source: str, *, speeds: tuple[float, ...], runs: int
-) -> list[dict[str, Any]]:
+def _rows(study: Study, source: str, *, speeds: tuple[float, ...], runs: int) -> list[pd.DataFrame]:
     scene = scenes.changed(study.scene, {"source.kind": source})
     exposure_s = float(study.options["exposure-ms"]) / 1000
     with study.timed(f"{source}: render at rest"):
-        at_rest = _with_motion(scene, "withdrawal", _REST)
-        (rest,) = study.stacks({f"{source}-rest": at_rest}).values()
+        (rest,) = study.stacks({f"{source}-rest": scenes.changed(scene, _REST)}).values()
     wanted = []
     for way in COMPARED:
         # The sensitivity at which exposures at the mean distance are as long as asked for.
@@ -300,11 +275,8 @@ def _rows(
         frozen = study.stacks({f"{trial.name}-frozen": trial.frozen for trial in wanted})
     with study.timed(f"{source}: measure"):
         rangers = {way: ranger(rest, scene, way) for way in COMPARED}
-        rows: list[dict[str, Any]] = []
-        for trial in wanted:
-            stacks = {"moving": moving[trial.name], "frozen": frozen[f"{trial.name}-frozen"]}
-            rows += errors(trial, **stacks, ranger=rangers[trial.way])
-        return rows
+        pairs = zip(wanted, moving.values(), frozen.values(), strict=True)
+        return [errors(one, moving=m, frozen=f, ranger=rangers[one.way]) for one, m, f in pairs]
 
 
 # Figures.
@@ -312,25 +284,25 @@ def _rows(
 _LEAST_DRAWN_MM = 1e-3  # Smaller errors lie at the foot of the logarithmic axis.
 
 
-def errors_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
+def _errors_by_speed(spreads: pd.DataFrame) -> Figure:
     """RMS error against speed: a panel for each motion."""
 
     def draw(axes: Axes, _: str, motion: str) -> None:
         axes.axhline(paper.ACCEPTABLE_ERROR_MM, color=page.GREY, lw=0.8, ls=":")
         for way, colour in zip(COMPARED, (page.VERMILION, page.BLUE), strict=True):
             for latency, dashes in zip(LATENCIES_S, ("-", "--", ":"), strict=True):
-                rows = by_speed(spreads, source, motion, way.name, latency)
+                rows = where(spreads, motion=motion, way=way.name, latency_s=latency)
                 label = f"{way.name}, {1000 * latency:g} ms late"
                 _drawn(axes, rows, "error", color=colour, ls=dashes, label=label)
 
     return page.small_multiples(draw, columns=MOTIONS, x=_SPEED, y="RMS error (mm)", sharey=True)
 
 
-def parts_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
+def _parts_by_speed(spreads: pd.DataFrame) -> Figure:
     """RMS of each part of the error against speed, with the latest poses."""
 
     def draw(axes: Axes, way: str, motion: str) -> None:
-        rows = by_speed(spreads, source, motion, way, LATENCIES_S[-1])
+        rows = where(spreads, motion=motion, way=way, latency_s=LATENCIES_S[-1])
         colours = page.GREY, page.ORANGE, page.GREEN, page.PURPLE
         for part, colour in zip(PARTS, colours, strict=True):
             _drawn(axes, rows, part, color=colour, label=part)
@@ -344,9 +316,9 @@ def parts_by_speed(spreads: pd.DataFrame, source: str) -> Figure:
 _SPEED = "speed of the tip (mm/s)"
 
 
-def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: str) -> None:
+def _drawn(axes: Axes, rows: pd.DataFrame, part: str, **style: Any) -> None:
     sizes = rows[f"rms_{part}_mm"].clip(lower=_LEAST_DRAWN_MM)
-    axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)  # type: ignore[arg-type]
+    axes.plot(rows.speed_mm_s, sizes, marker="o", ms=3, **style)
     axes.set(xscale="log", yscale="log", xticks=rows.speed_mm_s)
     axes.minorticks_off()
     axes.xaxis.set_major_formatter("{x:g}")
@@ -360,59 +332,44 @@ _PAPERS_SPEED_MM_S = 1.5  # Up to it the paper's error is acceptable (Zhou et al
 
 def report(errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float) -> page.Report:
     """The report of a run: dynamic_error.csv and dynamic_spread.csv."""
-    sources, top = errors.source.unique().tolist(), spreads.speed_mm_s.max()
-    shown, late = sources[-1], f"{1000 * LATENCIES_S[-1]:g} ms late"
-    stamped, reached = where(errors, latency_s=LATENCIES_S[0]), limits(spreads)
-    used = where(stamped, source=shown, way=paper.SUBPIXEL.name)
-    own = largest(used.error_mm[used.doubt == ""])
-    withdrawn = by_speed(spreads, shown, "withdrawal", paper.SUBPIXEL.name, LATENCIES_S[-1])
-    last = where(withdrawn, speed_mm_s=top)
-    fastest = where(spreads, source=shown, speed_mm_s=top)
+    source, top = errors.source.iloc[-1], spreads.speed_mm_s.max()
+    late, shown = f"{1000 * LATENCIES_S[-1]:g} ms late", where(spreads, source=source)
+    stamped = where(errors, latency_s=LATENCIES_S[0])
+    used = where(stamped, source=source, way=paper.SUBPIXEL.name, doubt="")
+    fastest = where(shown, speed_mm_s=top)
+    last = where(fastest, motion="withdrawal", way=paper.SUBPIXEL.name, latency_s=LATENCIES_S[-1])
     names = (1000 * fastest.latency_s).map("{:g} ms late".format)
     table = fastest.assign(late=names).pivot(
         index=["motion", "way"], columns="late", values="rms_error_mm"
     )
     return page.Report(
         title="How wrong is the distance while the tip moves, and why?",
-        answer=f"Up to {top:g} mm/s the distance from the {shown}'s spot is off by "
-        f"{number(own, 3)} mm at most in sub-pixel mode if the robot's poses are stamped; poses "
-        f"{late} make it {number(rms(last.rms_error_mm), 2)} mm (rms, along the beam, at "
-        "that speed).",
-        lead=f"Estimates from frames of {exposure_ms:g} ms while the tip moves along the beam, "
-        "across the wall and as a hand moves it, against the robot's readings.",
+        answer=f"Up to {top:g} mm/s the distance from the {source}'s spot is off by "
+        f"{number(largest(used.error_mm), 3)} mm at most in sub-pixel mode if the robot's poses "
+        f"are stamped; poses {late} make it {number(rms(last.rms_error_mm), 2)} mm (rms, along the "
+        "beam, at that speed).",
+        lead=f"Estimates from frames of {exposure_ms:g} ms while the tip moves along the beam "
+        "(withdrawal), across the wall at one distance (scan) and as a hand moves it on a robot, "
+        "against the robot's readings. Literal mode has the paper's model with k and b from a "
+        "withdrawal at rest; sub-pixel mode has the true source.",
         first=[
             page.Picture(
                 "errors",
-                errors_by_speed(spreads, shown),
+                _errors_by_speed(shown),
                 "A late pose costs more than blur. RMS error of the estimates that count, "
-                f"{shown}; dotted: the error that the paper accepts.",
+                f"{source}, by the listed speed that is nearest to the tip's own; dotted: the "
+                "error that the paper accepts.",
                 data="dynamic_spread.csv",
             ),
             page.Table(
                 table.reset_index(),
                 ["motion", "way", *dict.fromkeys(names)],
-                f"RMS error in mm at {top:g} mm/s, {shown}.",
+                f"RMS error in mm at {top:g} mm/s, {source}.",
                 data="dynamic_spread.csv",
             ),
         ],
         claims=list(_claims(stamped, spreads)),
         sections=[
-            page.Section(
-                "Error against speed",
-                "Withdrawal is along the beam; scan is across the wall at one distance; hand is a "
-                "hand's slow motion with the tremor that remains on a robot. Each frame counts "
-                "for the listed speed that is nearest to the tip's own. Literal mode has the "
-                "paper's model with k and b from a withdrawal at rest; sub-pixel mode has the "
-                "true source.",
-                page.Table(
-                    reached,
-                    reached.columns,
-                    "Speeds at which the RMS error reaches the acceptable "
-                    f"{paper.ACCEPTABLE_ERROR_MM:g} mm; a dash: not up to {top:g} mm/s. The paper "
-                    f"reports {_PAPERS_SPEED_MM_S:g} mm/s.",
-                    data="dynamic_limits.csv",
-                ),
-            ),
             page.Section(
                 "Blur and time",
                 "Every motion is rendered twice: as it is, and with exposures too short for blur "
@@ -424,27 +381,21 @@ def report(errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float) -
                 "by L adds −vL.",
                 page.Picture(
                     "parts",
-                    parts_by_speed(spreads, shown),
-                    f"RMS of the parts, {shown}, with poses {late}.",
+                    _parts_by_speed(shown),
+                    f"RMS of the parts, {source}, with poses {late}.",
                     data="dynamic_spread.csv",
                 ),
             ),
         ],
-        data={
-            "dynamic_error.csv": errors,
-            "dynamic_spread.csv": spreads,
-            "dynamic_limits.csv": reached,
-        },
+        data={"dynamic_error.csv": errors, "dynamic_spread.csv": spreads},
     )
 
 
 def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame) -> Iterator[page.Claim]:
     """From the errors with stamped poses, and the sizes of all."""
-    top, sources = spreads.speed_mm_s.max(), stamped.source.unique().tolist()
-    pairs = list(product(sources, (way.name for way in COMPARED)))
-    for source in sources:
-        rows = where(stamped, source=source, way=paper.SUBPIXEL.name)
-        used = rows[rows.doubt == ""]
+    top = spreads.speed_mm_s.max()
+    for source, rows in grouped(where(stamped, way=paper.SUBPIXEL.name), "source"):
+        used = where(rows, doubt="")
         worst, moved = largest(used.error_mm), largest(used.blur_mm + used.stamps_mm)
         reasons = rows.doubt[rows.doubt != ""].value_counts()
         why = "".join(f"; {number} {reason}" for reason, number in reasons.items())
@@ -458,25 +409,21 @@ def _claims(stamped: pd.DataFrame, spreads: pd.DataFrame) -> Iterator[page.Claim
             high=_REQUIRED_MM,
         )
     # Blur and latency at the top speed along the beam, where means do not cancel.
-    for source, way in pairs:
-        late = by_speed(spreads, source, "withdrawal", way, LATENCIES_S[-1])
-        for row in rows_of(late[(late.speed_mm_s == top) & (late.spots > 0)]):
-            latency, blur = abs(row.mean_latency_mm), abs(row.mean_blur_mm)
-            yield page.Claim(
-                name=f"{source}, {way}, late pose against blur",
-                sentence=f"Along the beam at {top:g} mm/s, poses {1000 * LATENCIES_S[-1]:g} ms "
-                f"late add {latency:.3f} mm to the mean error, blur adds {blur:.3f} mm.",
-                value=latency,
-                low=blur,
-            )
+    fastest = where(spreads, motion="withdrawal", latency_s=LATENCIES_S[-1], speed_mm_s=top)
+    for row in rows_of(fastest[fastest.spots > 0]):
+        latency, blur = abs(row.mean_latency_mm), abs(row.mean_blur_mm)
+        yield page.Claim(
+            name=f"{row.source}, {row.way}, late pose against blur",
+            sentence=f"Along the beam at {top:g} mm/s, poses {1000 * LATENCIES_S[-1]:g} ms "
+            f"late add {latency:.3f} mm to the mean error, blur adds {blur:.3f} mm.",
+            value=latency,
+            low=blur,
+        )
     # The delay or the blur that alone would explain the paper's error.
     delay = paper.ACCEPTABLE_ERROR_MM / _PAPERS_SPEED_MM_S
-    for source in sources:
-        scans = where(stamped, source=source, way=paper.LITERAL.name, motion="scan")
-        scans = scans[scans.blur_mm.notna()]
+    literal = where(stamped, way=paper.LITERAL.name, motion="scan").dropna(subset="blur_mm")
+    for source, scans in grouped(literal, "source"):
         paths = scans.speed_mm_s * scans.exposure_s
-        if scans.empty:
-            continue
         slope = float(np.dot(paths, scans.blur_mm) / np.dot(paths, paths))
         exposure_ms = 1000 * delay / slope if slope > 0 else math.nan
         yield page.Claim(
@@ -519,7 +466,7 @@ def dynamic(
     sources = ("cone", "lens") if source == "both" else (source,)
     speeds = (0.5, 1.5, 5.0) if study.quick else (0.5, 1.0, 1.5, 2.0, 3.0, 5.0)
     runs = 1 if study.quick else 2
-    rows = [row for source in sources for row in _rows(study, source, speeds=speeds, runs=runs)]
-    errors = pd.DataFrame(rows)
+    tables = [rows for one in sources for rows in _rows(study, one, speeds=speeds, runs=runs)]
+    errors = pd.concat(tables, ignore_index=True)
     study.publish(report, errors, spreads(errors, speeds), exposure_ms=exposure_ms)
     return errors

@@ -13,7 +13,7 @@ from eyespot import optics, scenes
 from eyespot.benchmarks.paper import LITERAL, SUBPIXEL
 from eyespot.benchmarks.reporting import Claim, rows_of
 from eyespot.benchmarks.studies import dynamic
-from eyespot.benchmarks.studies.dynamic import COMPARED, LATENCIES_S, MOTIONS, PARTS, speed_at
+from eyespot.benchmarks.studies.dynamic import COMPARED, LATENCIES_S, MOTIONS, PARTS
 from eyespot.formats.poses import Pose, PoseTrack
 from eyespot.scenes.world.world import World
 from tests.support.drawn.made_up import a_microscope
@@ -76,16 +76,6 @@ def test_frames_without_an_estimate_are_counted_and_add_no_error():
     assert found.mean_error_mm == pytest.approx(-0.05)
     assert found.largest_error_mm == pytest.approx(0.4)
     assert found.rms_rest_mm == pytest.approx(0.3)
-
-
-def test_an_error_that_grows_with_speed_reaches_a_limit_where_the_line_does():
-    rows = [row(speed_mm_s=v, error_mm=0.05 + 0.1 * v, rest_mm=0.05) for v in SPEEDS]
-    spreads = dynamic.spreads(pd.DataFrame(rows), SPEEDS)
-    assert speed_at(spreads, 0.5) == pytest.approx(4.5)
-    assert speed_at(spreads, 0.075) == pytest.approx(0.25)
-    assert speed_at(spreads, 0.04) == 0.0
-    assert math.isnan(speed_at(spreads, 0.6))
-    assert math.isnan(speed_at(spreads[:0], 0.5))
 
 
 @pytest.mark.parametrize("way", COMPARED, ids=lambda way: way.slug)
@@ -160,10 +150,6 @@ def test_the_report_says_whether_a_tenth_of_a_millimetre_is_kept_and_what_is_lar
     bad = claimed(wrong)
     assert bad["cone, requirement"].holds is False
     assert bad[name].holds is False
-    # 0.01 + 0.2 v = 0.5.
-    found = dynamic.limits(dynamic.spreads(wrong, SPEEDS)).set_index(["way", "latency_s"])
-    speeds = found.loc[(LITERAL.name, 0.0), [f"{motion}_mm_s" for motion in MOTIONS]]
-    assert speeds.to_numpy(float) == pytest.approx(2.45)
 
 
 def test_lost_frames_are_counted_by_reason():
