@@ -1,16 +1,16 @@
-"""What Zhou et al. 2020 report, as printed, and whether fits reproduce their Table I."""
+"""The static experiment of Zhou et al. 2020: what it reports, its places, its readings and fits."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
 from itertools import product
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from eyespot.benchmarks.reporting import Claim, listed
+from eyespot import calibration
+from eyespot.benchmarks.reporting import Claim, grouped, listed, where
 from eyespot.estimator import (
     LiteralMode,
     LiteralSettings,
@@ -21,100 +21,95 @@ from eyespot.estimator import (
 )
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.stack import FrameLabels, Stack
-from eyespot.scenes import Scene, SceneError
+from eyespot.scenes import Scene, SceneError, changed
 from eyespot.scenes.sensor import CameraSensor
 
-
-class PlaneRow(NamedTuple):
-    """Row of Table I: mm/px, mm, 1 and mm."""
-
-    delta_k: float
-    b: float
-    r_squared: float
-    rmse: float
-
-
-class SphereRow(NamedTuple):
-    """Row of Table II; mm."""
-
-    c: float
-    standard_deviation: float
-    mean_absolute_error: float
-    max_error: float
-
+# What the paper reports.
 
 ALL_PLANES = "all planes"  # All trials of Table I together.
+LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
+TABLE_I = pd.DataFrame.from_dict(
+    {
+        "plane 1": (0.1496, -6.791, 0.9959, 0.0548),
+        "plane 2": (0.1343, -5.069, 0.9909, 0.0974),
+        "plane 3": (0.1347, -5.226, 0.9961, 0.0663),
+        ALL_PLANES: (0.1321, -5.117, 0.9703, 0.1630),
+    },
+    orient="index",
+    columns=LINE,
+)
 
-TABLE_I = {
-    "plane 1": PlaneRow(0.1496, -6.791, 0.9959, 0.0548),
-    "plane 2": PlaneRow(0.1343, -5.069, 0.9909, 0.0974),
-    "plane 3": PlaneRow(0.1347, -5.226, 0.9961, 0.0663),
-    ALL_PLANES: PlaneRow(0.1321, -5.117, 0.9703, 0.1630),
-}
-
-TABLE_II = {
-    "sphere 1": SphereRow(5.531, 0.064, 0.146, 0.328),
-    "sphere 2": SphereRow(6.982, 0.097, 0.140, 0.372),
-    "sphere 3": SphereRow(4.584, 0.088, 0.160, 0.396),
-}
+ERRORS = ["standard_deviation_mm", "mean_absolute_error_mm", "max_error_mm"]
+TABLE_II = pd.DataFrame.from_dict(
+    {
+        "sphere 1": (5.531, 0.064, 0.146, 0.328),
+        "sphere 2": (6.982, 0.097, 0.140, 0.372),
+        "sphere 3": (4.584, 0.088, 0.160, 0.396),
+    },
+    orient="index",
+    columns=["c_mm", *ERRORS],
+)
+PLANES, SPHERES = [*TABLE_I.index.drop(ALL_PLANES)], [*TABLE_II.index]
+"""Trials of either table."""
 
 ACCEPTABLE_ERROR_MM = 0.5  # the error that the paper calls acceptable
 
-PAPERS_PLANES = {name: row for name, row in TABLE_I.items() if name != ALL_PLANES}
+
+class Criterion(NamedTuple):
+    """The range in which a quantity of Table I must lie, and how its values are written."""
+
+    name: str
+    low: float
+    high: float
+    digits: str
+    unit: str = ""
 
 
-class Criterion(StrEnum):
-    """A quantity of Table I."""
+CRITERIA = {
+    "delta_k_mm_px": Criterion("δk", 0.126, 0.138, ".4f", " mm/px"),
+    "b_mm": Criterion("b", -5.6, -4.6, ".2f", " mm"),
+    "r_squared": Criterion("R² of each trial", 0.99, 1.0, ".3f"),
+    "rmse_mm": Criterion("RMSE of each trial", 0.05, 0.10, ".3f", " mm"),
+}
+"""When lines count as those of Table I, by column.
 
-    DELTA_K = "δk"
-    B = "b"
-    R_SQUARED = "R² of each trial"
-    RMSE = "RMSE of each trial"
-
-
-def plane_rows(lines: pd.DataFrame) -> dict[str, PlaneRow]:
-    """Rows of a table of lines, as those of Table I, by trial."""
-    columns = lines[["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]].to_numpy().tolist()
-    return {trial: PlaneRow(*row) for trial, row in zip(lines.trial, columns, strict=True)}
+All planes together must have the paper's δk and b, within less than its own trials differ; each
+trial must be as straight as the paper's.
+"""
 
 
-STRAIGHT = 0.99
-"""R² of a straight line; each trial of Table I has more."""
+def reproduction(lines: pd.DataFrame, *, name: str = "Table I") -> dict[str, Claim]:
+    """The criteria, by column, for the lines of one source measured in one way (`line_fits`).
 
-
-def reproduction(fits: Mapping[str, PlaneRow], *, name: str = "Table I") -> dict[Criterion, Claim]:
-    """The criteria for fits of one source measured in one way.
-
-    The fit of all planes must be the paper's, within the differences between its own trials; each
-    trial must be as straight as the paper's. The claims' names begin with `name`.
+    The claims' names begin with `name`.
     """
-    trials = [fits[trial] for trial in PAPERS_PLANES if trial in fits]
-    r_squared, rmse = tuple(f.r_squared for f in trials), tuple(f.rmse for f in trials)
-    pooled, printed = fits[ALL_PLANES], TABLE_I[ALL_PLANES]
-    slope, b = round(printed.delta_k, 3), round(printed.b, 1)
-    bounds = {
-        Criterion.DELTA_K: ((pooled.delta_k,), slope - 0.006, slope + 0.006, ".4f", " mm/px"),
-        Criterion.B: ((pooled.b,), b - 0.5, b + 0.5, ".2f", " mm"),
-        Criterion.R_SQUARED: (r_squared, STRAIGHT, 1.0, ".3f", ""),
-        Criterion.RMSE: (rmse, 0.05, 0.10, ".3f", " mm"),
-    }
-    return {
-        criterion: Claim(
-            name=f"{name}, {criterion}",
-            sentence=f"{listed(values, spec)}{unit} (Table I demands {low:g} to {high:g}).",
+    together = lines.trial == ALL_PLANES
+    claims = {}
+    for column, (quantity, low, high, digits, unit) in CRITERIA.items():
+        of_all_planes = column in ("delta_k_mm_px", "b_mm")
+        values = tuple(lines[together if of_all_planes else ~together][column])
+        claims[column] = Claim(
+            name=f"{name}, {quantity}",
+            sentence=f"{listed(values, digits)}{unit} (Table I demands {low:g} to {high:g}).",
             value=values,
             low=low,
             high=high,
         )
-        for criterion, (values, low, high, spec, unit) in bounds.items()
-    }
+    return claims
 
 
-# The trials of the main job: the paper's six, and a grid over eccentricity.
+# Its withdrawals, rendered.
 
 # Places on the printed plane, so far apart that they share no wall texture.
-_PLANE_ECCENTRICITIES_MM = (1.5, 3.0, 4.5)
+_ECCENTRICITIES_MM = (1.5, 3.0, 4.5, *TABLE_II.c_mm.tolist())
 _AZIMUTHS_DEG = (0.0, 120.0, 240.0)
+PLACES: dict[str, dict[str, float]] = {
+    trial: {"spot.eccentricity_mm": c, "spot.azimuth_deg": azimuth}
+    for trial, c, azimuth in zip(
+        [*PLANES, *SPHERES], _ECCENTRICITIES_MM, 2 * _AZIMUTHS_DEG, strict=True
+    )
+}
+"""Changes of a scene that put it at the place of a trial of Table I or II."""
 MICROSCOPE_HEIGHT_MM = 200.0  # z_F of a real microscope.
 PINHOLE_HEIGHTS_MM = (11.5, MICROSCOPE_HEIGHT_MM)
 """On the eyeball's sphere (equation 8 of Zhou et al. 2020), and a real microscope."""
@@ -122,52 +117,46 @@ TILT_AZIMUTHS_DEG = (0.0, 90.0, 180.0)
 """Of a tilted beam: towards growing c, across the meridian, and towards the axis."""
 _SMALLEST_RADIUS_MM = 10.0
 
-TrialKind = Literal["plane", "sphere", "grid"]
 
+def withdrawals(sources: Iterable[str], *, quick: bool, seed: int) -> pd.DataFrame:
+    """The paper's six withdrawals with each kind of source, and a grid of ideal cones.
 
-@dataclass(frozen=True, kw_only=True)
-class StaticTrial:
-    """A withdrawal of the static experiment; `group` is a row of the paper's tables, or a grid."""
+    The grid has each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways.
 
-    name: str
-    kind: TrialKind
-    group: str
-    scene: Scene
-
-    @property
-    def source(self) -> str:
-        """Kind of light: "lens" or "cone"."""
-        return self.scene.source.kind
-
-
-def paper_trials(*, source: str, quick: bool, seed: int) -> list[StaticTrial]:
-    """Three withdrawals on the plane and three in the eyeball, with one kind of source."""
-    places: list[tuple[str, TrialKind, float]] = [
-        *((f"plane {n}", "plane", c) for n, c in enumerate(_PLANE_ECCENTRICITIES_MM, start=1)),
-        *((name, "sphere", row.c) for name, row in TABLE_II.items()),
-    ]
-    trials = []
-    for number, (group, kind, c) in enumerate(places):
-        wall = "eyeball" if kind == "sphere" else "plane"
-        azimuth = _AZIMUTHS_DEG[number % len(_AZIMUTHS_DEG)]
-        scene = {
-            "schema": 1,
+    Returns:
+        Columns source, trial (a row of Table I or II, or the grid's pinhole) and scene, by name.
+    """
+    rows = []
+    for source, (number, trial) in product(sources, enumerate(PLACES)):
+        own: dict[str, object] = {
+            **PLACES[trial],
             "seed": seed + number,
-            "phantom": {"kind": wall, "texture_seed": seed},
-            "source": {"kind": source},
-            "spot": {"eccentricity_mm": c, "azimuth_deg": azimuth},
-            "motion": {"frames": 9 if quick else 61},
+            "source.kind": source,
+            "phantom.kind": "plane" if trial in PLANES else "eyeball",
+            "motion.frames": 9 if quick else 61,
         }
-        name, own = f"{source}-{group.replace(' ', '-')}", Scene.model_validate(scene)
-        trials.append(StaticTrial(name=name, kind=kind, group=group, scene=own))
-    return trials
+        rows.append((f"{source}-{trial.replace(' ', '-')}", source, trial, own))
+    eccentricities = (0.0, 3.0, 5.0, 7.0) if quick else map(float, range(8))
+    for height, azimuth, c in product(PINHOLE_HEIGHTS_MM, TILT_AZIMUTHS_DEG, eccentricities):
+        own = {
+            "seed": seed,
+            "source.kind": "cone",
+            "spot.eccentricity_mm": c,
+            "spot.incidence_azimuth_deg": azimuth,
+            "microscope.pinhole_height_mm": height,
+            **withdrawal(start_mm=0.5, travel_mm=5.5, frames=4 if quick else 12),
+        }
+        name = f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}"
+        rows.append((name, "cone", f"pinhole {height:g} mm", own))
+    base = changed(Scene(), {"phantom.texture_seed": seed})
+    made = [(*about, changed(base, own)) for *about, own in rows]
+    return pd.DataFrame(made, columns=["name", "source", "trial", "scene"]).set_index("name")
 
 
-def at_place(place: StaticTrial, *, frames: int) -> dict[str, object]:
-    """Changes of a scene that put a withdrawal at a trial's place, to be photographed again."""
+def to_photograph(trial: str, *, frames: int) -> dict[str, object]:
+    """Changes of a scene that make it a trial whose frames a `Photographer` takes again."""
     return {
-        "spot.eccentricity_mm": place.scene.spot.eccentricity_mm,
-        "spot.azimuth_deg": place.scene.spot.azimuth_deg,
+        **PLACES[trial],
         "motion.frames": frames,
         "exposures.kinds": ["paper", "metered"],
         "exposures.keep_linear": True,
@@ -185,26 +174,6 @@ def withdrawal(*, start_mm: float, travel_mm: float, frames: int) -> dict[str, o
     }
 
 
-def grid_trials(*, quick: bool, seed: int) -> list[StaticTrial]:
-    """Ideal cones at each eccentricity from 0 to 7 mm, for both pinholes, tilted three ways."""
-    eccentricities, trials = (0.0, 3.0, 5.0, 7.0) if quick else map(float, range(8)), []
-    for height, azimuth, c in product(PINHOLE_HEIGHTS_MM, TILT_AZIMUTHS_DEG, eccentricities):
-        scene = {
-            "schema": 1,
-            "seed": seed,
-            "phantom": {"texture_seed": seed},
-            "source": {"kind": "cone"},
-            "spot": {"eccentricity_mm": c, "incidence_azimuth_deg": azimuth},
-            "motion": {"start_mm": 0.5, "travel_mm": 5.5, "frames": 4 if quick else 12},
-            "microscope": {"pinhole_height_mm": height},
-            "exposures": {"kinds": ["metered"]},
-        }
-        name = f"grid-pinhole-{height:g}-azimuth-{azimuth:g}-c-{c:g}"
-        about: dict[str, Any] = {"kind": "grid", "group": f"pinhole {height:g} mm"}
-        trials.append(StaticTrial(name=name, scene=Scene.model_validate(scene), **about))
-    return trials
-
-
 def require_roomy_eyeball(scene: Scene, reach: str) -> None:
     """Raise SceneError if a scene's wall ends before a study's spots do.
 
@@ -219,7 +188,95 @@ def require_roomy_eyeball(scene: Scene, reach: str) -> None:
         )
 
 
-# Spots of a rendered trial, measured in the ways that the report compares.
+# Its fits.
+
+_FEWEST_SPOTS = 3
+_STEP_MM, _SHORTEST_MM = 0.5, 2.0  # Parts of the range that are tried begin at steps.
+
+
+def line_fits(spots: pd.DataFrame, *by: str) -> pd.DataFrame:
+    """Table I: the lines d_r = δk e1' + b of every trial and of all together, for each `by`.
+
+    Args:
+        spots: on planes; columns `trial`, `semi_minor_px` (NaN for none), `d_r_mm` and `by`.
+
+    Returns:
+        Columns `by`, `trial`, those of `LINE` (NaN below three spots), spots and contact_radius_px
+        (−b/δk, e1' at contact).
+    """
+    rows = []
+    for key, own in spots.groupby(list(by), sort=False):
+        for trial, part in [*grouped(own, "trial"), (ALL_PLANES, own)]:
+            e, d_r = part[["semi_minor_px", "d_r_mm"]].to_numpy(float).T
+            line = map(float, calibration.fit_lines(e, d_r))
+            rows.append((*key, trial, *line, np.isfinite(e).sum()))
+    found = pd.DataFrame(rows, columns=[*by, "trial", *LINE, "spots"])
+    return found.assign(contact_radius_px=-found.b_mm / found.delta_k_mm_px)
+
+
+def sphere_fits(spots: pd.DataFrame, lines: pd.DataFrame, *by: str, scene: Scene) -> pd.DataFrame:
+    """Table II: c of the small-plane model for every trial in the eyeball, for each `by`.
+
+    δk and b are those of all planes.
+
+    Args:
+        spots: in the eyeball; columns as for `line_fits`, whose result is `lines`.
+        scene: its microscope and eyeball.
+
+    Returns:
+        Columns `by`, `trial`, those of `TABLE_II`, c_error_mm, spots, converged and at_bound, for
+        trials with three spots or more.
+    """
+    known = where(lines, trial=ALL_PLANES)[[*by, "delta_k_mm_px", "b_mm"]]
+    seen = spots.dropna(subset="semi_minor_px").merge(known, on=list(by))
+    rows = []
+    for key, own in seen.groupby([*by, "trial"], sort=False):
+        if len(own) < _FEWEST_SPOTS:
+            continue
+        fit = calibration.fit_eccentricity(
+            semi_minor_px=own.semi_minor_px.to_numpy(float),
+            distance=own.d_r_mm.to_numpy(float),
+            delta_k=own.delta_k_mm_px.iloc[0],
+            b=own.b_mm.iloc[0],
+            scale=scene.microscope.scale_mm_px,
+            eye_radius=scene.phantom.radius_mm,
+        )
+        errors = fit.standard_deviation, fit.mean_absolute_error, fit.max_error
+        about = fit.c_error, fit.spots, fit.converged, fit.at_bound
+        rows.append((*key, fit.c, *errors, *about))
+    columns = [*by, "trial", *TABLE_II, "c_error_mm", "spots", "converged", "at_bound"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def nearest_part(spots: pd.DataFrame) -> tuple[float, float, dict[str, Claim]] | None:
+    """The widest of those parts of the range that meet most criteria of Table I.
+
+    The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
+    begin and end at multiples of 0.5 mm.
+
+    Args:
+        spots: on planes, of one `source`, as for `line_fits`.
+
+    Returns:
+        The first and the last reading (mm) and the criteria; None if no part has three spots of
+        each trial.
+    """
+    parts = []
+    ends = np.arange(0.0, max(spots.d_r_mm, default=0.0) + 1e-6, _STEP_MM).tolist()
+    for low, high in product(ends, repeat=2):
+        inside = spots[spots.d_r_mm.between(low - 1e-6, high + 1e-6, inclusive="neither")]
+        count = inside.trial.value_counts().reindex(PLANES, fill_value=0)
+        if high >= low + _SHORTEST_MM and count.min() >= _FEWEST_SPOTS:
+            parts.append((low, high, reproduction(line_fits(inside, "source"))))
+    return max(parts, key=lambda part: (met(part[2]), part[1] - part[0]), default=None)
+
+
+def met(criteria: Mapping[str, Claim]) -> int:
+    """How many criteria of Table I are met."""
+    return sum(bool(claim.holds) for claim in criteria.values())
+
+
+# Spots of a rendered trial, measured in the ways that the studies compare.
 
 VISIBLE_ENOUGH = 0.5  # part of the half-maximum contour that must be visible for a spot to count
 USED = "used"  # The frame enters the fits.
@@ -301,8 +358,8 @@ def track_stack(stack: Stack, way: Way) -> pd.DataFrame:
 class Shot(NamedTuple):
     """Seed of the camera's noise (None: no noise), factor on the light, literal threshold (DN)."""
 
-    seed: int | None = None
-    light: float = 1.0
+    noise: int | None = None
+    exposure: float = 1.0
     threshold: int = LiteralSettings().threshold
 
 
@@ -313,35 +370,33 @@ class Photographer:
     scene: Scene
     stack: Stack
 
-    @property
-    def readings(self) -> np.ndarray:
-        """d_r since contact of every frame, mm."""
-        d = np.array([row.d_mm for row in self.stack.exposed(LITERAL.exposure)])
-        return d - d[0]
+    def measure(self, way: Way, shots: Iterable[Shot]) -> pd.DataFrame:
+        """Columns of `Shot`, d_r_mm and semi_minor_px (NaN where no spot counts); a row a frame.
 
-    def measure(self, way: Way, shots: Sequence[Shot]) -> list[np.ndarray]:
-        """e1' of every frame, px, for each shot; NaN where no spot counts."""
-        rows, found = self.stack.exposed(way.exposure), []
+        Equal shots are taken once.
+        """
+        rows, tables = self.stack.exposed(way.exposure), []
         light = [self.stack.linear(row) for row in rows]  # read once for all shots
-        for shot in shots:
+        for shot in dict.fromkeys(shots):
             settings = way.settings
             if isinstance(settings, LiteralSettings):
                 settings = replace(settings, threshold=shot.threshold)
             spots = track(self._images(rows, shot, light), settings, start=way.click(rows))
             seen = spots_of(rows, list(spots))
-            found.append(seen.semi_minor_px.where(seen.used).to_numpy())
-        return found
+            seen["semi_minor_px"] = seen.semi_minor_px.where(seen.used)
+            tables.append(seen[["d_r_mm", "semi_minor_px"]].assign(**shot._asdict()))
+        return pd.concat(tables, ignore_index=True)
 
     def _images(
         self, rows: Sequence[FrameLabels], shot: Shot, light: Sequence[np.ndarray]
     ) -> Iterator[np.ndarray]:
-        quiet, seed = None, shot.seed or 0
-        if shot.seed is None:  # so many electrons that their number has no noise
+        quiet, seed = None, shot.noise or 0
+        if shot.noise is None:  # so many electrons that their number has no noise
             none = dict.fromkeys(("read_noise_e", "dark_signal_e", "prnu", "dsnu_e"), 0.0)
             quiet = self.scene.camera.model_copy(update={"full_well_e": 1e12, **none})
         camera = CameraSensor(self.scene, seed=seed, settings=quiet)
         for row, linear in zip(rows, light, strict=True):
             raw = camera.raw(
-                linear, exposure_s=shot.light * row.exposure_s, noise_seed=[seed, row.frame]
+                linear, exposure_s=shot.exposure * row.exposure_s, noise_seed=[seed, row.frame]
             )
             yield camera.written(raw)

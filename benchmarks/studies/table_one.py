@@ -1,19 +1,19 @@
-"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart."""
+"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart.
+
+A scan of lenses in closed form, then the best of them and some that fail on rendered stacks.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 from itertools import product
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import pandas as pd
-import tomli_w
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eyespot import optics, scenes
@@ -23,21 +23,16 @@ from eyespot.benchmarks.model_error import MEASURED, READING
 from eyespot.benchmarks.reporting import listed, rows_of, where
 from eyespot.benchmarks.study import Study
 from eyespot.benchmarks.study_command import command
-from eyespot.calibration import Lines, fit_lines
+from eyespot.calibration import fit_lines
 from eyespot.estimator import LiteralSettings
 from eyespot.formats.page import PALETTE
 from eyespot.formats.whole_files import write_text
+from eyespot.optics.wall_light.lens import lens_of, lens_parameters, lens_toml
 from eyespot.scenes import Scene
-from eyespot.scenes.world.world import World
+from eyespot.scenes.world.exposure import peak_irradiance
+from eyespot.scenes.world.world import LensLight, World
 
-
-def even_span(row: paper.PlaneRow) -> float:
-    """Length of the range over which evenly spaced readings give a line's R² and RMSE, mm."""
-    # R² is what the line explains of the readings' variance.
-    return math.sqrt(12.0 / (1.0 - row.r_squared)) * row.rmse
-
-
-# Lenses and their isophotes.
+# Lenses, and the sizes of their spots over a fixed threshold.
 #
 # On the spot's minor axis a tilted plane is as far from the tip as the axis's own wall point, so
 # that its irradiance is cos(incidence) times that of a square plane at d: the isophote of a level
@@ -50,91 +45,66 @@ _ROWS, _COLUMNS = 65, 193
 _NEAREST_MM = 0.05
 
 
-class Family(NamedTuple):
-    """A lens of a 0.5 mm fibre that is all core, as thin as its cap allows; mm."""
-
-    numerical_aperture: float
-    sag: float
-
-    @property
-    def name(self) -> str:
-        """The name in texts and file names."""
-        return f"na-{self.numerical_aperture:.3f}-sag-{self.sag:.3f}"
-
-    @property
-    def lens(self) -> dict[str, float]:
-        """Content of a lens file; the other values are those of the preset `paper-candidate`."""
-        preset = vars(optics.load_lens("paper-candidate"))
-        known = {name: float(value) for name, value in preset.items() if value is not None}
-        return known | self._asdict() | {"glue_length": self.sag}
+def lens_values(numerical_aperture: float, sag_mm: float) -> dict[str, float]:
+    """What describes a lens of a 0.5 mm fibre that is all core, as thin as its cap allows."""
+    own = {"numerical_aperture": numerical_aperture, "sag": sag_mm, "rim_height": 0.0}
+    return lens_parameters(optics.load_lens("paper-candidate")) | own
 
 
-@dataclass(frozen=True)
-class Isophotes:
-    """Size of the spot over a fixed threshold, for one lens seen in one scene.
+def world_of(lens: optics.GlueLens, scene: Scene) -> World:
+    """A scene's world with the light of another lens.
 
-    `contact`: d at reading 0, mm; `incidence`: rad; `peak`: irradiance at the level 1, 1/mm².
+    Its table is coarse: a tenth of the time of `optics.irradiance_table`, for many lenses.
     """
-
-    family: Family
-    light: optics.IrradianceTable
-    contact: float
-    incidence: float
-    peak: float
-
-    @classmethod
-    def of(cls, family: Family, scene: Scene) -> "Isophotes":
-        """The isophotes of a lens in place of the scene's."""
-        light = _light(optics.glue_lens(**family.lens), optics.MEDIA[scene.source.medium])
-        radius = np.linspace(0.0, float(light.envelope(scene.exposures.paper_distance_mm)), 512)
-        at = np.full_like(radius, scene.exposures.paper_distance_mm)
-        peak = float(jnp.max(light(radius=radius, distance=at)[1]))
-        incidence = math.radians(scene.spot.incidence_deg)
-        return cls(family, light, World(scene).contact_distance, incidence, peak)
-
-    def radius(self, reading: np.ndarray, *, level: np.ndarray) -> np.ndarray:
-        """Semi-minor axis on the wall, mm, at readings since contact, mm.
-
-        `level` broadcasts against them.
-        """
-        level = level * self.peak / math.cos(self.incidence)
-        d = reading + self.contact
-        return np.asarray(optics.isophote_radius(self.light, distance=d, level=level))
-
-
-def _light(lens: optics.GlueLens, medium_index: float) -> optics.IrradianceTable:
-    """A coarse table: a tenth of the time of `optics.irradiance_table`, for many lenses."""
+    world, medium_index = World(scene), optics.MEDIA[scene.source.medium]
     field = optics.LensField(lens, medium_index)
     distance = np.geomspace(_NEAREST_MM, LARGEST_READING_MM + 1.0, _ROWS)
-    envelope = np.asarray(field.envelope(distance))
-    radius = envelope[:, None] * np.linspace(0.0, 1.0, _COLUMNS)
-    light = jnp.stack(field(radius=radius, distance=distance[:, None]), axis=-1)
+    envelope = np.asarray(field.envelope(distance))[:, None]
+    radius = envelope * np.linspace(0.0, 1.0, _COLUMNS)
+    light = np.stack(field(radius=radius, distance=distance[:, None]), axis=-1)
     contact_radius = field.envelope(0.0)
-    return optics.IrradianceTable(
-        values=light * np.square(envelope)[:, None, None],
-        medium_index=jnp.asarray(medium_index, dtype=float),
+    table = optics.IrradianceTable(
+        values=light * np.square(envelope)[..., None],
+        medium_index=jnp.asarray(medium_index),
         contact_radius=contact_radius,
         slope=field.envelope(1.0) - contact_radius,
         nearest=_NEAREST_MM,
         farthest=LARGEST_READING_MM + 1.0,
     )
+    world.light = LensLight(table, transmitted=math.nan)  # No stack is rendered of this world.
+    return world
+
+
+def thresholded(world: World, reading: np.ndarray, *, level: np.ndarray) -> np.ndarray:
+    """e1' over a fixed threshold, px, at readings since contact, mm; a row for each level.
+
+    A level is the threshold over the peak irradiance at `exposures.paper_distance_mm`.
+    """
+    scene, table = world.scene, world.table
+    assert table is not None  # World.table is None only for a cone.
+    peak = peak_irradiance(world, distance=scene.exposures.paper_distance_mm)
+    square = peak / scene.source.power_mw / math.cos(math.radians(scene.spot.incidence_deg))
+    distance = (reading + world.contact_distance)[None]
+    radius = optics.isophote_radius(table, distance=distance, level=level[:, None] * square)
+    return np.asarray(radius) / scene.microscope.scale_mm_px
 
 
 # The scan: the threshold and range at which each lens comes nearest to Table I, in closed form.
 
 LEVELS = np.geomspace(0.1, 2.0, 31)
 """Thresholds, relative to the peak irradiance at `exposures.paper_distance_mm`."""
-SCALES_MM_PX = (0.005, 0.016)
-"""Those of a view of 10 mm on 2000 and on 640 pixels; the paper does not give its scale."""
 NEAR_CONTACT_MM = 0.5
 """First reading of a range from contact: nearer, the shaft hides a part of the spot."""
 _STEP_MM = 0.1
-_STARTS_MM = np.arange(0.0, 5.1, 0.5)
 _SPANS_MM = (3.0, 3.5, 4.0, 5.0, 6.0)
+_LENS = ["numerical_aperture", "sag_mm"]
+_CHOICE = [*_LENS, "level", "from_mm", "to_mm"]
 
-_LINE = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
-AT_SCALE, ANYWHERE = "from contact, at the scene's scale", "at any distance and scale"
-"""Which of the paper's unknown conditions are free for a lens."""
+
+def even_span(*, r_squared: float, rmse_mm: float) -> float:
+    """Length of the range over which evenly spaced readings give a line's R² and RMSE, mm."""
+    # R² is what the line explains of the readings' variance.
+    return math.sqrt(12.0 / (1.0 - r_squared)) * rmse_mm
 
 
 def readings(low: float, high: float) -> np.ndarray:
@@ -142,194 +112,71 @@ def readings(low: float, high: float) -> np.ndarray:
     return np.linspace(low, high, round((high - low) / _STEP_MM) + 1)
 
 
-def misses(lines: Lines, *, scale: float | np.ndarray) -> np.ndarray:
-    """Worst violation of `reproduction` by lines with slopes in mm/mm, in units of its tolerance.
+def misses(lines: pd.DataFrame) -> pd.Series:
+    """Worst violation of Table I's criteria by each line, in units of their tolerance.
 
-    A line without noise may be straighter than the paper's.
+    Up to 1 all are met, except that a line without noise may be straighter than the paper's.
     """
-    asked = paper.reproduction(paper.TABLE_I)
-
-    def off(value: np.ndarray, criterion: paper.Criterion) -> np.ndarray:
-        low, high = asked[criterion].low, asked[criterion].high
-        return np.abs(value - 0.5 * (low + high)) / (0.5 * (high - low))
-
-    parts = [
-        off(lines.delta_k * scale, paper.Criterion.DELTA_K),
-        off(lines.b, paper.Criterion.B),
-        (1.0 - lines.r_squared) / (1.0 - asked[paper.Criterion.R_SQUARED].low),
-        lines.rmse / asked[paper.Criterion.RMSE].high,
-    ]
-    return np.nan_to_num(np.max(parts, axis=0), nan=np.inf)
+    ideal = pd.Series({"delta_k_mm_px": 0.132, "b_mm": -5.1, "r_squared": 1.0, "rmse_mm": 0.0})
+    bounds = pd.DataFrame({column: (of.low, of.high) for column, of in paper.CRITERIA.items()})
+    tolerance = (bounds - ideal).abs().max()
+    off = (lines[paper.LINE] - ideal).abs() / tolerance
+    return off.max(axis=1, skipna=False).fillna(math.inf)
 
 
-def best_choices(isophotes: Isophotes, *, scale: float) -> pd.DataFrame:
-    """The threshold and range at which a lens comes nearest to Table I, by each way of asking.
+def best_choice(world: World) -> pd.DataFrame:
+    """The threshold and range from contact at which a lens comes nearest to Table I (`misses`).
 
-    Rows of table_one_scan.csv. `level` is the threshold over the peak at 5 mm; with a `miss` up to
-    1 all criteria are met. `scale` is the scene's, mm/px.
+    `level` is the threshold over the peak at 5 mm.
     """
     every = readings(0.0, LARGEST_READING_MM)
-    radius = isophotes.radius(every[None, :], level=LEVELS[:, None])
+    axis = thresholded(world, every, level=LEVELS)
     # A spot that the literal tracker would not accept is not seen.
-    settings, px = LiteralSettings(), radius / scale
-    small = math.pi * px**2 <= settings.min_component_px
-    radius = np.where(small | (2 * px >= settings.max_minor_axis_px), np.nan, radius)
-    lens = {"numerical_aperture": isophotes.family.numerical_aperture}
-    lens["sag_mm"] = isophotes.family.sag
+    settings = LiteralSettings()
+    small, large = settings.min_component_px, settings.max_minor_axis_px
+    axis[(math.pi * axis**2 <= small) | (2.0 * axis >= large)] = np.nan
     tables = []
-    for low, high in ((a, a + span) for a in _STARTS_MM for span in _SPANS_MM):
-        if high > LARGEST_READING_MM:
-            continue
-        inside = (every >= low - 1e-6) & (every <= high + 1e-6)
-        lines = fit_lines(radius[:, inside], every[inside])
-        whole = np.isfinite(radius[:, inside]).all(axis=1)
-        lines = Lines(*(np.where(whole, value, np.nan) for value in lines))
-        with np.errstate(divide="ignore"):
-            own = np.clip(paper.TABLE_I[paper.ALL_PLANES].delta_k / lines.delta_k, *SCALES_MM_PX)
-        asked = {ANYWHERE: own} | ({AT_SCALE: scale} if low <= NEAR_CONTACT_MM else {})
-        for way, scales in asked.items():
-            tried = {"asked": way, "level": LEVELS, "from_mm": low, "to_mm": high}
-            line = lines._replace(delta_k=lines.delta_k * scales)._asdict()
-            found = dict(zip(_LINE, (line[name] for name in paper.PlaneRow._fields), strict=True))
-            miss = misses(lines, scale=scales)
-            tables.append(
-                pd.DataFrame(lens | tried | {"scale_mm_px": scales} | found).assign(miss=miss)
-            )
+    for low, span in product((0.0, NEAR_CONTACT_MM), _SPANS_MM):
+        inside = (every >= low - 1e-6) & (every <= low + span + 1e-6)
+        lines = fit_lines(axis[:, inside], every[inside])
+        found = pd.DataFrame(dict(zip(paper.LINE, lines, strict=True)))
+        found.loc[np.isnan(axis[:, inside]).any(axis=1)] = np.nan
+        tried = pd.DataFrame({"level": LEVELS, "from_mm": low, "to_mm": low + span})
+        tables.append(tried.join(found))
     choices = pd.concat(tables, ignore_index=True)
-    return choices.loc[choices.groupby("asked").miss.idxmin()[[AT_SCALE, ANYWHERE]]]
-
-
-def family_of(choice: Any) -> Family:
-    """The lens of a row of the scan."""
-    return Family(choice.numerical_aperture, choice.sag_mm)
+    choices["miss"] = misses(choices)
+    return choices.loc[[choices.miss.idxmin()]]
 
 
 # Lenses of the scan on rendered stacks: three withdrawals from a plane, tracked in both modes.
 
 LIGHTS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.2)
 """Factors on the fixed exposure: a place of the picture reflects more or less than the mean."""
-_CHOICE = ["numerical_aperture", "sag_mm", "level", "from_mm", "to_mm", "scale_mm_px"]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConfirmedLens:
-    """A row of the scan with the threshold and first reading that fit the rendered spots best.
-
-    Spots are e1' (px, NaN where none counts) and d_r (mm) by (way, trial); lines are rows of
-    table_one_rendered.csv, "all planes" among the trials.
-    """
-
-    choice: Any
-    spots: dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]
-    lines: pd.DataFrame
-    criteria: dict[paper.Criterion, page.Claim]  # of Table I, in literal mode
-
-    @property
-    def reproduces(self) -> bool:
-        """Whether all criteria are met, scatter as large as the paper's included."""
-        return all(claim.holds for claim in self.criteria.values())
-
-    @property
-    def straight(self) -> bool:
-        """Whether they are met if the scatter may be smaller than the paper's."""
-        rmse = self.criteria[paper.Criterion.RMSE]
-        others = (c for criterion, c in self.criteria.items() if criterion != paper.Criterion.RMSE)
-        return np.max(rmse.value) <= rmse.high and all(claim.holds for claim in others)
-
-
-def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[ConfirmedLens]:
-    """Render, track and fit rows of the scan; lens files go into the study's folder."""
-    folder = (study.folder / "lenses").absolute()  # stacks name files; a run may resume elsewhere
-    folder.mkdir(exist_ok=True)
-    places = paper.paper_trials(source="lens", quick=True, seed=0)
-    wanted = {}
-
-    def name(choice: Any, trial: str) -> str:
-        return f"{family_of(choice).name}-{trial.replace(' ', '-')}"
-
-    for choice in choices:
-        family = family_of(choice)
-        lens = folder / f"{family.name}.toml"
-        write_text(lens, tomli_w.dumps({"schema": 1, "lens": family.lens}), replace=True)
-        for number, place in enumerate(place for place in places if place.kind == "plane"):
-            wanted[name(choice, place.group)] = scenes.changed(
-                study.scene,
-                {
-                    **paper.at_place(place, frames=frames),
-                    "seed": study.seed + number,
-                    "source.kind": "lens",
-                    "source.lens": str(lens),
-                    "motion.travel_mm": choice.to_mm,
-                    "exposures.paper_level": choice.level,
-                },
-            )
-
-    taken = study.photographers(wanted)
-    return [
-        _confirmed(choice, {trial: taken[name(choice, trial)] for trial in paper.PAPERS_PLANES})
-        for choice in choices
-    ]
-
-
-def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> ConfirmedLens:
-    readings = {trial: p.readings for trial, p in trials.items()}
-    measured = {
-        trial: p.measure(
-            paper.LITERAL, [paper.Shot(seed=p.scene.seed, light=light) for light in LIGHTS]
-        )
-        for trial, p in trials.items()
-    }
-
-    def line(spots: Mapping[str, np.ndarray], start: float) -> Lines:
-        axis = np.concatenate(list(spots.values()))
-        reading = np.concatenate([readings[trial] for trial in spots])
-        return fit_lines(np.where(reading > start - 1e-6, axis, np.nan), reading)
-
-    def with_light(n: int) -> dict[str, np.ndarray]:
-        return {trial: each[n] for trial, each in measured.items()}
-
-    def miss(candidate: tuple[int, float]) -> float:
-        spots, start = with_light(candidate[0]), candidate[1]
-        together = line(spots, start)
-        own = [line({trial: each}, start) for trial, each in spots.items()]
-        # The slope of Table I is that of all trials together, its scatter that of each.
-        asked = [one._replace(delta_k=together.delta_k, b=together.b) for one in own]
-        return max(float(misses(one, scale=1.0)) for one in asked)
-
-    starts = sorted({choice.from_mm, NEAR_CONTACT_MM})
-    n, start = min(product(range(len(LIGHTS)), starts), key=miss)
-    choice = choice._replace(level=choice.level / LIGHTS[n], from_mm=start)
-    seen = {
-        paper.LITERAL.name: with_light(n),
-        paper.SUBPIXEL.name: {
-            t: p.measure(paper.SUBPIXEL, [paper.Shot(seed=p.scene.seed)])[0]
-            for t, p in trials.items()
-        },
-    }
-    about, rows = [getattr(choice, column) for column in _CHOICE], []
-    for way, spots in seen.items():
-        for trial, of in [*((t, {t: spots[t]}) for t in spots), (paper.ALL_PLANES, spots)]:
-            found = paper.PlaneRow(*map(float, line(of, start)))
-            used = [np.isfinite(e) & (readings[t] > start - 1e-6) for t, e in of.items()]
-            rows.append((*about, way, trial, *found, -found.b / found.delta_k, np.sum(used)))
-    columns = [*_CHOICE, "way", "trial", *_LINE, "contact_radius_px", "spots"]
-    lines = pd.DataFrame(rows, columns=columns)
-    points = {(way, t): (e, readings[t]) for way, spots in seen.items() for t, e in spots.items()}
-    fits = paper.plane_rows(where(lines, way=paper.LITERAL.name))
-    met = paper.reproduction(fits, name="Table I by the best lens")
-    return ConfirmedLens(choice=choice, spots=points, lines=lines, criteria=met)
-
-
 WIDE_APERTURE = 0.15  # From here on the first scan, by ray binning, found no flat end that fits.
 _CURVED_MM = 0.02
 
 
-def check(scene: Scene) -> None:
-    """Refuse a scene that cannot be compared with Table I."""
-    plane = {"phantom.kind": "plane", "phantom.tilt_deg": 0}
-    Study.demand(scene, plane, "Table I is of a plane square to the microscope")
-    lens = {"source.kind": "lens", "motion.kind": "withdrawal", "motion.start_mm": "contact"}
-    Study.demand(scene, lens, "the study compares lenses on withdrawals from contact")
+class ConfirmedLens(NamedTuple):
+    """A row of the scan with the threshold and first reading that fit the rendered spots best.
+
+    `choice.miss` is that of the rendered spots, `spots` are those of literal mode, `lines` rows of
+    table_one_rendered.csv.
+    """
+
+    choice: Any
+    spots: pd.DataFrame
+    lines: pd.DataFrame
+
+    @property
+    def criteria(self) -> dict[str, page.Claim]:
+        """Those of Table I in literal mode, the scatter's lower bound included."""
+        literal = where(self.lines, way=paper.LITERAL.name)
+        return paper.reproduction(literal, name="Table I by the best lens")
+
+    @property
+    def reproduces(self) -> bool:
+        """Whether all criteria are met."""
+        return all(claim.holds for claim in self.criteria.values())
 
 
 def to_render(scan: pd.DataFrame, *, quick: bool) -> list[Any]:
@@ -337,16 +184,74 @@ def to_render(scan: pd.DataFrame, *, quick: bool) -> list[Any]:
 
     Only the best, and the nearest with a round cap, if quick.
     """
-    ranked = where(scan, asked=AT_SCALE).sort_values("miss", kind="stable")
-    candidate = optics.load_lens("paper-candidate")
-    own = (ranked.numerical_aperture == float(candidate.numerical_aperture)) & (
-        ranked.sag_mm == float(candidate.sag)
-    )
+    ranked = scan.sort_values("miss", kind="stable")
+    candidate = lens_parameters(optics.load_lens("paper-candidate"))
+    own = where(ranked, numerical_aperture=candidate["numerical_aperture"], sag_mm=candidate["sag"])
     curved = ranked.sag_mm >= _CURVED_MM
     wide = (ranked.numerical_aperture >= WIDE_APERTURE) & (ranked.sag_mm == 0)
     failing = [ranked[kind & (ranked.miss > 1)][:1] for kind in (curved, wide)]
-    chosen = [ranked[:1], failing[0]] if quick else [ranked[:2], ranked[own], *failing]
+    chosen = [ranked[:1], failing[0]] if quick else [ranked[:2], own, *failing]
     return list(dict.fromkeys(rows_of(pd.concat(chosen))))
+
+
+def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[ConfirmedLens]:
+    """Render, track and fit rows of the scan; lens files go into the study's folder.
+
+    The lenses that fit best are the first.
+    """
+    folder = (study.folder / "lenses").absolute()  # stacks name files; a run may resume elsewhere
+    folder.mkdir(exist_ok=True)
+    wanted, names = {}, {}
+    for choice in choices:
+        lens = f"na-{choice.numerical_aperture:.3f}-sag-{choice.sag_mm:.3f}"
+        values = lens_values(choice.numerical_aperture, choice.sag_mm)
+        content = lens_toml(values, provenance="eyespot study table-one")
+        write_text(folder / f"{lens}.toml", content, replace=True)
+        names[choice] = {trial: f"{lens}-{trial.replace(' ', '-')}" for trial in paper.PLANES}
+        for number, trial in enumerate(paper.PLANES):
+            own = {
+                "seed": study.seed + number,
+                "source.kind": "lens",
+                "source.lens": str(folder / f"{lens}.toml"),
+                "motion.travel_mm": choice.to_mm,
+                "exposures.paper_level": choice.level,
+            }
+            changes = {**paper.to_photograph(trial, frames=frames), **own}
+            wanted[names[choice][trial]] = scenes.changed(study.scene, changes)
+    taken = study.photographers(wanted)
+    found = [
+        _confirmed(choice, {trial: taken[name] for trial, name in of.items()})
+        for choice, of in names.items()
+    ]
+    return sorted(found, key=lambda one: (not one.reproduces, one.choice.miss > 1))
+
+
+def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> ConfirmedLens:
+    def spots(way: paper.Way, lights: Sequence[float]) -> pd.DataFrame:
+        tables = []
+        for trial, own in trials.items():
+            shots = [paper.Shot(noise=own.scene.seed, exposure=light) for light in lights]
+            tables.append(own.measure(way, shots).assign(way=way.name, trial=trial))
+        return pd.concat(tables)
+
+    literal, by = spots(paper.LITERAL, LIGHTS), ["exposure", "from_mm"]
+    tried = pd.concat(
+        literal[literal.d_r_mm > start - 1e-6].assign(from_mm=start)
+        for start in {choice.from_mm, NEAR_CONTACT_MM}
+    )
+    lines = paper.line_fits(tried, *by)
+    # The slope of Table I is that of all trials together, its scatter that of each.
+    slope = ["delta_k_mm_px", "b_mm"]
+    together = where(lines, trial=paper.ALL_PLANES).set_index(by)[slope]
+    asked = lines[lines.trial != paper.ALL_PLANES].drop(columns=slope).join(together, on=by)
+    worst = asked.assign(miss=misses(asked)).groupby(by, as_index=False).miss.max()
+    light, start, miss = worst.loc[worst.miss.idxmin()]
+    choice = choice._replace(level=choice.level / light, from_mm=start, miss=miss)
+    literal = where(literal, exposure=light)
+    seen = pd.concat([literal, spots(paper.SUBPIXEL, (1.0,))])
+    about = {name: getattr(choice, name) for name in _CHOICE}
+    lines = paper.line_fits(seen[seen.d_r_mm > start - 1e-6].assign(**about), *_CHOICE, "way")
+    return ConfirmedLens(choice, literal, lines)
 
 
 # Why trials differ.
@@ -355,181 +260,135 @@ LIGHT = 0.2
 """Part of the light by which a trial may have more or less."""
 
 
-def moved_by_light(isophotes: Isophotes, choice: Any) -> float:
+def moved_by_light(world: World, choice: Any) -> float:
     """How far a fifth more or less light moves −b/δk, the radius at contact, of a choice, px.
 
     More light lowers the level that the threshold stands for. A wrong touch would shift b alone.
     """
     reading = readings(choice.from_mm, choice.to_mm)
     levels = choice.level / np.array([1.0, 1.0 + LIGHT, 1.0 - LIGHT])
-    radius = isophotes.radius(reading[None, :], level=levels[:, None])
-    lines = fit_lines(radius / choice.scale_mm_px, reading)
+    lines = fit_lines(thresholded(world, reading, level=levels), reading)
     own, *others = (-lines.b / lines.delta_k).tolist()
     return max(abs(other - own) for other in others)
 
 
-# The figure.
-
-
-def _figure(
-    isophotes: dict[Family, Isophotes], scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens]
-) -> Figure:
-    """Misfit of each lens; spots of the rendered ones, thresholded and at half maximum."""
-
-    def misfits(axes: Axes) -> None:
-        near = where(scan, asked=AT_SCALE).sort_values("sag_mm")
-        apertures = near.groupby("numerical_aperture")
-        for (aperture, own), colour in zip(apertures, PALETTE, strict=False):
-            label = f"NA {aperture:.2f}"
-            axes.plot(own.sag_mm, own.miss, marker="o", ms=3, color=colour, label=label)
-        axes.axhline(1.0, color=page.GREY, lw=0.8, ls=":")
-        axes.set(yscale="log")
-
-    def spots(axes: Axes, way: paper.Way) -> None:
-        d_r = readings(0.0, LARGEST_READING_MM)
-        for one, colour in zip(confirmed, PALETTE, strict=False):
-            choice, light = one.choice, isophotes[family_of(one.choice)]
-            distance = d_r + light.contact
-            radius = np.asarray(optics.half_maximum_radius(light.light, distance=distance))
-            if way is paper.LITERAL:
-                radius = light.radius(d_r, level=np.full_like(d_r, choice.level))
-            seen = (d_r <= choice.to_mm) & (radius > 0)
-            label = f"NA {choice.numerical_aperture:.2f}, sag {choice.sag_mm:g} mm"
-            axes.plot(radius[seen] / choice.scale_mm_px, d_r[seen], color=colour, label=label)
-            for trial in paper.PAPERS_PLANES:
-                axes.plot(*one.spots[way.name, trial], ".", ms=3, color=colour)
-        for row in paper.PAPERS_PLANES.values():
-            d = np.array([0.0, even_span(row)])
-            axes.plot((d - row.b) / row.delta_k, d, color=page.GREY, lw=2, alpha=0.5, zorder=0)
-        axes.set_xlim(left=0)
-
-    panels: dict[str, Callable[[Axes], None]] = {
-        "worst violation / tolerance": misfits,
-        f"fixed threshold: {READING}": lambda axes: spots(axes, paper.LITERAL),
-        f"half maximum: {READING}": lambda axes: spots(axes, paper.SUBPIXEL),
-    }
-
-    def draw(axes: Axes, _: str, name: str) -> None:
-        panels[name](axes)
-        axes.legend()
-
-    first, *_ = panels
-    return page.small_multiples(
-        draw,
-        columns=list(panels),
-        x=lambda name: "sag of the cap (mm)" if name == first else MEASURED,
-        height=4.0,
-        legend_columns=0,
-    )
-
-
 # The page.
 
-_TRIALS = list(paper.PAPERS_PLANES.values())
+Worlds = Mapping[tuple[float, float], World]
+"""By numerical aperture and sag of the lens."""
 
-_LENS = ["numerical_aperture", "sag_mm"]
+
+def _figure(worlds: Worlds, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens]) -> Figure:
+    """Misfit of each lens; spots of the rendered ones, measured and in closed form."""
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    miss = scan.pivot(index="sag_mm", columns="numerical_aperture", values="miss")
+    left.set_prop_cycle(color=PALETTE)
+    left.plot(miss, marker="o", ms=3, label=[f"NA {aperture:.2f}" for aperture in miss])
+    left.axhline(1.0, color=page.GREY, lw=0.8, ls=":")
+    left.set(xlabel="sag of the cap (mm)", ylabel="worst violation / tolerance", yscale="log")
+    for (choice, spots, _), colour in zip(confirmed, PALETTE, strict=False):
+        d_r, world = readings(0.0, choice.to_mm), worlds[choice.numerical_aperture, choice.sag_mm]
+        (axis,) = thresholded(world, d_r, level=np.array([choice.level]))
+        label = f"NA {choice.numerical_aperture:.2f}, sag {choice.sag_mm:g} mm"
+        right.plot(axis[axis > 0], d_r[axis > 0], color=colour, label=label)
+        right.plot(spots.semi_minor_px, spots.d_r_mm, ".", ms=3, color=colour)
+    for row in rows_of(paper.TABLE_I.loc[paper.PLANES]):
+        d_r = np.array([0.0, even_span(r_squared=row.r_squared, rmse_mm=row.rmse_mm)])
+        axis = (d_r - row.b_mm) / row.delta_k_mm_px
+        right.plot(axis, d_r, color=page.GREY, lw=2, alpha=0.5, zorder=0)
+    right.set(xlabel=MEASURED, ylabel=READING, xlim=(0.0, None))
+    for axes in (left, right):
+        axes.legend()
+    return figure
 
 
 def report(
-    scene: Scene,
-    isophotes: dict[Family, Isophotes],
-    scan: pd.DataFrame,
-    confirmed: Sequence[ConfirmedLens],
+    worlds: Worlds, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], *, scale: float
 ) -> page.Report:
-    """The report of a run."""
+    """The report of a run; `scale` is the scene's, mm/px."""
     lines = pd.concat([one.lines for one in confirmed], ignore_index=True)
-    printed = pd.DataFrame(
-        [("paper", name, *row, -row.b / row.delta_k, 0) for name, row in paper.TABLE_I.items()],
-        columns=["way", "trial", *_LINE, "contact_radius_px", "spots"],
-    )
-    best = confirmed[0].choice
-    light = moved_by_light(isophotes[family_of(best)], best)
-    nearest = where(scan, asked=AT_SCALE).sort_values("miss", kind="stable")
-    fitting, rendered = sum(nearest.miss <= 1), sum(one.reproduces for one in confirmed)
+    fits = scan[scan.miss <= 1]
     return page.Report(
         title="Which lens gives the paper's Table I, and why do its trials differ?",
-        answer=f"{fitting} of {len(isophotes)} lenses give Table I's line by a fixed threshold"
-        f"{', so the table does not identify the lens' if fitting > 1 else ''}; {rendered} of "
-        f"{len(confirmed)} rendered ones meet all its criteria.",
+        answer=f"{len(fits)} of {len(scan)} lenses give Table I's line by a fixed threshold"
+        f"{', so the table does not identify the lens' if len(fits) > 1 else ''}; "
+        f"{sum(one.reproduces for one in confirmed)} of {len(confirmed)} rendered ones meet all "
+        "its criteria.",
         lead="A fixed threshold on the light of glue lenses: a scan of lenses, thresholds and "
         "distances in closed form, then the best lenses and some that fail on rendered stacks, "
         "tracked by the paper's algorithm and in sub-pixel mode.",
         first=[
             page.Picture(
                 "table_one",
-                _figure(isophotes, scan, confirmed),
-                "How near lenses come to Table I. Left: the worst violation of Table I's "
-                "criteria, in units of their tolerance, for each lens at its best threshold and "
-                "range near contact; below 1 the lens fits. Middle and right: spots on rendered "
-                "planes (marks) by the fixed threshold and by the half maximum, and the same in "
-                "closed form (lines). Grey: the paper's three lines from contact, over the spans "
-                "that their R² and RMSE imply.",
+                _figure(worlds, scan, confirmed),
+                "How near lenses come to Table I. Left: the worst violation of its criteria, in "
+                "units of their tolerance, at each lens's best threshold and range near contact; "
+                "below 1 the lens fits. Right: spots on rendered planes (marks) by the fixed "
+                "threshold, and the same in closed form (lines). Grey: the paper's three lines "
+                "from contact, over the spans that their R² and RMSE imply.",
                 data="table_one_scan.csv",
             ),
             page.Table(
-                nearest,
-                [*_LENS, "level", "from_mm", "to_mm", *_LINE, "miss"],
+                scan.sort_values("miss", kind="stable"),
+                [*_CHOICE, *paper.LINE, "miss"],
                 "The lenses that come nearest to Table I, in closed form, at the scene's scale. "
                 "Level: the threshold over the peak at 5 mm. Miss: the worst violation of a "
                 "criterion over its tolerance.",
                 data="table_one_scan.csv",
             ),
         ],
-        claims=list(_claims(scene, scan, confirmed, light)),
+        claims=[
+            *confirmed[0].criteria.values(),
+            page.Claim(
+                name="lenses",
+                sentence=f"{len(fits)} of {len(scan)} lenses give Table I's line from contact at "
+                f"{scale:g} mm/px, a scale that the paper does not state: NA "
+                f"{listed(fits.numerical_aperture, '.2f')}, sag {listed(fits.sag_mm, '.3f')} mm, "
+                f"threshold {listed(fits.level, '.2f')}, readings up to {listed(fits.to_mm, 'g')} "
+                f"mm. Of {len(confirmed)} lenses rendered, "
+                f"{sum(one.choice.miss > 1 for one in confirmed)} fail at their best threshold "
+                "and range.",
+                value=len(fits),
+            ),
+            _effect_of_light(worlds, confirmed[0]),
+        ],
         sections=[
             page.Section(
                 "Rendered",
                 page.Table(
-                    pd.concat([lines, printed]),
-                    [*_LENS, "way", "trial", *_LINE, "contact_radius_px", "spots"],
-                    "Lines through the spots of rendered trials, and the paper's.",
+                    lines,
+                    [*_LENS, "way", "trial", *paper.LINE, "contact_radius_px", "spots"],
+                    "Lines through the spots of rendered trials, those of the best lens first.",
                     data="table_one_rendered.csv",
                 ),
             ),
         ],
-        data={
-            "table_one_scan.csv": scan,
-            "table_one_rendered.csv": lines,
-        },
+        data={"table_one_scan.csv": scan, "table_one_rendered.csv": lines},
     )
 
 
-def _claims(
-    scene: Scene, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLens], light: float
-) -> Iterator[page.Claim]:
-    yield from confirmed[0].criteria.values()
-    near, anywhere = (where(scan, asked=way) for way in (AT_SCALE, ANYWHERE))
-    fits = near[near.miss <= 1].sort_values(["numerical_aperture", "sag_mm", "level"])
-    yield page.Claim(
-        name="lenses",
-        sentence=f"{len(fits)} of {len(near)} lenses give Table I's line from contact at "
-        f"{scene.microscope.scale_mm_px:g} mm/px: NA {listed(fits.numerical_aperture, '.2f')}, sag "
-        f"{listed(fits.sag_mm, '.3f')} mm, threshold {listed(fits.level, '.2f')}, readings up to "
-        f"{listed(fits.to_mm, 'g')} mm. If neither the scale ({listed(SCALES_MM_PX, 'g')} mm/px at "
-        f"the ends) nor the distances (up to {LARGEST_READING_MM:g} mm) are known, "
-        f"{sum(anywhere.miss <= 1)} lenses do, so the table does not identify the lens. Of "
-        f"{len(confirmed)} lenses rendered, {sum(not one.straight for one in confirmed)} fail at "
-        "their best threshold and range.",
-        value=len(fits),
-    )
-    first, second, third = _TRIALS
-    contacts = np.array([-row.b / row.delta_k for row in _TRIALS])
+def _effect_of_light(worlds: Worlds, best: ConfirmedLens) -> page.Claim:
+    lens = best.choice.numerical_aperture, best.choice.sag_mm
+    light = moved_by_light(worlds[lens], best.choice)
+    rendered = where(best.lines, way=paper.LITERAL.name).set_index("trial").delta_k_mm_px
     # Light moves δk and b in proportion, so that −b/δk stays; a missed touch moves b alone.
-    ratios = np.array([row.delta_k / second.delta_k for row in (first, third)])
-    touches = np.array([row.b for row in (first, third)]) - ratios * second.b
-    rendered = paper.plane_rows(where(confirmed[0].lines, way=paper.LITERAL.name))
-    yield page.Claim(
+    slope, b = paper.TABLE_I.delta_k_mm_px[paper.PLANES], paper.TABLE_I.b_mm[paper.PLANES]
+    contact, ratio = -b / slope, slope / slope["plane 2"]
+    touch = (b - ratio * b["plane 2"]).abs()
+    others = ["plane 1", "plane 3"]
+    return page.Claim(
         name="light moves −b/δk less than the paper's trials differ",
-        sentence=f"A fifth more or less light moves −b/δk by {light:.1f} px at most; a third of "
-        f"the paper's differences is {np.ptp(contacts) / 3:.1f} px. Light, tilt and the picture on "
-        "the wall change δk and b in proportion; a missed touch changes b only. Points 1 and 3 "
-        f"differ from point 2 by {listed(100 * (ratios - 1), '+.1f')} % in δk and by "
-        f"{listed(contacts[[0, 2]] - contacts[1], '+.1f')} px in −b/δk, which a missed touch of "
-        f"{listed(np.abs(touches), '.2f')} mm explains. The rendered trials of the best lens, at "
-        "three places of one picture and touched exactly, have δk of "
-        f"{listed([rendered[trial].delta_k for trial in paper.PAPERS_PLANES], '.4f')} mm/px.",
+        sentence=f"A fifth more or less light moves −b/δk by {light:.1f} px at most; a third "
+        f"of the paper's differences is {np.ptp(contact) / 3:.1f} px. Light, tilt and the "
+        "picture on the wall change δk and b in proportion; a missed touch changes b only. "
+        f"Points 1 and 3 differ from point 2 by {listed(100 * (ratio[others] - 1), '+.1f')} % in "
+        f"δk and by {listed(contact[others] - contact['plane 2'], '+.1f')} px in −b/δk, "
+        f"which a missed touch of {listed(touch[others], '.2f')} mm explains. The rendered trials "
+        "of the best lens, at three places of one picture and touched exactly, have δk of "
+        f"{listed(rendered[paper.PLANES], '.4f')} mm/px.",
         value=light,
-        high=float(np.ptp(contacts)) / 3,
+        high=float(np.ptp(contact)) / 3,
     )
 
 
@@ -542,6 +401,14 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
+def check(scene: Scene) -> None:
+    """Refuse a scene that cannot be compared with Table I."""
+    plane = {"phantom.kind": "plane", "phantom.tilt_deg": 0}
+    Study.demand(scene, plane, "Table I is of a plane square to the microscope")
+    lens = {"source.kind": "lens", "motion.kind": "withdrawal", "motion.start_mm": "contact"}
+    Study.demand(scene, lens, "the study compares lenses on withdrawals from contact")
+
+
 @command(defaults=("phantom.kind=plane",), check=check, varies=VARIED)
 def table_one(study: Study) -> list[ConfirmedLens]:
     """Find the lenses that give the paper's Table I, and why its trials differ."""
@@ -550,18 +417,16 @@ def table_one(study: Study) -> list[ConfirmedLens]:
     if not quick:
         apertures = [0.05, 0.08, 0.10, 0.12, 0.15, 0.20]
         sags = [0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.12]
-    wanted = [Family(*lens) for lens in product(apertures, sags)]
+    lenses = [*product(apertures, sags)]
     with study.timed("scan of lenses"), ThreadPoolExecutor(max_workers=2) as pool:
-        found = pool.map(lambda family: Isophotes.of(family, base), wanted)
-        isophotes = dict(zip(wanted, found, strict=True))
-        scale = base.microscope.scale_mm_px
-        rows = [best_choices(one, scale=scale) for one in isophotes.values()]
-        scan = pd.concat(rows, ignore_index=True)
+        made = pool.map(lambda lens: world_of(lens_of(lens_values(*lens)), base), lenses)
+        worlds = dict(zip(lenses, made, strict=True))
+        scan = pd.concat(
+            best_choice(world).assign(numerical_aperture=aperture, sag_mm=sag)
+            for (aperture, sag), world in worlds.items()
+        )[[*_CHOICE, *paper.LINE, "miss"]]
     with study.timed("render and measure"):
-        confirmed = sorted(
-            confirm(study, to_render(scan, quick=quick), frames=7 if quick else 31),
-            key=lambda one: (one.reproduces, one.straight),
-            reverse=True,
-        )
-    study.publish(report, base, isophotes, scan, confirmed)
+        choices, frames = to_render(scan, quick=quick), 7 if quick else 31
+        confirmed = confirm(study, choices, frames=frames)
+    study.publish(report, worlds, scan, confirmed, scale=base.microscope.scale_mm_px)
     return confirmed

@@ -1,7 +1,7 @@
 """The main job: the paper's static experiment rendered, and its model against the truth."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -19,111 +19,72 @@ from eyespot.benchmarks.paper import ACCEPTABLE_ERROR_MM
 from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
 from eyespot.benchmarks.study import Study, geometry_of
 from eyespot.benchmarks.study_command import LightSource, command
-from eyespot.calibration import fit_eccentricity, fit_lines, fit_plane
 from eyespot.formats.stack import Stack, read_stack
+from eyespot.scenes import Scene
 
 # The fits of Tables I and II, and the models' errors.
 
 REPORTED_ECCENTRICITIES_MM = (3.0, 5.0)
 _ANALYTIC_HEIGHTS_MM = (*paper.PINHOLE_HEIGHTS_MM, 100.0)
 _FEWEST_SPOTS = 6  # Fewer do not determine a line and its scatter.
-_STEP_MM, _SHORTEST_MM = 0.5, 2.0  # Parts of the range that are tried begin at steps.
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValidateFindings:
     """All results of a run.
 
-    `spots`: of every trial in every way, `paper.spots_of` with trial, source, kind, group and way;
-    `planes`, `spheres`: content of table_1.csv and table_2.csv; `analytic`, `rendered`: the models'
-    errors on exact contours and on spots of the ideal cone.
+    `trials`: `paper.withdrawals`; `spots`: of every trial in every way, `paper.spots_of` with
+    withdrawal (its name), source, trial and way; `planes`, `spheres`: content of table_1.csv and
+    table_2.csv; `analytic`, `rendered`: the models' errors on exact contours and on spots of the
+    ideal cone.
     """
 
     stacks: Path
-    trials: list[paper.StaticTrial]
+    trials: pd.DataFrame
     spots: pd.DataFrame
     planes: pd.DataFrame
     spheres: pd.DataFrame
     analytic: pd.DataFrame
     rendered: pd.DataFrame
 
-    def on_plane(self, source: str) -> paper.StaticTrial | None:
-        """A source's first trial on the plane; None in a run without that source."""
-        own = (t for t in self.trials if (t.source, t.kind) == (source, "plane"))
-        return next(own, None)
-
     @property
-    def sources(self) -> list[str]:
-        """The sources of the paper's trials."""
-        return list(dict.fromkeys(t.source for t in self.trials if t.kind != "grid"))
+    def scenes(self) -> dict[str, Scene]:
+        """The scene of the first trial on the plane with each source."""
+        of_paper = self.trials[self.trials.trial == paper.PLANES[0]]
+        return dict(zip(of_paper.source, of_paper.scene, strict=True))
 
-    def lines(self, source: str, way: paper.Way) -> dict[str, paper.PlaneRow]:
-        """Table I of one source and way; empty without a fit."""
-        return paper.plane_rows(where(self.planes, source=source, way=way.name))
-
-
-_PLANES = (
-    "source way trial delta_k_mm_px delta_k_error_mm_px paper_delta_k_mm_px b_mm b_error_mm "
-    "paper_b_mm r_squared paper_r_squared rmse_mm paper_rmse_mm contact_radius_px spots converged"
-).split()
-_SIZES = "standard_deviation", "mean_absolute_error", "max_error"
-_SPHERES = (
-    *("source", "way", "trial", "c_true_mm", "c_fitted_mm", "c_error_mm", "c_expected_mm"),
-    *(f"{papers}{size}_mm" for size in _SIZES for papers in ("", "paper_")),
-    *("spots", "converged", "at_bound"),
-)
+    def line(self, source: str, way: paper.Way) -> Any:
+        """The line of all planes of one source and way; None without a fit."""
+        found = where(self.planes, source=source, way=way.name, trial=paper.ALL_PLANES)
+        return next(iter(rows_of(found)), None)
 
 
-def fit_tables(
-    trials: Sequence[paper.StaticTrial], spots: pd.DataFrame
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def fit_tables(spots: pd.DataFrame, scene: Scene) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Tables I and II for every source and way with enough spots, beside the paper's values.
 
     `c_expected_mm` is the c whose factor cos(phi) equals the correct first-order factor of the true
-    c, or 0 if that is above 1.
+    c, or 0 if that is above 1. `scene` has the microscope and the eyeball of all trials.
     """
-    scenes, planes, spheres = {(t.source, t.group): t.scene for t in trials}, [], []
-    for source, way in product(("lens", "cone"), paper.WAYS):
-        seen = where(spots, used=True, source=source, way=way.name)
-        enough = seen[seen.groupby("trial").trial.transform("size") >= _FEWEST_SPOTS]
-        on_plane = where(enough, kind="plane")
-        if on_plane.empty:
-            continue
-        for trial, rows in [*grouped(on_plane, "group"), (paper.ALL_PLANES, on_plane)]:
-            e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
-            line, papers = fit_plane(semi_minor_px=e, distance=d_r), paper.TABLE_I[trial]
-            slope = line.delta_k, line.delta_k_error, papers.delta_k
-            scatter = line.r_squared, papers.r_squared, line.rmse, papers.rmse
-            fitted = *slope, line.b, line.b_error, papers.b, *scatter, -line.b / line.delta_k
-            planes.append((source, way.name, trial, *fitted, line.spots, line.converged))
-        for trial, rows in grouped(where(enough, kind="sphere"), "group"):
-            scene, printed = scenes[source, trial], paper.TABLE_II[trial]
-            c, r = scene.spot.eccentricity_mm, scene.phantom.radius_mm
-            e, d_r = rows[["semi_minor_px", "d_r_mm"]].to_numpy().T
-            fit = fit_eccentricity(
-                semi_minor_px=e,
-                distance=d_r,
-                delta_k=line.delta_k,
-                b=line.b,
-                scale=scene.microscope.scale_mm_px,
-                eye_radius=r,
-            )
-            kappa = 1.0 / (scene.microscope.pinhole_height_mm + r)
-            right = float(
-                optics.corrected_factor(
-                    eccentricity=c, eye_radius=r, inverse_working_distance=kappa
-                )
-            )
-            places = c, fit.c, fit.c_error, r * math.sqrt(max(0.0, 1.0 - right**2))
-            beside = [getattr(of, size) for size in _SIZES for of in (fit, printed)]
-            about = fit.spots, fit.converged, fit.at_bound
-            spheres.append((source, way.name, trial, *places, *beside, *about))
-    return pd.DataFrame(planes, columns=_PLANES), pd.DataFrame(spheres, columns=_SPHERES)
+    seen = where(spots, used=True).sort_values("source", ascending=False, kind="stable")
+    enough = seen[seen.groupby(["way", "withdrawal"]).d_mm.transform("size") >= _FEWEST_SPOTS]
+    planes = paper.line_fits(enough[enough.trial.isin(paper.PLANES)], "source", "way")
+    in_eyeball = enough[enough.trial.isin(paper.SPHERES)]
+    spheres = paper.sphere_fits(in_eyeball, planes, "source", "way", scene=scene)
+    c, r = spheres.trial.map(paper.TABLE_II.c_mm).to_numpy(float), scene.phantom.radius_mm
+    kappa = 1.0 / (scene.microscope.pinhole_height_mm + r)
+    right = optics.corrected_factor(eccentricity=c, eye_radius=r, inverse_working_distance=kappa)
+    expected = r * np.sqrt(np.maximum(0.0, 1.0 - np.asarray(right) ** 2))
+    spheres = spheres.rename(columns={"c_mm": "c_fitted_mm"})
+    spheres = spheres.assign(c_true_mm=c, c_expected_mm=expected)
+    return (
+        planes.join(paper.TABLE_I.add_prefix("paper_"), on="trial"),
+        spheres.join(paper.TABLE_II[paper.ERRORS].add_prefix("paper_"), on="trial"),
+    )
 
 
 def analytic_errors(*, quick: bool) -> pd.DataFrame:
     """Errors on exact contours: square to the wall, and at the trials' incidence and azimuths."""
-    geometry = geometry_of(paper.grid_trials(quick=quick, seed=0)[0].scene)
+    geometry = geometry_of(paper.withdrawals([], quick=True, seed=0).scene.iloc[0])
     tilts = [(0.0, 0.0)]
     tilts += [(geometry.incidence, math.radians(azimuth)) for azimuth in paper.TILT_AZIMUTHS_DEG]
     grid = np.linspace(0.0, 7.0, 8 if quick else 29), np.arange(0.5, 6.01, 0.5)
@@ -136,34 +97,6 @@ def analytic_errors(*, quick: bool) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True)
 
 
-def nearest_reproduction(
-    findings: ValidateFindings, source: str
-) -> tuple[float, float, dict[paper.Criterion, page.Claim]] | None:
-    """The widest of those parts of the range that meet most criteria of Table I, in literal mode.
-
-    The paper does not state the distances of its fits. This tries all parts of 2 mm or more that
-    begin and end at multiples of 0.5 mm. The result is the first and the last reading (mm) and the
-    criteria, None if no part has three spots of each trial.
-    """
-    way = paper.LITERAL.name
-    planes = where(findings.spots, used=True, source=source, way=way, kind="plane")
-    ends = np.arange(0.0, max(planes.d_r_mm, default=0.0) + 1e-6, _STEP_MM)
-    parts = []
-    for low, high in product(ends.tolist(), repeat=2):
-        inside = planes[planes.d_r_mm.between(low - 1e-6, high + 1e-6, inclusive="neither")]
-        trials = [*grouped(inside, "group"), (paper.ALL_PLANES, inside)]
-        whole = len(trials) == len(paper.TABLE_I) and all(len(rows) >= 3 for _, rows in trials)
-        if high >= low + _SHORTEST_MM and whole:
-            points = {t: rows[["semi_minor_px", "d_r_mm"]].to_numpy().T for t, rows in trials}
-            fits = {t: paper.PlaneRow(*map(float, fit_lines(*of))) for t, of in points.items()}
-            parts.append((low, high, paper.reproduction(fits)))
-    return max(parts, key=lambda part: (_met(part[2]), part[1] - part[0]), default=None)
-
-
-def _met(criteria: dict[paper.Criterion, page.Claim]) -> int:
-    return sum(bool(claim.holds) for claim in criteria.values())
-
-
 def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, float] | None:
     """First and last distance that share their radius with another distance, or None."""
     of = pd.Series(radius)
@@ -171,7 +104,7 @@ def ambiguous_range(distance: np.ndarray, radius: np.ndarray) -> tuple[float, fl
     return (distance[shared].min(), distance[shared].max()) if shared.any() else None
 
 
-_SHORT = {"semi_minor_px": "measured_px"} | {
+_SHORT = {"withdrawal": "trial", "trial": "group", "semi_minor_px": "measured_px"} | {
     f"{true}_semi_minor_px": f"{true}_px" for true in ("half_max", "cone")
 }
 # Of spots.csv: truth and measurement of every frame in every way.
@@ -181,18 +114,18 @@ _SPOT_COLUMNS = (
 ).split()
 
 
-def _measured_spots(study: Study, trials: list[paper.StaticTrial]) -> pd.DataFrame:
+def _measured_spots(study: Study, trials: pd.DataFrame) -> pd.DataFrame:
     """Spots of every trial in every way; of the grid, which has one exposure, in the best way."""
-    by_name = {trial.name: trial for trial in trials}
 
     def measure(name: str, stack: Stack) -> pd.DataFrame:
-        trial, tables = by_name[name], []
-        about = {"trial": name, "source": trial.source, "kind": trial.kind, "group": trial.group}
-        for way in paper.WAYS if trial.kind != "grid" else [paper.SUBPIXEL]:
-            tables.append(paper.track_stack(stack, way).assign(**about, way=way.name))
+        tables, of = [], trials.loc[name]
+        for way in paper.WAYS if of.trial in paper.PLACES else [paper.SUBPIXEL]:
+            about = {"withdrawal": name, "source": of.source, "trial": of.trial, "way": way.name}
+            tables.append(paper.track_stack(stack, way).assign(**about))
         return pd.concat(tables)
 
-    found = study.measured({trial.name: trial.scene for trial in trials}, measure)
+    in_order = trials.sort_values("source", kind="stable")  # Each source is compiled once.
+    found = study.measured(dict(zip(in_order.index, in_order.scene, strict=True)), measure)
     return pd.concat(found.values(), ignore_index=True)
 
 
@@ -204,11 +137,11 @@ _FILM_FRAMES = 5
 
 def film(findings: ValidateFindings) -> Figure:
     """Frames of a withdrawal in the eyeball at one scale, with measured and true ellipses."""
-    trial = [trial for trial in findings.trials if trial.group == "sphere 1"][-1]
-    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
+    name = where(findings.trials, trial="sphere 1").index[-1]
+    rows = where(findings.spots, withdrawal=name, way=paper.SUBPIXEL.name)
     rows = rows.iloc[np.linspace(0, len(rows) - 1, _FILM_FRAMES).round().astype(int)]
     half = round(1.5 * rows.half_max_semi_major_px.max())
-    stack = read_stack(findings.stacks / trial.name)
+    stack = read_stack(findings.stacks / name)
     return page.cut_outs(
         [
             page.CutOut(
@@ -279,73 +212,77 @@ def claims(findings: ValidateFindings) -> Iterator[page.Claim]:
         )
     yield from _fitted(findings)
     yield from _half_maximum(findings)
-    for source in findings.sources:
-        fits, trial = findings.lines(source, paper.LITERAL), findings.on_plane(source)
-        if len(fits) < 2 or trial is None:
+    for source, scene in findings.scenes.items():
+        lines = where(findings.planes, source=source, way=paper.LITERAL.name)
+        if lines.empty:
             continue
-        light = f"lens {trial.scene.source.lens}" if source == "lens" else "ideal cone"
-        yield from paper.reproduction(fits, name=f"Table I by the {light}").values()
-        if part := nearest_reproduction(findings, source):
+        light = f"lens {scene.source.lens}" if source == "lens" else "ideal cone"
+        yield from paper.reproduction(lines, name=f"Table I by the {light}").values()
+        spots = where(findings.spots, used=True, source=source, way=paper.LITERAL.name)
+        if part := paper.nearest_part(spots[spots.trial.isin(paper.PLANES)]):
             low, high, criteria = part
-            digits = zip(criteria.values(), (".4f", ".2f", ".3f", ".3f"), strict=True)
-            slope, b, straight, scatter = (listed(claim.value, spec) for claim, spec in digits)
+            found = ", ".join(
+                f"{of.name} {listed(criteria[column].value, of.digits)}{of.unit}"
+                for column, of in paper.CRITERIA.items()
+            )
             yield page.Claim(
                 name=f"Table I by the {light}, best part of the range",
                 sentence=f"The range d_r = {low:g} to {high:g} mm meets most criteria, "
-                f"{_met(criteria)} of {len(criteria)}: δk {slope} mm/px, b {b} mm, R² {straight} "
-                f"and RMSE {scatter} mm of the trials.",
-                value=_met(criteria),
+                f"{paper.met(criteria)} of {len(criteria)}: {found}.",
+                value=paper.met(criteria),
                 low=len(criteria),
             )
 
 
 def _fitted(findings: ValidateFindings) -> Iterator[page.Claim]:
     """What the fits return: a smaller c, and the ideal cone."""
-    every = findings.spheres
-    best = where(every, source=findings.sources[-1], way=paper.SUBPIXEL.name)
+    every, (*_, source) = findings.spheres, findings.scenes
+    best = where(every, source=source, way=paper.SUBPIXEL.name)
     if len(best):
         smaller = int((every.c_fitted_mm < every.c_true_mm).sum())
+        height = findings.scenes[source].microscope.pinhole_height_mm
         yield page.Claim(
             name="a fitted c is smaller than the true c",
             sentence=f"{smaller} of {len(every)} fits give a smaller c than the true one, which "
-            f"hides an error of the model. Fitted as in Table II ({best.source.iloc[0]}, "
-            f"{paper.SUBPIXEL.name}), c is {listed(best.c_fitted_mm, '.2f')} mm, the true c "
+            f"hides an error of the model. Fitted as in Table II ({source}, {paper.SUBPIXEL.name}),"
+            f" c is {listed(best.c_fitted_mm, '.2f')} mm, the true c "
             f"{listed(best.c_true_mm, '.2f')} mm; {listed(best.c_expected_mm, '.2f')} mm would "
-            "make the paper's cos φ the right factor for this pinhole (z_F = "
-            f"{findings.trials[0].scene.microscope.pinhole_height_mm:g} mm). The residuals of "
-            f"{best.max_error_mm.max():.3f} mm at most do not test the model.",
+            f"make the paper's cos φ the right factor for this pinhole (z_F = {height:g} mm). The "
+            f"residuals of {best.max_error_mm.max():.3f} mm at most do not test the model.",
             value=smaller,
             low=len(every),
         )
-    fit = findings.lines("cone", paper.SUBPIXEL).get(paper.ALL_PLANES)
-    trial = findings.on_plane("cone")
-    if fit is not None and trial is not None:
-        source, contact = trial.scene.source, where(findings.spots, trial=trial.name).d_mm.iloc[0]
-        off = 100 * (fit.delta_k / (trial.scene.microscope.scale_mm_px * source.cone_k) - 1)
-        b = source.cone_apex_offset_mm
+    if (fit := findings.line("cone", paper.SUBPIXEL)) is not None:
+        scene = findings.scenes["cone"]
+        k, b = scene.source.cone_k, scene.source.cone_apex_offset_mm
+        contact = where(findings.spots, source="cone", trial=paper.PLANES[0]).d_mm.iloc[0]
+        off = 100 * (fit.delta_k_mm_px / (scene.microscope.scale_mm_px * k) - 1)
         yield page.Claim(
             name="the ideal cone is returned",
-            sentence=f"In sub-pixel mode the fitted δk of the ideal cone (k {source.cone_k:g}, b "
-            f"{b:.3f} mm) has an error of {off:+.2f} %. The fitted b of {fit.b:.3f} mm has an "
-            f"error of {fit.b - (b - contact):+.3f} mm. d_r is zero at contact, where the tip's "
-            f"rim touches and its centre is {contact:.3f} mm from the wall.",
+            sentence=f"In sub-pixel mode the fitted δk of the ideal cone (k {k:g}, b {b:.3f} mm) "
+            f"has an error of {off:+.2f} %. The fitted b of {fit.b_mm:.3f} mm has an error of "
+            f"{fit.b_mm - (b - contact):+.3f} mm. d_r is zero at contact, where the tip's rim "
+            f"touches and its centre is {contact:.3f} mm from the wall.",
             value=off,
         )
 
 
 def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
-    if (trial := findings.on_plane("lens")) is None:
+    if "lens" not in findings.scenes:
         return
-    rows = where(findings.spots, trial=trial.name, way=paper.SUBPIXEL.name)
-    d, axis = rows[["d_mm", "half_max_semi_minor_px"]].to_numpy(float).T
-    radius = axis * trial.scene.microscope.scale_mm_px
+    spots = where(findings.spots, source="lens", way=paper.SUBPIXEL.name)
+    rows = where(spots, trial=paper.PLANES[0])
+    radius = (
+        rows.half_max_semi_minor_px * findings.scenes["lens"].microscope.scale_mm_px
+    ).to_numpy()
+    d = rows.d_mm.to_numpy()
     first, last = ambiguous_range(d, radius) or (math.nan, math.nan)
     chosen = sorted({0, int(np.argmin(radius)), len(d) - 1})
     edge, threshold = (
-        fits[paper.ALL_PLANES].r_squared if fits else math.nan
-        for fits in (findings.lines("lens", way) for way in (paper.SUBPIXEL, paper.LITERAL))
+        line.r_squared if line else math.nan
+        for line in (findings.line("lens", way) for way in (paper.SUBPIXEL, paper.LITERAL))
     )
-    seen = where(findings.spots, source="lens", kind="plane", way=paper.SUBPIXEL.name, used=True)
+    seen = spots[spots.used & spots.trial.isin(paper.PLANES)]
     bias = statistics.rms(seen.semi_minor_px - seen.half_max_semi_minor_px)
     length = 0.0 if math.isnan(first) else last - first
     yield page.Claim(
@@ -354,7 +291,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
         f"to {last:.2f} mm. The radius is {listed(radius[chosen], '.3f')} mm at d = "
         f"{listed(d[chosen], '.2f')} mm. Sub-pixel mode follows it to {bias:.2f} px (rms). A "
         f"straight line through its readings has R² {edge:.3f}, one through those of the fixed "
-        f"threshold {threshold:.3f} (straight: {paper.STRAIGHT:g} or more).",
+        f"threshold {threshold:.3f} (straight: {paper.CRITERIA['r_squared'].low:g} or more).",
         value=length,
         high=0.0,
     )
@@ -366,7 +303,7 @@ def _half_maximum(findings: ValidateFindings) -> Iterator[page.Claim]:
 def report(findings: ValidateFindings) -> page.Report:
     """The report of a run; InputError if the stack of the film is missing or broken."""
     rendered, analytic = findings.rendered, findings.analytic
-    spots = findings.spots.rename(columns=_SHORT)[_SPOT_COLUMNS]
+    spots = findings.spots.rename(columns=_SHORT)
     # Up to which c each model keeps the acceptable error, by the pinhole's height; NaN: to the end.
     by_model = analytic.groupby(["model", "z_f_mm"])[["c_mm", "error_mm"]]
     kept = by_model.apply(model_error.limit_eccentricity, ACCEPTABLE_ERROR_MM).unstack()
@@ -376,7 +313,7 @@ def report(findings: ValidateFindings) -> page.Report:
     limits = kept.map(lambda c: f"{most:g} +" if math.isnan(c) else number(c, 1))
     limits = limits.rename(columns="z_F = {:g} mm".format).reset_index(names="model")
     exact = rendered.error_mm[rendered.model == "exact"]
-    counts = findings.spots.groupby(["trial", "source", "way", "outcome"], sort=False).size()
+    counts = spots.groupby(["trial", "source", "way", "outcome"], sort=False).size()
     return page.Report(
         title="How accurate is a distance measured from a spot of light?",
         answer=f"With the paper's model a distance is off by {ACCEPTABLE_ERROR_MM:g} mm from c = "
@@ -422,7 +359,7 @@ def report(findings: ValidateFindings) -> page.Report:
             "rendered_accuracy.csv": model_error.accuracy(rendered),
             "table_1.csv": findings.planes,
             "table_2.csv": findings.spheres,
-            "spots.csv": spots,
+            "spots.csv": spots[_SPOT_COLUMNS],
             "frames.csv": counts.reset_index(name="frames"),
         },
     )
@@ -432,14 +369,15 @@ def _fits(findings: ValidateFindings) -> page.Section:
     if findings.planes.empty:
         return page.Section("The paper's Tables I and II", "Too few spots for any fit.")
     about = ["source", "way", "trial"]
-    line = ["delta_k_mm_px", "b_mm", "r_squared", "rmse_mm"]
-    fit = ["standard_deviation_mm", "mean_absolute_error_mm", "max_error_mm"]
-    beside = [[f"{papers}{name}" for name in of for papers in ("", "paper_")] for of in (line, fit)]
+    line, fit = (
+        [f"{papers}{name}" for name in columns for papers in ("", "paper_")]
+        for columns in (paper.LINE, paper.ERRORS)
+    )
     return page.Section(
         "The paper's Tables I and II",
         page.Table(
             findings.planes,
-            [*about, *beside[0], "contact_radius_px", "spots"],
+            [*about, *line, "contact_radius_px", "spots"],
             "Table I: fits of d_r = δk e₁′ + b on the plane, and the paper's values for its own "
             "trials. −b/δk is the radius at contact in px. The paper calls b a diameter, but its "
             "value is minus the distance from the virtual apex to the tip.",
@@ -447,7 +385,7 @@ def _fits(findings: ValidateFindings) -> page.Section:
         ),
         page.Table(
             findings.spheres,
-            [*about, "c_true_mm", "c_fitted_mm", "c_expected_mm", *beside[1], "at_bound"],
+            [*about, "c_true_mm", "c_fitted_mm", "c_expected_mm", *fit, "at_bound"],
             "Table II: fits of the small-plane model in the eyeball. δk and b come from all "
             "planes, and c is the only free parameter. The scenes have the c that the paper "
             "prints. “Expected” is the c whose cos φ is the correct first-order factor of the true "
@@ -463,29 +401,28 @@ def _fits(findings: ValidateFindings) -> page.Section:
 @command(with_scene=False)
 def validate(study: Study, *, source: LightSource = "both") -> ValidateFindings:
     """Repeat the paper's static experiment on rendered images and write a report."""
-    quick, seed = study.quick, study.seed
     sources = ("lens", "cone") if source == "both" else (source,)
-    trials = [
-        t for kind in sources for t in paper.paper_trials(source=kind, quick=quick, seed=seed)
-    ]
-    trials += paper.grid_trials(quick=quick, seed=seed)
+    trials = paper.withdrawals(sources, quick=study.quick, seed=study.seed)
     with study.timed("render and measure"):
-        spots = _measured_spots(study, sorted(trials, key=lambda trial: trial.source))
+        spots = _measured_spots(study, trials)
     with study.timed("fit and compare"):
-        planes, spheres = fit_tables(trials, spots)
+        planes, spheres = fit_tables(spots, trials.scene.iloc[0])
         # Each pinhole height and azimuth of the grid in one batch.
-        used, rendered = spots[spots.used], []
-        geometries = {t.name: geometry_of(t.scene) for t in trials if t.kind == "grid"}
-        for geometry in dict.fromkeys(geometries.values()):
-            own = used.trial.isin([name for name, its in geometries.items() if its == geometry])
-            rendered.append(model_error.errors_of_spots(geometry, used[own], model_error.COMPARED))
+        grid = trials[~trials.trial.isin(paper.PLACES)].scene.map(geometry_of)
+        used = spots[spots.used]
+        rendered = [
+            model_error.errors_of_spots(
+                geometry, used[used.withdrawal.isin(own.index)], model_error.COMPARED
+            )
+            for geometry, own in grid.groupby(grid, sort=False)
+        ]
         findings = ValidateFindings(
             stacks=study.folder / "stacks",
             trials=trials,
             spots=spots,
             planes=planes,
             spheres=spheres,
-            analytic=analytic_errors(quick=quick),
+            analytic=analytic_errors(quick=study.quick),
             rendered=pd.concat(rendered, ignore_index=True),
         )
     study.publish(report, findings)

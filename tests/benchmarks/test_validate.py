@@ -26,19 +26,17 @@ def test_a_run_leaves_everything_that_it_promises(cone_run):
         assert (out / name).stat().st_size > 0
     rows = pd.read_csv(out / "model_error.csv")
     assert len(rows) == len(findings.analytic) + len(findings.rendered)
-    assert {trial.name for trial in findings.trials} == {
-        folder.name for folder in (out / "stacks").iterdir()
-    }
+    assert {*findings.trials.index} == {folder.name for folder in (out / "stacks").iterdir()}
 
 
 @pytest.mark.slow
 def test_sub_pixel_spots_of_the_ideal_cone_give_its_parameters(cone_run):
     _, findings = cone_run
-    fit = findings.lines("cone", SUBPIXEL)["all planes"]
+    fit = findings.line("cone", SUBPIXEL)
     # k = 20, delta = 0.0067; readings start at contact, 0.25 tan(30 deg) = 0.144 mm from the wall.
     # 0.02 px of 60 at either end of the range is 5e-4 of the slope.
-    assert fit.delta_k == pytest.approx(0.134, rel=2e-3)
-    assert fit.b == pytest.approx(-5.117 - 0.1443, abs=0.02)
+    assert fit.delta_k_mm_px == pytest.approx(0.134, rel=2e-3)
+    assert fit.b_mm == pytest.approx(-5.117 - 0.1443, abs=0.02)
 
 
 @pytest.mark.slow
