@@ -1,8 +1,10 @@
 """`eyespot study medium`: calibrated in air, used in vitreous."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from enum import StrEnum
+from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,7 +25,7 @@ from eyespot.calibration import fit_plane
 from eyespot.estimator import Ranger
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.stack import Stack, read_stack
+from eyespot.formats.stack import read_stack
 from eyespot.scenes import Scene
 from eyespot.scenes.world.true_calibration import study_calibration, true_calibration
 from eyespot.scenes.world.world import Cone, World, lens_light
@@ -38,7 +40,7 @@ CONE = "cone"  # the light without a lens: the control
 
 
 class Method(StrEnum):
-    """Methods to compute a distance from a radius; the page says how they work."""
+    """Methods to compute a distance from a radius; the figure's caption says how they work."""
 
     AIR_CONE = "cone of air"
     LENS_CONE = "cone of the lens model"
@@ -74,13 +76,15 @@ _CURVE_DISTANCES_MM = np.linspace(0.05, 8.0, 1600)
 def lens_curve(lens: str, medium: str) -> Curve:
     """The curve of a glue lens; its light takes half a minute the first time and is then kept."""
     table = lens_light(lens, optics.MEDIA[medium]).table
-    cone = optics.effective_cone(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
-    unclear = optics.ambiguous_distances(table, from_distance=NEAREST_MM, to_distance=FARTHEST_MM)
+    between = {"from_distance": NEAREST_MM, "to_distance": FARTHEST_MM}
+    cone, unclear = (
+        optics.effective_cone(table, **between),
+        optics.ambiguous_distances(table, **between),
+    )
     first, last = (unclear[0][0], unclear[-1][1]) if unclear else (np.nan, np.nan)
     radius = np.asarray(optics.half_maximum_radius(table, distance=_CURVE_DISTANCES_MM))
-    k, b, r_squared = float(cone.k), float(cone.b), float(cone.r_squared)
-    regression = Regression(lens, medium, k, b, r_squared, first, last)
-    return Curve(_CURVE_DISTANCES_MM, radius, regression)
+    fitted = float(cone.k), float(cone.b), float(cone.r_squared)
+    return Curve(_CURVE_DISTANCES_MM, radius, Regression(lens, medium, *fitted, first, last))
 
 
 def cone_curve(cone: Cone, medium: str) -> Curve:
@@ -125,81 +129,55 @@ def analytic_errors(air: Curve, medium: Curve, *, distances: np.ndarray) -> pd.D
 
 # The rendered part: calibrated on a plane in air, used in an eyeball full of another medium.
 
-_WINDOW_HEIGHT_PX = 600  # The dome's spot in air outgrows the default window.
-
-
-def trials(scene: Scene, *, lights: Sequence[str], frames: int) -> dict[str, Scene]:
-    """Withdrawals with each light: on a plane in air, in an eyeball in both media."""
-    moves = withdrawal(start_mm=NEAREST_MM, travel_mm=FARTHEST_MM - NEAREST_MM, frames=frames)
-    return {
-        f"{_slug(light)}-{medium}-{phantom}": scenes.changed(
-            scene,
-            {
-                **({"source.kind": CONE} if light == CONE else {"source.lens": light}),
-                "source.medium": medium,
-                "phantom.kind": phantom,
-                **moves,
-                "microscope.height_px": _WINDOW_HEIGHT_PX,
-            },
-        )
-        for light in lights
-        for medium, phantom in ((AIR, "plane"), (AIR, "eyeball"), (VITREOUS, "eyeball"))
-    }
-
 
 def measure(study: Study, *, frames: int, curves: Mapping[tuple[str, str], Curve]) -> pd.DataFrame:
     """Render, track, calibrate in air and use: errors in the eyeball.
 
     `curves` are what the lens model says without another fit, by light and medium.
     """
-    every = trials(study.scene, lights=_lights(curves), frames=frames)
-    tracked = study.tracked(every)
+    moves = withdrawal(start_mm=NEAREST_MM, travel_mm=FARTHEST_MM - NEAREST_MM, frames=frames)
+    moves["microscope.height_px"] = 600  # The dome's spot in air outgrows the default window.
+    places, every = ((AIR, "plane"), (AIR, "eyeball"), (VITREOUS, "eyeball")), {}
+    for light, (medium, wall) in product(dict.fromkeys(light for light, _ in curves), places):
+        # A lens may be a file.
+        name = f"{Path(light).stem}-{medium}-{wall}"
+        source = {"source.kind": CONE} if light == CONE else {"source.lens": light}
+        world = {"source.medium": medium, "phantom.kind": wall}
+        every[light, medium, wall] = name, scenes.changed(study.scene, source | world | moves)
+    tracked = study.tracked(dict(every.values()))
     errors = []
-    for light in _lights(curves):
-        seen = tracked[f"{_slug(light)}-{AIR}-plane"]
-        used = seen[seen.used]
-        # The robot's reading since the first frame, whose distance is known here.
-        reading = NEAREST_MM + used.d_r_mm.to_numpy()
-        fit = fit_plane(semi_minor_px=used.semi_minor_px.to_numpy(), distance=reading)
-        scale = study.scene.microscope.scale_mm_px
-        to_k, values = np.diag([1.0 / scale, 1.0]), {"k": fit.delta_k / scale, "b": fit.b}
-        calibrated = study_calibration(
-            "planar", values, medium=AIR, covariance=to_k @ fit.covariance @ to_k
-        )
-        for medium in (AIR, VITREOUS):
-            name = f"{_slug(light)}-{medium}-eyeball"
-            calibrations = {Method.AIR_CONE: calibrated}
-            if light != CONE and medium == VITREOUS:
-                regression = curves[light, medium].cone
-                values = {"k": regression.k, "b": regression.b_mm}
-                calibrations[Method.LENS_CONE] = study_calibration("planar", values, medium=medium)
-                calibrations[Method.LENS] = true_calibration(every[name])
-            stack = read_stack(study.folder / "stacks" / name)
-            errors.append(_errors(every[name], stack, tracked[name], calibrations))
-    return pd.concat(errors, ignore_index=True)
+    for (light, medium, wall), (name, scene) in every.items():
+        spots = tracked[name][tracked[name].used]
+        if wall == "plane":
+            calibrated = _calibrated(spots, study.scene.microscope.scale_mm_px)
+            continue
+        calibrations = {Method.AIR_CONE: calibrated}
+        if light != CONE and medium == VITREOUS:
+            cone = curves[light, medium].cone
+            own = study_calibration("planar", {"k": cone.k, "b": cone.b_mm}, medium=medium)
+            calibrations |= {Method.LENS_CONE: own, Method.LENS: true_calibration(scene)}
+        stack = read_stack(study.folder / "stacks" / name)
+        microscope = read_microscope(stack.folder / "microscope.json")
+        for method, known in calibrations.items():
+            # `corrected` is the cone of a plane, taken to the sphere.
+            model = None if known.model == "lens" else "corrected"
+            ranger = Ranger(known, microscope, model=model)
+            for row in rows_of(spots):
+                found = ranger.distance(row.result, frame=stack.image(row))
+                radius, estimate = row.semi_minor_px * microscope.scale_mm_px, found.distance_mm
+                values = (row.d_mm, radius, estimate, estimate - row.d_mm, bool(found.others_mm))
+                errors.append(("rendered", light, medium, method, *values))
+    return pd.DataFrame(errors, columns=COLUMNS)
 
 
-def _slug(light: str) -> str:
-    """For names of folders: a lens may be a file."""
-    return Path(light).stem
-
-
-def _errors(
-    scene: Scene, stack: Stack, spots: pd.DataFrame, calibrations: Mapping[Method, Calibration]
-) -> pd.DataFrame:
-    light = CONE if scene.source.kind == CONE else scene.source.lens
-    microscope = read_microscope(stack.folder / "microscope.json")
-    rows = []
-    for method, known in calibrations.items():
-        # `corrected` is the cone of a plane, taken to the sphere.
-        model = None if known.model == "lens" else "corrected"
-        ranger = Ranger(known, microscope, model=model)
-        for row in rows_of(spots[spots.used]):
-            found = ranger.distance(row.result, frame=stack.image(row))
-            radius, estimate = row.semi_minor_px * microscope.scale_mm_px, found.distance_mm
-            values = (row.d_mm, radius, estimate, estimate - row.d_mm, bool(found.others_mm))
-            rows.append(("rendered", light, scene.source.medium, method, *values))
-    return pd.DataFrame(rows, columns=COLUMNS)
+def _calibrated(spots: pd.DataFrame, scale: float) -> Calibration:
+    """The cone that spots on a plane in air give; the scale in mm/px."""
+    # The robot's reading since the first frame, whose distance is known here.
+    reading, e = NEAREST_MM + spots.d_r_mm.to_numpy(), spots.semi_minor_px.to_numpy()
+    fit = fit_plane(semi_minor_px=e, distance=reading)
+    to_k, values = np.diag([1.0 / scale, 1.0]), {"k": fit.delta_k / scale, "b": fit.b}
+    covariance = to_k @ fit.covariance @ to_k
+    return study_calibration("planar", values, medium=AIR, covariance=covariance)
 
 
 _LENSES = ("paper-candidate", "dome")  # a flat end and a round cap: the two kinds of drop
@@ -210,13 +188,12 @@ _LENSES = ("paper-candidate", "dome")  # a flat end and a round cap: the two kin
 _COLOURS = {Method.AIR_CONE: page.VERMILION, Method.LENS_CONE: page.BLUE, Method.LENS: page.GREEN}
 
 
-def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Figure:
+def _error_figure(cones: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     """Error of each method against distance: a panel for each light."""
 
     def draw(axes: Axes, _: str, light: str) -> None:
         page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
-        cone = curves[light, VITREOUS].cone
-        if math.isfinite(cone.ambiguous_from_mm):
+        for cone in rows_of(where(cones, light=light, medium=VITREOUS).dropna()):
             axes.axvspan(cone.ambiguous_from_mm, cone.ambiguous_to_mm, color="#EEEEEE", zorder=0)
         shown = [(method, VITREOUS, "-", "o") for method in Method]
         for method, medium, style, shape in [(Method.AIR_CONE, AIR, "--", "s"), *shown]:
@@ -232,22 +209,14 @@ def _error_figure(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame)
                 points = chosen.d_mm, chosen.error_mm
                 axes.plot(*points, ls="", marker=shape, ms=4, color=colour, mfc=face)
 
-    y = "estimate − truth (mm)"
-    return page.small_multiples(draw, columns=_lights(curves), x=DISTANCE, y=y, height=3.4)
-
-
-def _lights(curves: Mapping[tuple[str, str], Curve]) -> list[str]:
-    """The lenses and the cone, in order."""
-    return list(dict.fromkeys(light for light, _ in curves))
+    lights, y = errors.light.unique().tolist(), "estimate − truth (mm)"
+    return page.small_multiples(draw, columns=lights, x=DISTANCE, y=y, height=3.4)
 
 
 # The page.
 
 
-def _report(
-    scene: Scene, curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame
-) -> page.Report:
-    cones = pd.DataFrame([curve.cone for curve in curves.values()])
+def _report(scene: Scene, cones: pd.DataFrame, errors: pd.DataFrame) -> page.Report:
     by_method = errors.groupby(["source", "light", "medium", "method"], sort=False)
     summary = by_method.error_mm.agg(spots="size", mean_mm="mean", rms_mm=rms, largest_mm=largest)
     summary = summary.join(by_method.ambiguous.mean()).reset_index()
@@ -269,26 +238,27 @@ def _report(
         first=[
             page.Picture(
                 "error",
-                _error_figure(curves, errors),
+                _error_figure(cones, errors),
                 "A cone from air is wrong in vitreous; the lens model is not. Lines: computed from "
                 "the lens's light on a square plane. Marks: rendered frames of an eyeball "
                 f"(incidence {scene.spot.incidence_deg:g}°), with the cone fitted to rendered "
-                "frames of a plane in air. Squares are in air; open circles are flagged "
-                "ambiguous. In the grey bands one radius belongs to several distances; the "
-                "dotted green line is the solution farthest from the truth. Dashed: the "
+                "frames of a plane in air; squares are in air, open circles flagged ambiguous. "
+                f"“{Method.LENS_CONE}”: k and b computed for vitreous from the scene's lens. "
+                f"“{Method.LENS}”: where the lens makes this spot; on its own curve only the "
+                "ambiguity is an error. In the grey bands one radius belongs to several distances; "
+                "the dotted green line is the solution farthest from the truth. Dashed: the "
                 f"{ACCEPTABLE_ERROR_MM:g} mm that the paper calls acceptable.",
                 data="medium_error.csv",
             ),
             page.Table(
-                summary[(summary.source == "rendered") & (summary.light == scene.source.lens)],
+                where(summary, source="rendered", light=scene.source.lens),
                 ["medium", "method", "spots", "rms_mm", "largest_mm"],
                 f"Errors of rendered spots of {scene.source.lens}.",
                 data="medium_summary.csv",
             ),
         ],
-        claims=list(_claims(curves, errors)),
+        claims=list(_claims(errors)),
         sections=[
-            page.Section("Methods", _METHODS),
             page.Section(
                 "Why",
                 page.Table(
@@ -301,44 +271,25 @@ def _report(
                 ),
             ),
         ],
-        data={
-            "medium_error.csv": errors,
-            "medium_summary.csv": summary,
-            "medium_cones.csv": cones,
-        },
+        data={"medium_error.csv": errors, "medium_summary.csv": summary, "medium_cones.csv": cones},
     )
 
 
-_METHODS = (
-    f"“{Method.AIR_CONE}”: d = kR + b with k and b from air. “{Method.LENS_CONE}”: k and b "
-    f"computed for vitreous from the lens's parameters. “{Method.LENS}”: the distance at which the "
-    "lens makes this spot in vitreous. On its own curve the lens model has no error by "
-    "construction if only one distance has this radius, so its lines show only the ambiguity. Its "
-    "rendered marks show its accuracy, because there the shape of the profile also contributes. "
-    "The lens's parameters are those of the scene, without the uncertainty of a fit in air."
-)
-
-
-def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> Iterator[page.Claim]:
-    lenses = [light for light in _lights(curves) if light != CONE]
+def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
     computed = errors[errors.source == "analytic"].groupby(["light", "medium", "method"])
-    worst = computed.error_mm.agg(largest)
-    for lens in lenses:
-        air, vitreous = (curves[lens, medium].cone for medium in (AIR, VITREOUS))
+    worst, rendered = computed.error_mm.agg(largest), where(errors, source="rendered")
+    for lens in errors.light[errors.light != CONE].unique():
         off = worst[lens, VITREOUS, Method.AIR_CONE]
         yield page.Claim(
             name=f"air to vitreous, {lens}",
             sentence=f"Calibrated in air, the distance in vitreous is off by up to {off:.2f} mm "
             f"(acceptable: {ACCEPTABLE_ERROR_MM:g} mm). In air it is off by up to "
-            f"{worst[lens, AIR, Method.AIR_CONE]:.2f} mm, because a lens is no cone. In vitreous k "
-            f"is {vitreous.k:.1f} instead of {air.k:.1f} and b is {vitreous.b_mm:.2f} instead of "
-            f"{air.b_mm:.2f} mm. The cone that the lens model computes for vitreous is off by up "
-            f"to {worst[lens, VITREOUS, Method.LENS_CONE]:.2f} mm.",
+            f"{worst[lens, AIR, Method.AIR_CONE]:.2f} mm, because a lens is no cone. The cone that "
+            "the lens model computes for vitreous is off by up to "
+            f"{worst[lens, VITREOUS, Method.LENS_CONE]:.2f} mm.",
             value=off,
             high=ACCEPTABLE_ERROR_MM,
         )
-    rendered = where(errors, source="rendered")
-    for lens in lenses:
         own = where(rendered, light=lens, medium=VITREOUS)
         rows = where(own, method=Method.LENS)
         sure = rows.error_mm[~rows.ambiguous].dropna().abs()
@@ -353,10 +304,8 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
             value=float(sure.median()),
         )
     control = where(rendered, light=CONE, method=Method.AIR_CONE)
-    in_air, in_vitreous = (
-        where(control, medium=medium).set_index("d_mm").error_mm for medium in (AIR, VITREOUS)
-    )
-    differences = (in_vitreous - in_air).dropna()
+    by_medium = control.pivot(index="d_mm", columns="medium", values="error_mm")
+    differences = (by_medium[VITREOUS] - by_medium[AIR]).dropna()
     yield page.Claim(
         name="control",
         sentence=f"The ideal cone's rendered distances differ by {largest(differences):.4f} mm at "
@@ -369,12 +318,6 @@ def _claims(curves: Mapping[tuple[str, str], Curve], errors: pd.DataFrame) -> It
 # The command.
 
 
-def check(scene: Scene) -> None:
-    """Refuse a scene without the lens."""
-    why = "the study compares one lens in two media, and the ideal cone beside it"
-    Study.demand(scene, {"source.kind": "lens"}, why)
-
-
 VARIED = (
     *("source.medium", "phantom.kind", "microscope.height_px", "motion.kind"),
     *("motion.start_mm", "motion.travel_mm", "motion.frames", "exposures.kinds"),
@@ -382,7 +325,10 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-@command(check=check, varies=VARIED)
+_WHY = "the study compares one lens in two media, and the ideal cone beside it"
+
+
+@command(check=partial(Study.demand, needed={"source.kind": "lens"}, why=_WHY), varies=VARIED)
 def medium(study: Study) -> pd.DataFrame:
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
     base, quick = study.scene, study.quick
@@ -391,8 +337,7 @@ def medium(study: Study) -> pd.DataFrame:
     with study.timed("light of the lenses"):
         curves = {(n, m): lens_curve(n, m) for n in lenses for m in (AIR, VITREOUS)}
     ideal = scenes.changed(base, {"source.kind": CONE})
-    for medium in (AIR, VITREOUS):
-        curves[CONE, medium] = cone_curve(World(ideal).cone, medium)
+    curves |= {(CONE, m): cone_curve(World(ideal).cone, m) for m in (AIR, VITREOUS)}
     distances = np.linspace(NEAREST_MM, FARTHEST_MM, 23 if quick else 111)
     errors = [
         analytic_errors(curves[name, AIR], curve, distances=distances)
@@ -401,5 +346,6 @@ def medium(study: Study) -> pd.DataFrame:
     with study.timed("render and measure"):
         errors.append(measure(study, frames=6 if quick else 23, curves=curves))
     table = pd.concat(errors, ignore_index=True)
-    study.publish(_report, base, curves, table)
+    cones = pd.DataFrame([curve.cone for curve in curves.values()])
+    study.publish(_report, base, cones, table)
     return table
