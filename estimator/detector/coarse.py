@@ -262,6 +262,24 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     return apart - closer < Search.TOWARDS * math.sqrt(areas[order[1]])
 
 
+def is_of_lattice(coarse: Coarse, dot: AffineEllipse, half: float) -> bool:
+    """Whether two more pieces of light beside a dot are as bright, large and convex as it."""
+    light = (coarse.levels > half / coarse.unit).view(np.uint8)
+    semi_axes = dot.axes()[0] / coarse.stride, dot.axes()[1] / coarse.stride
+    area = math.pi * semi_axes[0] * semi_axes[1]
+    x, y = ((dot.centre - (coarse.x0, coarse.y0)) / coarse.stride).tolist()
+    alike = 0
+    for contour in cv2.findContours(light, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
+        size = cv2.contourArea(contour) + len(contour) / 2 + 1
+        if not Verdict.RIVAL * area < size < area / Verdict.RIVAL:
+            continue
+        hull = cv2.convexHull(contour)
+        (u, v), _ = cv2.minEnclosingCircle(hull)
+        apart = math.hypot(u - x, v - y) > semi_axes[0]
+        alike += apart and cv2.contourArea(contour) > Search.CONVEX * cv2.contourArea(hull)
+    return alike > 1
+
+
 def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> AffineEllipse | None:
     hull = cv2.convexHull(points)[:, 0]
     height, width = coarse.levels.shape

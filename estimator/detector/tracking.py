@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from eyespot.estimator.detector.coarse import is_of_lattice
 from eyespot.estimator.detector.contour import (
     Region,
     contour_of,
@@ -195,6 +196,7 @@ def _anywhere(
     seen: list[Sighting] = []
     failures: list[NoSpot] = []
     unmeasured: list[Region] = []
+    lattice = False
     for region in regions_in(frame, Window.whole(frame), settings):
         if isinstance(region, NoSpot):
             failures.append(region)
@@ -204,12 +206,13 @@ def _anywhere(
             sighting = sighting_in(region)
             if not isinstance(sighting, NoSpot):
                 seen.append(sighting)
+                lattice |= is_of_lattice(region.coarse, sighting.ellipse, sighting.half)
                 continue
             failures.append(sighting)
             if sighting.reason in (Reason.SATURATED, Reason.CLIPPED):
                 unmeasured.append(region)
     found = one_of(seen, failures)
-    if found and any(is_rival(region, found) for region in unmeasured):
+    if found and (lattice or any(is_rival(region, found) for region in unmeasured)):
         return NoSpot(Reason.AMBIGUOUS)
     if found or found.reason not in (Reason.NONE_FOUND, Reason.TOO_SMALL):
         return found

@@ -293,7 +293,9 @@ class FieldStop:
     # pixels that are not quite square). A spot square to the wall is as round.
     ROUND = 1.03
     DARK = 0.09  # of the peak: light round it (up to 0.084)
-    DIM = 0.2  # of the peak: the same where it is plain; stray light, or a curve that lifts black
+    DIM = 0.2  # of the peak: the same where rounding would hide the wall's texture
+    # The same where it is plain: stray light, or a curve that lifts black (drawn, up to 0.3).
+    PLAINEST = 0.4
     # Unevenness of that light over the disc's. A spot's wall goes on round it: 0.48 and more on
     # rendered walls. Fields have 0.43 and less.
     PLAIN = 0.45

@@ -144,7 +144,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         saturated=region.saturated[region.channel],
     )
     contour = measured.contour
-    like_field = _is_like_field(contour, region.frame.shape)
+    like_field = _is_like_field(contour, region)
     return Sighting(spot, contour.ellipse, contour.levels.half, region.channel, like_field)
 
 
@@ -159,17 +159,20 @@ def _has_corners(fit: EdgeFit) -> bool:
     return not clean and strongest > Verdict.CORNERED * all_waves
 
 
-def _is_like_field(fit: EdgeFit, frame: tuple[int, ...]) -> bool:
+def _is_like_field(fit: EdgeFit, region: Region) -> bool:
     """Whether a lit disc is round and sharp, about the frame's middle, and dark all round.
 
     A fundus camera's field is such a disc. It shows a wall, so the light in it is uneven; the
     stray light round it is not.
     """
     semi_major, semi_minor, _ = fit.ellipse.axes()
+    frame = region.frame.shape
     middle = (frame[1] - 1) / 2, (frame[0] - 1) / 2
     levels, uneven = fit.levels, float(np.std(fit.band.gain[fit.bright]))
     plain = levels.scatter < FieldStop.PLAIN * uneven * levels.background
-    darkest = FieldStop.DIM if plain else FieldStop.DARK
+    # Rounding to a level of the search hides so faint a texture.
+    hidden = levels.scatter < 0.51 * region.coarse.unit
+    darkest = FieldStop.PLAINEST if plain else FieldStop.DIM if hidden else FieldStop.DARK
     return (
         semi_minor > FieldStop.SMALLEST * min(frame[:2])
         and semi_major < FieldStop.ROUND * semi_minor

@@ -127,6 +127,18 @@ def test_a_small_ring_is_no_spot(hole):
     assert isinstance(result, NoSpot)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dot_of_a_lattice_is_no_spot_though_texture_hides_the_others(seed):
+    rng = np.random.default_rng(seed)
+    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    dots = np.zeros(SHAPE)
+    for row, column in np.ndindex(3, 6):
+        distance = np.hypot(u - 180 - 41 * column, v - 190 - 41 * row)
+        dots = np.maximum(dots, np.exp2(-((distance / 16) ** 6)))
+    lattice = replace(_NOTHING, ambient=46.0, glints=60 * dots, wall=any_wall(rng))
+    assert not measure(frame_of(lattice, rng), TrackState(), SubpixelSettings())[0]
+
+
 def test_a_tracked_spot_is_not_exchanged_for_a_brighter_one():
     left, right = replace(_TRUTH, x=200), replace(_TRUTH, x=430)
     rng = np.random.default_rng(6)
