@@ -77,10 +77,8 @@ def lens_curve(lens: str, medium: str) -> Curve:
     """The curve of a glue lens; its light takes half a minute the first time and is then kept."""
     table = lens_light(lens, optics.MEDIA[medium]).table
     between = {"from_distance": NEAREST_MM, "to_distance": FARTHEST_MM}
-    cone, unclear = (
-        optics.effective_cone(table, **between),
-        optics.ambiguous_distances(table, **between),
-    )
+    cone = optics.effective_cone(table, **between)
+    unclear = optics.ambiguous_distances(table, **between)
     first, last = (unclear[0][0], unclear[-1][1]) if unclear else (np.nan, np.nan)
     radius = np.asarray(optics.half_maximum_radius(table, distance=_CURVE_DISTANCES_MM))
     fitted = float(cone.k), float(cone.b), float(cone.r_squared)
