@@ -45,13 +45,12 @@ class Geometry(NamedTuple):
 
 
 MODEL_ERROR = (
-    "model source refit medium c_mm d_mm r_mm z_f_mm incidence_deg azimuth_deg half_angle_deg "
+    "model source medium c_mm d_mm r_mm z_f_mm incidence_deg azimuth_deg half_angle_deg "
     "apex_offset_mm estimate_mm error_mm"
 ).split()
 """Columns of model_error.csv; error = estimate - truth.
 
-`azimuth_deg` is the incidence's, counted from the meridian of O; `refit`: c was fitted to the
-spots, as the paper does, and `c_mm` is the true one.
+`azimuth_deg` is the incidence's, counted from the meridian of O.
 """
 
 
@@ -93,7 +92,7 @@ def errors_of(
 def errors_of_spots(geometry: Geometry, spots: pd.DataFrame, models: Sequence[str]) -> pd.DataFrame:
     """Errors of models on measured spots: `paper.spots_of`, those that are used."""
     c, d, e = spots[["c_mm", "d_mm", "semi_minor_px"]].to_numpy(float).T
-    about: dict[str, Any] = {"source": "rendered", "refit": False, "medium": spots.medium.iloc[0]}
+    about: dict[str, Any] = {"source": "rendered", "medium": spots.medium.iloc[0]}
     return errors_of(geometry, models, c=c, d=d, semi_minor_px=e, **about)
 
 

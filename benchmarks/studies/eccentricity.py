@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from eyespot import optics, scenes
-from eyespot.benchmarks import model_error, paper, statistics
+from eyespot.benchmarks import model_error, paper
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.reporting import grouped, listed, number, where
+from eyespot.benchmarks.statistics import largest
 from eyespot.benchmarks.studies import error_causes
 from eyespot.benchmarks.studies.error_causes import CAUSES, WRONG_C_MM, WRONG_R_MM
 from eyespot.benchmarks.study import Study, geometry_of
@@ -39,44 +40,39 @@ def withdrawals(
     medium: str,
     distances: Sequence[float] = DISTANCES_MM,
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Errors on exact contours at each c and all distances, mm; and a fit of each c.
-
-    Of all models with the true c, then of small_plane with the fitted one, see `refitted`.
-    """
+    """Errors of all models on exact contours at each c and all distances, mm; and refit.csv."""
     c, d = (axis.ravel() for axis in np.meshgrid(eccentricities, distances, indexing="ij"))
     seen = model_error.exact_spots(geometry, c=c, d=d).semi_minor
-    about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": medium}
+    about: dict[str, Any] = {"source": "analytic", "medium": medium}
     errors = model_error.errors_of(geometry, optics.MODELS, c=c, d=d, semi_minor_px=seen, **about)
-    found = [
-        refitted(geometry, errors[errors.c_mm == own], seen[c == own]) for own in eccentricities
-    ]
-    tables, refits = zip(*found, strict=True)
-    return pd.concat([errors, *tables], ignore_index=True), pd.DataFrame(refits)
+    small_plane = where(errors, model="small_plane").assign(semi_minor_px=seen)
+    refits = [refitted(geometry, rows) for _, rows in grouped(small_plane, "c_mm")]
+    return errors, pd.DataFrame(refits)
 
 
-def refitted(
-    geometry: model_error.Geometry, errors: pd.DataFrame, semi_minor_px: np.ndarray
-) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """Errors of one withdrawal with c fitted to itself, as the paper's Table II, and what it hides.
+def refitted(geometry: model_error.Geometry, before: pd.DataFrame) -> dict[str, Any]:
+    """A row of refit.csv: c fitted to one withdrawal itself, as in the paper's Table II.
 
-    From its errors with the true c, and e1' in px; k, b and r are given to the fit as they are. The
-    second result is a row of refit.csv.
+    From the errors of small_plane with the true c, and `semi_minor_px`; k, b and r are given to the
+    fit as they are.
     """
-    before = errors[errors.model == "small_plane"]
     d, k = before.d_mm.to_numpy(), 1.0 / math.tan(geometry.half_angle)
-    spots: dict[str, Any] = {"semi_minor_px": semi_minor_px, "scale": geometry.scale}
-    spots |= {"b": geometry.apex_offset, "eye_radius": geometry.eye_radius}
+    spots: dict[str, Any] = {
+        "semi_minor_px": before.semi_minor_px.to_numpy(),
+        "scale": geometry.scale,
+        "b": geometry.apex_offset,
+        "eye_radius": geometry.eye_radius,
+    }
     fit = fit_eccentricity(**spots, distance=d, delta_k=geometry.scale * k)
     estimate = np.asarray(optics.small_plane_distance(**spots, k=k, eccentricity=fit.c))
-    after = before.assign(refit=True, estimate_mm=estimate, error_mm=estimate - d)
-    before_mm, after_mm = statistics.largest(before.error_mm), statistics.largest(after.error_mm)
-    return after, {
+    error, residual = largest(before.error_mm), largest(estimate - d)
+    return {
         **{name: before[name].iloc[0] for name in ("source", "z_f_mm", "incidence_deg", "c_mm")},
         "fitted_c_mm": fit.c,
         "at_bound": fit.at_bound,
-        "largest_error_mm": before_mm,
-        "largest_residual_mm": after_mm,
-        "hidden_mm": before_mm - after_mm,
+        "largest_error_mm": error,
+        "largest_residual_mm": residual,
+        "hidden_mm": error - residual,
     }
 
 
@@ -85,7 +81,7 @@ def limits(errors: pd.DataFrame) -> pd.DataFrame:
 
     `c_mm` is empty if the limit is not reached, 0 if it is exceeded from the start.
     """
-    keys = ["model", "refit", "z_f_mm", "incidence_deg"]
+    keys = ["model", "z_f_mm", "incidence_deg"]
     rows = [
         (*key, limit, model_error.limit_eccentricity(group, limit))
         for key, group in grouped(errors, *keys)
@@ -96,7 +92,7 @@ def limits(errors: pd.DataFrame) -> pd.DataFrame:
 
 # The rendered part: frames, the spots measured in them, and what rendering adds to their size.
 
-_OVERSAMPLING = 2  # Of noise-free frames, along each side.
+_OVERSAMPLING, _FINE = 2, "-noise-free"  # Of frames without noise, along each side.
 _NOISE_FREE = {
     "camera.full_well_e": 1e9,
     "camera.read_noise_e": 0.0,
@@ -109,52 +105,49 @@ _NOISE_FREE = {
 }
 
 
-def trials(
-    scene: Scene, space: WorkspaceKeys, *, quick: bool
-) -> tuple[dict[str, Scene], dict[str, Scene]]:
+def trials(scene: Scene, space: WorkspaceKeys, *, quick: bool) -> dict[str, Scene]:
     """Withdrawals at the scene's incidence and square ones without the instrument, by name.
 
-    The instrument would hide a square beam. The second result is some of the former again, at twice
-    the resolution without noise.
+    The instrument would hide a square beam. Some of the former are there again, at twice the
+    resolution without noise; their names end with `_FINE`.
     """
     least, most = space.eccentricity_mm or (0.0, 0.0)
     every = np.linspace(least, most, 3 if quick else 9).tolist()
     few = every[1:] if quick else every[::2]
     start, end = space.distance_mm
     moves = paper.withdrawal(start_mm=start, travel_mm=end - start, frames=3 if quick else 12)
-    found, noise_free = {}, {}
+    view, found = scene.microscope, {}
+    finer = _NOISE_FREE | {
+        "microscope.scale_mm_px": view.scale_mm_px / _OVERSAMPLING,
+        "microscope.width_px": view.width_px * _OVERSAMPLING,
+        "microscope.height_px": view.height_px * _OVERSAMPLING,
+    }
     for height, kind in product(pinhole_heights(scene), ("tilted", "square")):
         bare = {"spot.incidence_deg": 0.0, "instrument.visible": False} if kind == "square" else {}
         for c in few if bare else every:
             place = {"spot.eccentricity_mm": c, "microscope.pinhole_height_mm": height}
             name = f"{kind}-pinhole-{height:g}-c-{c:g}"
-            found[name] = own = scenes.changed(scene, place | moves | bare)
+            found[name] = scenes.changed(scene, place | moves | bare)
             if c in few and not bare:
-                finer = {
-                    "microscope.scale_mm_px": own.microscope.scale_mm_px / _OVERSAMPLING,
-                    "microscope.width_px": own.microscope.width_px * _OVERSAMPLING,
-                    "microscope.height_px": own.microscope.height_px * _OVERSAMPLING,
-                }
-                noise_free[name] = scenes.changed(own, finer | _NOISE_FREE)
-    return found, noise_free
+                found[f"{name}{_FINE}"] = scenes.changed(found[name], finer)
+    return found
 
 
-def measure(
-    study: Study, every: Mapping[str, Scene], noise_free: Mapping[str, Scene]
-) -> tuple[pd.DataFrame, pd.DataFrame]:
+def measure(study: Study, every: Mapping[str, Scene]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Render and track: errors of all models on every spot that counts, and errors by cause."""
-    tracked = study.tracked(
-        {**every, **{f"{name}-noise-free": scene for name, scene in noise_free.items()}}
-    )
+    tracked = study.tracked(every)
     # Empty tables first, so that a run without spots has tables, too.
     errors, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [pd.DataFrame()]
     for name, scene in every.items():
-        seen, geometry = tracked[name], geometry_of(scene)
-        spots = seen[seen.used]
-        if len(spots):
-            errors.append(model_error.errors_of_spots(geometry, spots, optics.MODELS))
-        if name in noise_free and (both := seen.used & tracked[f"{name}-noise-free"].used).any():
-            fine = tracked[f"{name}-noise-free"].semi_minor_px[both].to_numpy() / _OVERSAMPLING
+        if name.endswith(_FINE):
+            continue
+        seen, geometry, medium = tracked[name], geometry_of(scene), scene.source.medium
+        if seen.used.any():
+            own = seen[seen.used]
+            errors.append(model_error.errors_of_spots(geometry, own, optics.MODELS))
+        finer = tracked.get(f"{name}{_FINE}")
+        if finer is not None and (both := seen.used & finer.used).any():
+            fine = finer.semi_minor_px[both].to_numpy() / _OVERSAMPLING
             columns = ["semi_minor_px", "cone_semi_minor_px", "c_mm", "d_mm"]
             measured, ideal, c, d = seen.loc[both, columns].to_numpy().T
             length = error_causes.spread_length(scene)
@@ -162,21 +155,13 @@ def measure(
             # A wall that spreads light does so in the frames already.
             edge = fine - ideal - (spread if scene.phantom.spread != "none" else 0.0)
             shift = np.stack([edge, measured - fine, spread])
-            medium = scene.source.medium
             shares.append(error_causes.shares(geometry, medium=medium, c=c, d=d, shift=shift))
-    return (
-        pd.concat(errors[1:] or errors, ignore_index=True),
-        pd.concat(shares[1:] or shares, ignore_index=True),
-    )
+    both_tables = errors[1:] or errors, shares[1:] or shares
+    rendered, causes = (pd.concat(tables, ignore_index=True) for tables in both_tables)
+    return rendered, causes
 
 
 Tables = Mapping[str, pd.DataFrame]
-
-
-def limit_of(tables: Tables, model: str, height: float, incidence: float) -> float:
-    """c at which a model given the true c reaches the largest of `LIMITS_MM`, mm, or NaN."""
-    of = where(tables["limits"], model=model, refit=False, z_f_mm=height, incidence_deg=incidence)
-    return float(of.c_mm.iloc[-1])
 
 
 def pinhole_heights(scene: Scene) -> tuple[float, ...]:
@@ -197,14 +182,13 @@ def worst_errors(scene: Scene, tables: Tables) -> Figure:
     """Largest error over d against c: a panel for each pinhole (row) and incidence (column)."""
 
     def draw(axes: Axes, height: float, incidence: float) -> None:
-        exact, seen = (
-            where(errors, z_f_mm=height, incidence_deg=incidence)
-            for errors in (tables["withdrawals"], tables["rendered"])
+        exact, seen, refits = (
+            where(tables[name], z_f_mm=height, incidence_deg=incidence)
+            for name in ("withdrawals", "rendered", "refits")
         )
-        true_c = where(exact, refit=False)
-        model_error.draw_largest_errors(axes, true_c, seen, limits=LIMITS_MM)
-        refit = model_error.largest_errors(exact[exact.refit])
-        axes.plot(refit, color=page.VERMILION, ls="--", label="small_plane, c fitted")
+        model_error.draw_largest_errors(axes, exact, seen, limits=LIMITS_MM)
+        fitted: dict[str, Any] = {"color": page.VERMILION, "label": "small_plane, c fitted"}
+        axes.plot(refits.c_mm, refits.largest_residual_mm, ls="--", **fitted)
 
     return page.small_multiples(
         draw,
@@ -256,23 +240,21 @@ def _causes_figure(shares: pd.DataFrame, *, d: float) -> Figure:
 
 def _report(scene: Scene, space: WorkspaceKeys, tables: Tables) -> page.Report:
     heights, incidence = pinhole_heights(scene), scene.spot.incidence_deg
-    reached = [limit_of(tables, "small_plane", height, incidence) for height in heights]
+    (low, high), largest_mm = space.distance_mm, LIMITS_MM[-1]
+    limits = where(tables["limits"], limit_mm=largest_mm)
+    limits = limits[limits.z_f_mm.isin(heights)].pivot(
+        index=["z_f_mm", "incidence_deg"], columns="model", values="c_mm"
+    )
     places = (
         "on the eyeball's sphere",
         "at 200 mm, as under a microscope",
         "at the rig's own height",
     )
     said = ", and from ".join(
-        f"{number(c)} mm on if the pinhole lies {at}"
-        for c, at in zip(reached, places, strict=False)
+        f"{number(limits.small_plane[height, incidence])} mm on if the pinhole lies {at}"
+        for height, at in zip(heights, places, strict=False)
     )
-    low, high = space.distance_mm
-    limits = [
-        (height, tilt, *(limit_of(tables, model, height, tilt) for model in model_error.SHOWN))
-        for height, tilt in product(heights, dict.fromkeys((0.0, incidence)))
-    ]
-    headings = ["z_F, mm", "incidence, °", *model_error.SHOWN]
-    refits, largest_mm = tables["refits"], LIMITS_MM[-1]
+    refits = tables["refits"]
     chosen = np.isclose(refits.c_mm % 1.0, 0.0) & (refits.c_mm > 0)
     chosen &= refits.z_f_mm.isin(heights) & (refits.incidence_deg == incidence)
     return page.Report(
@@ -292,8 +274,12 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables) -> page.Report:
                 data="model_error.csv",
             ),
             page.Table(
-                pd.DataFrame(limits, columns=headings),
-                {heading: page.Column(heading, 1) for heading in headings},
+                limits.reset_index(),
+                {
+                    "z_f_mm": page.Column("z_F, mm", 1),
+                    "incidence_deg": page.Column("incidence, °", 1),
+                }
+                | {model: page.Column(model, 1) for model in model_error.SHOWN},
                 f"Smallest c in mm at which the largest error over d reaches {largest_mm:g} mm; a "
                 f"dash: not up to c = {tables['withdrawals'].c_mm.max():g} mm.",
                 data="limits.csv",
@@ -352,7 +338,7 @@ def _claims(scene: Scene, tables: Tables) -> Iterator[page.Claim]:
         spot = _nearest(here, SHOWN_C_MM, SHOWN_C_MM)
         parts = where(here, c_mm=spot.c_mm, d_mm=spot.d_mm)
         parts = parts.sort_values("part_mm", key=lambda part: -part.abs(), kind="stable")
-        exact = where(tables["withdrawals"], refit=False, model="small_plane", z_f_mm=height)
+        exact = where(tables["withdrawals"], model="small_plane", z_f_mm=height)
         own = _nearest(where(exact, incidence_deg=spot.incidence_deg), spot.c_mm, spot.d_mm)
         yield page.Claim(
             name=f"z_F = {height:g} mm, causes",
@@ -419,7 +405,7 @@ def eccentricity(study: Study) -> dict[str, pd.DataFrame]:
     least, most = study.space.eccentricity_mm or (0.0, 0.0)
     c = np.linspace(least, most, 17 if quick else 81)
     with study.timed("render and measure"):
-        rendered, shares = measure(study, *trials(base, study.space, quick=quick))
+        rendered, shares = measure(study, trials(base, study.space, quick=quick))
     with study.timed("withdrawals on exact contours"):
         # Four pinholes, square to the wall and at the scene's incidence.
         found = []

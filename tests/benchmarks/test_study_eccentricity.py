@@ -220,7 +220,7 @@ def test_fitting_c_cannot_hide_it_where_the_right_factor_is_above_one(withdrawal
 
 def test_a_microscope_leaves_the_limits_sooner_than_a_pinhole_on_the_sphere(withdrawals):
     every = pd.concat([errors for errors, _ in withdrawals.values()])
-    rows = eccentricity.limits(every[~every.refit])
+    rows = eccentricity.limits(every)
     found = rows.set_index(["z_f_mm", "model", "limit_mm"]).c_mm
     for limit in LIMITS_MM:
         near, far = found[11.5, "small_plane", limit], found[200.0, "small_plane", limit]
