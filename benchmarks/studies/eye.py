@@ -26,7 +26,6 @@ from eyespot.benchmarks.study import Study
 from eyespot.benchmarks.study_command import command
 from eyespot.optics.irradiance import in_batches
 from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
-from eyespot.optics.viewing.projection import local_magnification
 
 # Errors of every recipe in many eyes behind one viewing path.
 
@@ -38,12 +37,11 @@ class PathErrors(NamedTuple):
     """Errors behind one path, mm, eyes x c x d x tilts, as if the iris hid nothing.
 
     NaN where the optics show no whole contour. Kappas are fitted in each eye, 1/mm; the first is
-    the schematic eye's, whose path has the paraxial one.
+    the schematic eye's.
     """
 
     errors: dict[Recipe, np.ndarray]
     kappas: np.ndarray
-    paraxial_kappa: float
 
 
 def path_errors(
@@ -57,62 +55,43 @@ def path_errors(
     """Look at spots in every eye, calibrate each, and compute distances by every recipe.
 
     Args:
-        eyes: groups of eyes with a leading axis, to be joined. The first eye is the schematic one,
-            which stands for all others where no calibration is made, and is calibrated without
-            noise.
+        eyes: groups of eyes of one structure with a leading axis, to be joined. The first eye is
+            the schematic one, which stands for all others where no calibration is made, and is
+            calibrated without noise.
         seed: of the noise of the calibrations; None for none.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=_OPEN_PUPIL_MM)
     batches = every, axes, _noise(seed, len(axes))
     seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
-    schematic = jax.tree.map(lambda leaf: leaf[0], fitted)
-    known = jax.tree.map(lambda leaf: leaf[0], every)
-    shape, minor = seen.visible.shape, seen.semi_axes[..., 0]
-    in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
+    known, schematic = (jax.tree.map(lambda leaf: leaf[0], of) for of in (every, fitted))
     own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
-    paraxial = float(known.inverse_working_distance)
     uncalibrated = Pinhole(
         *map(jnp.asarray, (eye_paths.SCALE_MM_PX, 0.0, eye_paths.NOMINAL_RADIUS_MM))
     )
-
-    def closed_form(model: str, pinhole: Pinhole) -> np.ndarray:
-        known = jax.tree.map(np.asarray, pinhole)
-        return eye_paths.distance_by_closed_form(model, minor, spots, pinhole=known)
+    shape, minor = seen.visible.shape, seen.ellipse.semi_minor
+    in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
+    closed_form = partial(eye_paths.distance_by_closed_form, semi_minor=minor, spots=spots)
 
     def by_area(pinhole: Pinhole) -> np.ndarray:
         each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
         return eye_paths.distance_by_area(in_a_row, each)
 
-    def by_magnification() -> np.ndarray:
-        # 1/min(h/c, dh/ds): mm on the wall per mm of a small spot's semi-minor image, by c.
-        wall, c = optics.Sphere(eye_paths.NOMINAL_RADIUS_MM), np.asarray(spots.eccentricity)
-        slopes = np.asarray(local_magnification(known, wall, eccentricity=c.ravel()))[..., 1]
-        radius = eye_paths.SCALE_MM_PX * minor / slopes.reshape(c.shape)
-        k, b = 1.0 / np.tan(eye_paths.CONE["half_angle"]), eye_paths.CONE["apex_offset"]
-        own = optics.sphere_distance(spot_radius=radius, k=k, b=b, eye_radius=wall.radius)
-        return np.asarray(own)
-
     ways: dict[Recipe, Callable[[], np.ndarray]] = {
-        Recipe.PLANAR: lambda: closed_form("planar", uncalibrated),
-        Recipe.SMALL_PLANE: lambda: closed_form("small_plane", uncalibrated),
-        Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", uncalibrated),
-        Recipe.PARAXIAL: lambda: closed_form(
-            "corrected", uncalibrated._replace(kappa=jnp.asarray(paraxial))
-        ),
-        Recipe.LOCAL: by_magnification,
-        Recipe.FITTED: lambda: closed_form("corrected", own),
+        Recipe.PLANAR: lambda: closed_form("planar", pinhole=uncalibrated),
+        Recipe.SMALL_PLANE: lambda: closed_form("small_plane", pinhole=uncalibrated),
+        Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", pinhole=uncalibrated),
+        Recipe.FITTED: lambda: closed_form("corrected", pinhole=own),
         Recipe.EXACT_SCHEMATIC: lambda: eye_paths.distance_through_path(in_a_row, known, axes[0]),
         Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
         Recipe.AREA: lambda: by_area(own),
     }
-    truth = np.asarray(spots.distance)
 
     def error(recipe: Recipe) -> np.ndarray:
         read = ways[recipe]().reshape(shape)
-        return np.where(seen.visible, read - truth, np.nan)
+        return np.where(seen.visible, read - np.asarray(spots.distance), np.nan)
 
-    return PathErrors({recipe: error(recipe) for recipe in recipes}, fitted.kappa, paraxial)
+    return PathErrors({recipe: error(recipe) for recipe in recipes}, fitted.kappa)
 
 
 def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
@@ -133,17 +112,18 @@ def _calibrated(
 ) -> tuple[Seen, Pinhole]:
     """Images of the spots in every eye, n x c x d x tilts, and the pinhole fitted there."""
     flat, calibration = jax.tree.map(jnp.ravel, spots), eye_paths.withdrawals()
-    count, shape = len(flat.distance), calibration.distance.shape
+    both = slice(flat.distance.size), slice(flat.distance.size, None)
     # All spots in one batch: XLA compiles the formula once.
     together = jax.tree.map(lambda a, b: jnp.concatenate([a, jnp.ravel(b)]), flat, calibration)
 
+    def shaped(seen: Seen, like: Spots) -> Seen:
+        shape = like.distance.shape
+        return jax.tree.map(lambda leaf: leaf.reshape(shape + leaf.shape[1:]), seen)
+
     def in_one(camera: PathCamera, semi_axes: Array, noise: Array) -> tuple[Seen, Pinhole]:
         images = eye_paths.spots_through(camera, semi_axes, together)
-        last = jax.tree.map(lambda leaf: leaf[count:].reshape(shape + leaf.shape[1:]), images)
-        first = jax.tree.map(
-            lambda leaf: leaf[:count].reshape(spots.distance.shape + leaf.shape[1:]), images
-        )
-        return first, eye_paths.fitted_pinhole(last, noise)
+        first, last = (jax.tree.map(lambda leaf, at=at: leaf[at], images) for at in both)
+        return shaped(first, spots), eye_paths.fitted_pinhole(shaped(last, calibration), noise)
 
     return jax.vmap(in_one)(*eyes)
 
@@ -161,11 +141,6 @@ def _noise(seed: int | None, count: int) -> Float[np.ndarray, "n trials frames 5
         for eye, own in enumerate(noise[1:], 1):
             own[:] = np.random.default_rng([seed, eye]).standard_normal(own.shape)
     return noise
-
-
-def together(*groups: Eye) -> Eye:
-    """Groups of eyes of one structure as one group."""
-    return jax.tree.map(lambda *leaves: jnp.concatenate(leaves), *groups)
 
 
 LIMITS_MM = (0.1, 0.5)
@@ -208,9 +183,8 @@ def _causes(
     worth = np.zeros((len(recipes), len(_SHOWN_MM), 2 ** len(players)))
     for row, members in enumerate(coalitions(len(players))):
         parts = [part for part, inside in zip(eye_paths.PARTS, members, strict=False) if inside]
-        eyes = together(schematic, eyes_drawn.eyes(parts))
-        noise = seed if members[-1] else None
-        found = path_errors(path, [eyes], spots, seed=noise, recipes=recipes)
+        eyes, noise = [schematic, eyes_drawn.eyes(parts)], seed if members[-1] else None
+        found = path_errors(path, eyes, spots, seed=noise, recipes=recipes)
         for k, recipe in enumerate(recipes):
             largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
             worth[k, :, row] = np.quantile(largest[:, shown], SERVED_SHARE, axis=0)
@@ -241,52 +215,57 @@ def tables_of(
     - `eyes`: what every eye shows behind every path; the errors are the largest at c = 3 mm over
       distances and tilts, with the ellipse's area.
     - `pinholes`: pinholes and fields (the largest c that a dilated pupil shows, mm) of each path,
-      over the random eyes, a `population` between Navarro's and other schematic ones.
+      over the random eyes, a `population` between Navarro's and other schematic ones; and the
+      median error of small_plane at c = 3 mm and the worst distance, with a perpendicular beam.
     """
-    random, errors, limits, eyes, pinholes = slice(1, 1 + population), [], [], [], []
+    random, errors, eyes, pinholes = slice(1, 1 + population), [], [], []
     for path, found in paths.items():
-        worst = {}
         for recipe, tilt in product(Recipe, _TILTS):
             # A spot that is not whole at any distance or tilt counts as not seen.
-            worst[recipe, tilt] = np.abs(found.errors[recipe][..., _TILTS[tilt]]).max(axis=(2, 3))
-            by_c = pd.DataFrame(worst[recipe, tilt][random])
+            worst = np.abs(found.errors[recipe][random, ..., _TILTS[tilt]]).max(axis=(2, 3))
+            by_c = pd.DataFrame(worst, columns=_ECCENTRICITIES_MM)
             # A quantile of the few eyes that show the spot would not be the eyes'.
             enough = by_c.count() > SERVED_SHARE * population
-            curves = {
+            of_c = {
+                "eyes": by_c.count(),
                 "median_mm": by_c.median().where(enough),
                 "p95_mm": by_c.quantile(SERVED_SHARE).where(enough),
             }
-            about = {"path": path, "recipe": recipe, "tilt": tilt}
-            of_c = {"c_mm": _ECCENTRICITIES_MM, "eyes": by_c.count(), **curves}
+            about = {"path": path, "recipe": recipe, "tilt": tilt, "c_mm": _ECCENTRICITIES_MM}
             errors.append(pd.DataFrame(about | of_c))
-            reached = {
-                f"{part}_{limit:g}_mm".replace(".", "_"): crossing(
-                    _ECCENTRICITIES_MM, curves[curve].to_numpy(), limit
-                )
-                for part, curve in (("median", "median_mm"), ("within", "p95_mm"))
-                for limit in LIMITS_MM
-            }
-            limits.append(about | reached)
-        each = {"kappa_per_mm": found.kappas, "field_mm": fields[path]} | {
-            f"{name}_error_mm": worst[recipe, "any"][:, _INDEX_OF_3_MM]
-            for name, recipe in (("fitted", Recipe.AREA), ("schematic", Recipe.AREA_SCHEMATIC))
-        }
+        each = {"kappa_per_mm": found.kappas, "field_mm": fields[path]}
+        for name, recipe in (("fitted", Recipe.AREA), ("schematic", Recipe.AREA_SCHEMATIC)):
+            at_three = np.abs(found.errors[recipe][:, _INDEX_OF_3_MM])
+            each[f"{name}_error_mm"] = at_three.max(axis=(1, 2))
         eyes.append(pd.DataFrame({"path": path, "eye": names, **each}))
         low, middle, high = np.quantile(fields[path][random], [0.05, 0.5, 0.95])
+        small = np.nanmedian(found.errors[Recipe.SMALL_PLANE][random, _INDEX_OF_3_MM, :, 0], axis=0)
         pinholes.append(
             {
                 "path": path,
-                "paraxial": found.paraxial_kappa,
                 "schematic": found.kappas[0],
                 "mean": found.kappas[random].mean(),
                 "deviation": found.kappas[random].std(),
                 "field_low": low,
                 "field": middle,
                 "field_high": high,
+                "small_plane_mm": max(small.tolist(), key=abs),
             }
         )
+    every = pd.concat(errors, ignore_index=True)
+    limits = [
+        {"path": path, "recipe": recipe, "tilt": tilt}
+        | {
+            f"{part}_{limit:g}_mm".replace(".", "_"): crossing(
+                curve.c_mm.to_numpy(), curve[column].to_numpy(), limit
+            )
+            for part, column in (("median", "median_mm"), ("within", "p95_mm"))
+            for limit in LIMITS_MM
+        }
+        for (path, recipe, tilt), curve in grouped(every, "path", "recipe", "tilt")
+    ]
     return {
-        "eye_errors": pd.concat(errors, ignore_index=True),
+        "eye_errors": every,
         "limits": pd.DataFrame(limits),
         "eyes": pd.concat(eyes, ignore_index=True),
         "pinholes": pd.DataFrame(pinholes),
@@ -313,8 +292,6 @@ _STYLES = {
     Recipe.PLANAR: (page.VERMILION, ":"),
     Recipe.SMALL_PLANE: (page.VERMILION, "-"),
     Recipe.STEREOGRAPHIC: (page.VERMILION, "--"),
-    Recipe.PARAXIAL: (page.ORANGE, "-"),
-    Recipe.LOCAL: (page.PURPLE, "-"),
     Recipe.FITTED: (page.SKY, "-"),
     Recipe.EXACT_SCHEMATIC: (page.GREEN, "--"),
     Recipe.AREA_SCHEMATIC: (page.GREEN, "-"),
@@ -359,8 +336,7 @@ def error_figure(tables: Tables, paths: Sequence[str]) -> Figure:
 # The page.
 
 
-def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) -> page.Report:
-    """The report; `medians` are the random eyes' of small_plane at c = 3 mm and each distance."""
+def _report(tables: Tables, population: int) -> page.Report:
     names = tables["pinholes"].path.tolist()
     first = where(tables["limits"], path=names[0], tilt="any")
     reached = first.set_index("recipe").within_0_5_mm
@@ -397,26 +373,18 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
                 data="limits.csv",
             ),
         ],
-        claims=list(_claims(tables, medians)),
+        claims=list(_claims(tables)),
         sections=[
-            page.Section(
-                "Error against eccentricity",
-                page.Picture(
-                    "error_others",
-                    error_figure(tables, names[1:3] + names[4:]),
-                    "The same through the other lenses and eyes.",
-                    data="eye_errors.csv",
-                ),
-                _RECIPES,
-            ),
+            page.Section("Recipes", _RECIPES),
             page.Section(
                 "The pinhole that stands for an eye",
                 page.Table(
                     tables["pinholes"],
                     tables["pinholes"].columns,
-                    "Reciprocal working distance κ = 1/(z_F + r) fitted in each random eye, that "
-                    "of the paraxial pinhole of Navarro's eye, and the largest c that a dilated "
-                    "pupil of 7 mm shows. Negative κ: the pinhole lies behind the retina.",
+                    "Reciprocal working distance κ = 1/(z_F + r) fitted in Navarro's eye and in "
+                    "each random eye, the largest c that a dilated pupil of 7 mm shows, and the "
+                    "median error of small_plane at c = 3 mm, at the worst distance. Negative κ: "
+                    "the pinhole lies behind the retina.",
                     data="eyes.csv",
                 ),
             ),
@@ -439,8 +407,6 @@ def _report(tables: Tables, medians: Mapping[str, np.ndarray], population: int) 
 _RECIPES = (
     f"“{Recipe.SMALL_PLANE}” is the paper's; like “{Recipe.PLANAR}” and “{Recipe.STEREOGRAPHIC}” "
     f"it knows nothing of the eye but a sphere of {eye_paths.NOMINAL_RADIUS_MM:g} mm. "
-    f"“{Recipe.PARAXIAL}” and “{Recipe.LOCAL}” take the "
-    "pinhole or the magnification from Navarro's eye behind the same viewing lens. "
     f"“{Recipe.FITTED}” and “{Recipe.AREA}” fit δ, κ and the radius of a sphere in the eye itself, "
     f"from three withdrawals at c = {listed(eye_paths.WITHDRAWALS_C_MM, 'g')} mm with nine frames "
     "each, like `eyespot fit --model eye`: the robot's axis known, 25° from the retina's normal "
@@ -452,7 +418,7 @@ _RECIPES = (
 )
 
 
-def _claims(tables: Tables, medians: Mapping[str, np.ndarray]) -> Iterator[page.Claim]:
+def _claims(tables: Tables) -> Iterator[page.Claim]:
     tilted = where(tables["limits"], tilt="any").set_index(["path", "recipe"])
     within = tilted.within_0_1_mm.fillna(0.0)  # exceeded at c = 0: it is kept up to 0
     for path, field in tables["pinholes"][["path", "field"]].itertuples(index=False):
@@ -480,13 +446,13 @@ def _claims(tables: Tables, medians: Mapping[str, np.ndarray]) -> Iterator[page.
             f"{navarros:.2f} mm with Navarro's pinhole.",
             value=own,
         )
-    worst = {path: max(errors.tolist(), key=abs) for path, errors in medians.items()}
+    worst = tables["pinholes"].set_index("path").small_plane_mm
     said = "; ".join(f"{error:+.2f} mm, {path}" for path, error in worst.items())
     yield page.Claim(
         name="small_plane at c = 3",
         sentence=f"At c = 3 mm and a perpendicular beam small_plane errs by {said} (median of the "
         "eyes at the worst distance).",
-        value=tuple(worst.values()),
+        value=tuple(worst.tolist()),
     )
     at_three = where(tables["causes"], recipe=Recipe.AREA, c_mm=3.0)
     row = max(rows_of(at_three), key=lambda row: row.share_mm)
@@ -512,29 +478,20 @@ def eye(study: Study) -> Tables:
     distances = _QUICK_DISTANCES_MM if quick else _DISTANCES_MM
     spots = eye_paths.grid(_ECCENTRICITIES_MM, distances, _TILTS_DEG)
     navarro = _stacked([load_eye("navarro", wavelength_nm=_NM)])
-    # Eyes of one structure are one group, which is compiled once.
-    groups, gradient = [together(navarro, random.eyes())], []
+    groups, count = [navarro, random.eyes()], len(random.values)
+    names = ["navarro", *(f"random {k}" for k in range(count))]
     if not quick:
         gradient = [load_eye("liou-brennan", wavelength_nm=_NM)]
         gradient += [load_eye("atchison", wavelength_nm=_NM, refraction_d=d) for d in REFRACTIONS_D]
         groups.append(_stacked(gradient))
+        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
     with study.timed("errors in all eyes"):
         paths = {path: path_errors(path, groups, spots, seed=study.seed) for path in PATHS}
     with study.timed("fields"):
         seen = {path: fields(path, groups) for path in PATHS}
-    count = len(random.values)
     some = random._replace(values=random.values[: _QUICK_CAUSES_EYES if quick else _CAUSES_EYES])
     with study.timed("causes"):
         shares = _causes(_CAUSES_PATH, some, navarro, spots, seed=study.seed)
-    names = ["navarro", *(f"random {k}" for k in range(count))]
-    if gradient:
-        names += ["liou-brennan", *(f"atchison {d:+g} D" for d in REFRACTIONS_D)]
     tables = tables_of(paths, seen, names, count) | {"causes": shares}
-    medians = {
-        path: np.nanmedian(
-            found.errors[Recipe.SMALL_PLANE][1 : 1 + count, _INDEX_OF_3_MM, :, 0], axis=0
-        )
-        for path, found in paths.items()
-    }
-    study.publish(_report, tables, medians, count)
+    study.publish(_report, tables, count)
     return tables

@@ -59,9 +59,7 @@ class Seen(NamedTuple):
     `visible`: the whole contour is inside the pupil and the field.
     """
 
-    centre: Float[Array, "*batch 2"]
-    semi_axes: Float[Array, "*batch 2"]  # semi-minor and semi-major
-    angle: Float[Array, "*batch"]
+    ellipse: optics.Ellipse
     axis: Float[Array, "*batch 3"]
     visible: Bool[Array, "*batch"]
 
@@ -149,8 +147,7 @@ def image(
     beam = optics.beam_at_spot(wall, **spot._asdict(), **CONE)
     contour = optics.cone_contour(beam, wall, points=_CONTOUR_POINTS).point
     ellipse = optics.ellipse_of_contour(camera.project(contour))
-    axes = jnp.stack([ellipse.semi_minor, ellipse.semi_major])
-    return Seen(ellipse.centre, axes, ellipse.angle, beam.axis, jnp.all(sees(contour)))
+    return Seen(ellipse, beam.axis, jnp.all(sees(contour)))
 
 
 # Eyes of a healthy adult population, drawn from published means and covariances.
@@ -244,8 +241,6 @@ class Recipe(StrEnum):
     PLANAR = "planar"
     SMALL_PLANE = "small_plane"
     STEREOGRAPHIC = "stereographic"
-    PARAXIAL = "corrected, paraxial pinhole"
-    LOCAL = "corrected, schematic eye"
     FITTED = "corrected, fitted pinhole"
     EXACT_SCHEMATIC = "exact, schematic eye"
     AREA_SCHEMATIC = "area, schematic pinhole"
@@ -273,20 +268,15 @@ def fitted_pinhole(seen: Seen, noise: Float[Array, "trials frames 5"]) -> Pinhol
         noise: of the ellipses' parameters, in standard deviations of the sub-pixel mode.
     """
     distance, count = withdrawals().distance[0], len(WITHDRAWALS_C_MM)
+    measured = jnp.concatenate([seen.ellipse.centre, jnp.stack(seen.ellipse[1:], axis=-1)], axis=-1)
     # A hidden contour may have no values, and its weight is 0.
-    centre = jnp.where(seen.visible[..., None], seen.centre, 0.0)
-    minor, major = (jnp.where(seen.visible, seen.semi_axes[..., k], 1.0) for k in (0, 1))
-    angle = jnp.where(seen.visible, seen.angle, 0.0)
-    sigma = jnp.broadcast_to(_SIGMA_PX, (*minor.shape, 5))
+    measured = jnp.where(seen.visible[..., None], measured, jnp.array([0.0, 0.0, 1.0, 1.0, 0.0]))
+    _, _, major, minor, _ = jnp.moveaxis(measured, -1, 0)
     # Noise turns an outline that is nearly round by much.
+    sigma = jnp.full(measured.shape, _SIGMA_PX)
     sigma = sigma.at[..., 4].divide(jnp.maximum(major - minor, _SIGMA_PX))
-    off = sigma * noise
-    ellipses = optics.Ellipse(
-        centre + off[..., :2],
-        major + off[..., 2],
-        minor + off[..., 3],
-        angle + off[..., 4],
-    )
+    x, y, *others = jnp.moveaxis(measured + sigma * noise, -1, 0)
+    ellipses = optics.Ellipse(jnp.stack([x, y], axis=-1), *others)
     covariances = sigma[..., None] ** 2 * jnp.eye(5)
     nothing = jnp.zeros(count)
     whitening = jax.vmap(whitening_of)(ellipses, covariances, nothing)
@@ -350,9 +340,7 @@ def distance_through_path(
 
 
 def _by_area(seen: Seen, wall: optics.Surface, camera: optics.Camera) -> Float[Array, ""]:
-    minor, major = seen.semi_axes
-    ellipse = optics.Ellipse(seen.centre, major, minor, jnp.zeros(()))
-    return optics.distance_by_area(ellipse, wall, camera, axis=seen.axis, **CONE)
+    return optics.distance_by_area(seen.ellipse, wall, camera, axis=seen.axis, **CONE)
 
 
 _through_pinholes = eqx.filter_jit(
@@ -362,22 +350,18 @@ _through_path = eqx.filter_jit(jax.vmap(_by_area, in_axes=(0, None, None)))
 
 
 def distance_by_closed_form(
-    model: str,
-    semi_minor: np.ndarray,
-    spots: Spots,
-    *,
-    pinhole: Pinhole,
+    model: str, semi_minor: np.ndarray, spots: Spots, pinhole: Pinhole
 ) -> np.ndarray:
     """Distance by one of `optics.CLOSED_FORMS` for one pinhole, or for one an eye, mm."""
-    return np.asarray(
-        optics.closed_form_distance(
-            model,
-            semi_minor_px=semi_minor,
-            scale=pinhole.scale,
-            k=1.0 / np.tan(CONE["half_angle"]),
-            b=CONE["apex_offset"],
-            eccentricity=np.asarray(spots.eccentricity),
-            eye_radius=pinhole.radius,
-            inverse_working_distance=pinhole.kappa,
-        )
+    known: Any = jax.tree.map(np.asarray, pinhole)
+    found = optics.closed_form_distance(
+        model,
+        semi_minor_px=semi_minor,
+        scale=known.scale,
+        k=1.0 / np.tan(CONE["half_angle"]),
+        b=CONE["apex_offset"],
+        eccentricity=np.asarray(spots.eccentricity),
+        eye_radius=known.radius,
+        inverse_working_distance=known.kappa,
     )
+    return np.asarray(found)

@@ -283,10 +283,10 @@ def _report(
         for name, high in {"sub-pixel": 0.1, "pixels": 0.1, "literal": math.inf}.items()
         for error in [by_run.rms_mm[name]]
     ]
+    of_perfect = {**COLUMNS, "run": page.Column("a perfect sensor, and")}
     touch = int((by_run.nearest_mm <= 0).sum())
-    contacts = page.Claim(
-        name="contacts", sentence=f"{touch} runs touch the wall.", value=touch, high=0
-    )
+    of_touch = f"{touch} runs touch the wall."
+    contacts = page.Claim(name="contacts", sentence=of_touch, value=touch, high=0)
     return page.Report(
         title="What distance can a robot keep with this sensor?",
         answer=f"At {speed:g} mm/s along the wall, {KEPT_MM:g} mm are kept to {outline:.3f} mm "
@@ -301,12 +301,7 @@ def _report(
             page.Picture("film", strip, "What the microscope sees.", "film.mp4", "jpeg"),
             page.Picture("distance", kept, "The distance in time, from 2.3 mm on.", "loop.csv"),
             page.Table(errors, COLUMNS, f"After the first {SETTLING_S:g} s.", data="runs.csv"),
-            page.Table(
-                assumed,
-                {**COLUMNS, "run": page.Column("a perfect sensor, and")},
-                "What the assumptions are worth.",
-                data="assumed.csv",
-            ),
+            page.Table(assumed, of_perfect, "What the assumptions are worth.", data="assumed.csv"),
         ],
         claims=[contacts, *claims],
         sections=[page.Section("What the error depends on", alone)] if len(errors) > 7 else [],

@@ -109,7 +109,7 @@ def test_small_plane_errs_as_an_independent_trace_says(path, errors_mm):
     seen = spots_through(one_camera(path, eye), eye.retina_semi_axes, flat)
     read = eye_paths.distance_by_closed_form(
         "small_plane",
-        np.asarray(seen.semi_axes[:, 0]),
+        np.asarray(seen.ellipse.semi_minor),
         flat,
         pinhole=Pinhole(*map(jnp.asarray, (SCALE_MM_PX, 0.0, NOMINAL_RADIUS_MM))),
     )
