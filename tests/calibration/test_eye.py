@@ -9,7 +9,6 @@ from scipy import stats
 
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.models import fit_eye
-from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.inputs import InputError
 from tests.support.command_line import call, printed
@@ -34,26 +33,6 @@ def withdrawn(eye, c, azimuth, *, errors=1.0, seed=4):
 
 
 CONE = np.array([eye_fits.HALF_ANGLE, eye_fits.B])
-
-
-@pytest.mark.slow
-def test_three_withdrawals_make_distances_right_within_their_sigma(eye):
-    camera, semi_axes = eye
-    trials = [withdrawn(eye, c, azimuth) for c, azimuth in ((0.5, 0.3), (1.5, 2.0), (3.0, 4.0))]
-    fit = eye_fits.fitted(trials, CONE)
-    assert fit.converged and not fit.undetermined
-    own = eye_fits.calibration(fit.values, fit.covariance, fit.calibration_model)
-    ranger = Ranger(own, eye_fits.MICROSCOPE)
-    assert ranger.model == "area"
-    noise = np.random.default_rng(1)
-    places = [(3.0, 5.5, tilt, 0.0, d) for tilt in (0.0, 0.4) for d in (1.0, 4.0)]
-    ellipses, axes = eye_fits.seen(camera, semi_axes, places)
-    for ellipse, axis, (*_, d) in zip(ellipses, axes, places, strict=True):
-        spot = eye_fits.measured(ellipse, noise)
-        read = ranger.distance(spot, axis=axis, axis_sigma_rad=1e-3)
-        assert abs(read.distance_mm - d) < 3 * read.sigma_mm
-        # Half of 0.1 mm, the limit of the study: two standard deviations stay within it.
-        assert read.sigma_mm < 0.05
 
 
 @pytest.mark.slow

@@ -177,13 +177,6 @@ def test_bytes_as_rospy_gives_them_are_read_too():
     np.testing.assert_array_equal(frame_of_message(raw)[0], RGB)
 
 
-def test_compressed_images_are_read(tmp_path):
-    compressed = [("/camera/compressed", 1.0, compressed_message(ROS1, RGB))]
-    (frame,) = open_source(write(tmp_path / "a.bag", ROS1, compressed))  # the only image topic
-    np.testing.assert_array_equal(frame.image, RGB)
-    assert frame.time_s == EPOCH_S
-
-
 BROKEN: dict[str, tuple[dict[str, Any], str]] = {
     "encoding": ({"encoding": "jpeg"}, "must be mono .* got 'jpeg'"),
     "height": ({"height": 7}, "5x7 px .* cannot be made of 90 bytes"),
@@ -224,10 +217,9 @@ def test_an_image_that_makes_no_sense_costs_its_frame_alone(tmp_path, broken, or
     assert re.search(f"The first, frame {order.index('x')}: .*{BROKEN[broken][1]}", said)
 
 
-@pytest.mark.parametrize("broken", BROKEN)
-def test_a_bag_without_any_good_image_is_refused(tmp_path, broken):
-    source = open_source(bag_of_good_and(tmp_path / "a.bag", broken, "xxx"))
-    words = f"none of 3 images .* frame 0: .*{BROKEN[broken][1]}.*Record again .*another topic"
+def test_a_bag_without_any_good_image_is_refused(tmp_path):
+    source = open_source(bag_of_good_and(tmp_path / "a.bag", "empty", "xxx"))
+    words = "none of 3 images .* frame 0: .*cannot be made.*Record again .*another topic"
     with pytest.raises(InputError, match=words):
         track_source(source, new_reader())
 
@@ -396,36 +388,3 @@ def test_a_pose_can_be_made_of_any_axis(axis):
     pose = Pose.along(axis, time_s=0.0, position_mm=(0, 0, 0))
     # Within the 1e-6 below which the turn is taken as half a circle.
     assert pose.axis == pytest.approx(axis, abs=1e-8)
-
-
-def test_poses_come_from_csv_with_a_quaternion_or_an_axis(tmp_path):
-    quaternion, axis = tmp_path / "q.csv", tmp_path / "a.csv"
-    quaternion.write_text("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw,note\n0.5,1,2,3,0,1,0,0,x\n")
-    axis.write_text("axis_x,axis_y,axis_z,time_s,x_mm,y_mm,z_mm\n0,0,-1,0.5,1,2,3\n")
-    for path in (quaternion, axis):
-        pose, age_s = known(read_poses(path), 0.75)
-        assert age_s == 0.25
-        assert pose.position_mm == (1, 2, 3)
-        assert pose.axis == pytest.approx((0, 0, -1))
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("", "no times among the columns none"),
-        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n", "holds no poses"),
-        ("time_s,x_mm,y_mm,z_mm\n1,2,3,4\n", "no direction of the tool among the columns 'time_s'"),
-        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,far,0,0,1\n", "line 2: z_mm .* 'far'"),
-        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,4,0,0\n", "line 2: 7 cells expected"),
-        ("time_s,x_mm,y_mm,z_mm,axis_x,axis_y,axis_z\n1,2,3,4,0,0,2\n", "line 2: .* unit vector"),
-        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n1,2,3,4,0,0,0,0\n", "line 2: .* unit quaternion"),
-        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\nnan,2,3,4,0,0,0,1\n", "line 2: .* finite"),
-        ("\0\1", "poses.csv"),
-    ],
-)
-def test_a_bad_file_of_poses_is_refused_with_its_line(tmp_path, text, words):
-    path = tmp_path / "poses.csv"
-    path.write_text(text)
-    with pytest.raises(ValueError, match=words) as caught:
-        read_poses(path)
-    assert "poses.csv" in str(caught.value)

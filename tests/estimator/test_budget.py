@@ -358,19 +358,11 @@ def test_no_distance_has_no_budget():
     assert Budgets(ranger, Stated()).of(spot(720.0, 240.0, 66.0, 60.0), nothing) is None
 
 
-@pytest.mark.parametrize(
-    ("text", "word"),
-    [
-        ("eye_radius = 0.2", "eye_radius"),
-        ("clock_sigma_s = -1", "clock_sigma_s"),
-        ("incidence_deg = [30, 10]", "30"),
-        ("touch_sigma_mm = 'much'", "touch_sigma_mm"),
-    ],
-)
-def test_a_wrong_stated_file_is_named_with_its_key(tmp_path, text, word):
+@pytest.mark.parametrize("text", ["eye_radius = 0.2", "clock_sigma_s = -1"])
+def test_a_wrong_stated_file_is_named_with_its_key(tmp_path, text):
     path = tmp_path / "stated.toml"
     path.write_text(text)
-    with pytest.raises(InputError, match=word) as caught:
+    with pytest.raises(InputError, match=text.partition(" ")[0]) as caught:
         read_rig(path)
     assert str(path) in str(caught.value)
 

@@ -103,11 +103,8 @@ def test_what_is_not_clipped_is_not_saturated(bits, level, shift, noise):
         assert_within(spot, truth)
 
 
-@pytest.mark.parametrize(
-    "seeds", [range(150), pytest.param(range(150, 2000), marks=pytest.mark.slow)]
-)
-def test_frames_of_random_depth_level_and_exposure_are_right_or_refused(seeds):
-    for seed in seeds:
+def test_frames_of_random_depth_level_and_exposure_are_right_or_refused():
+    for seed in range(150):
         rng = np.random.default_rng([2, seed])
         bits, level, shift = LEVELS[rng.integers(len(LEVELS))]
         level = int(level * rng.choice([1.0, rng.uniform(0.7, 1)]))

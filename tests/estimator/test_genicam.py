@@ -73,11 +73,3 @@ def test_pixel_formats_are_read_as_genicam_names_them(form, data, pixel, full_sc
     assert frame.shape[:2] == (8, 12)
     assert said == full_scale
     np.testing.assert_allclose(frame, np.broadcast_to(pixel, frame.shape), atol=0.5)
-
-
-def test_what_shows_no_light_is_refused_by_its_name():
-    buffer = SimpleNamespace(
-        data_format="Coord3D_C16", width=12, height=8, data=np.zeros(96, np.uint16)
-    )
-    with pytest.raises(InputError, match="got 'coord3d_c16'"):
-        frame_of_message(_message(buffer))

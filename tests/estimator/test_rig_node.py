@@ -213,20 +213,6 @@ def test_an_image_that_does_not_fit_the_parameters_is_refused(tmp_path):
         np.testing.assert_equal(output.centre, (math.nan, math.nan, 0.0))
 
 
-def test_an_image_that_meets_a_bug_is_an_error_and_the_next_is_measured(monkeypatch, caplog):
-    rig, image = ImageReader(Parameters()), grey_message(disc(150.25, 110.5, 40.0))
-
-    def with_a_bug(*_: object) -> None:  # stands in for a bug, of which we know none
-        raise ZeroDivisionError("here")
-
-    with monkeypatch.context() as patched:
-        patched.setattr("eyespot.estimator.run.reader.measure", with_a_bug)
-        failed = rig.output(image, 1.0, 0)
-    assert (failed.doubt, failed.level) == ("internal_error", "ERROR")
-    assert "ZeroDivisionError: here" in caplog.text
-    assert rig.output(image, 1.1, 0).level == "OK"
-
-
 def test_images_between_two_measured_ones_are_counted_as_skipped():
     rig, counts = ImageReader(Parameters()), []
     for number in (7, 8, 11, 11, 2, 4):  # the publisher begins again at 2

@@ -22,10 +22,8 @@ from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
-from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.drawn.drawn_recording import (
     GONE,
-    SHAPE,
     assert_same,
     opencv_order,
     recorded,
@@ -101,27 +99,6 @@ def test_a_lossy_video_moves_spots_by_no_more_than_its_noise_can(tmp_path, image
         step, edge = 180.0, 2.0
         bound = loss.std() / step * math.sqrt(3 * edge / (math.sqrt(math.pi) * other.semi_minor_px))
         assert abs(result.semi_minor_px - other.semi_minor_px) < 4 * math.sqrt(8) * 3.3 * bound
-
-
-def test_typed_failures_are_counted_by_their_reason(tmp_path, images):
-    clipped = Truth(x=0, y=80, semi_major=33, semi_minor=30)
-    frame = frame_of(Drawing(truth=clipped), np.random.default_rng(1), SHAPE)
-    folder = write_folder(tmp_path / "folder", [*images, frame, images[GONE]])
-    tracking = tracked(open_source(folder))
-    by_hand = [r.result.reason.value for r in tracking.records if isinstance(r.result, NoSpot)]
-    assert tracking.no_spot == {reason: by_hand.count(reason) for reason in by_hand}
-    assert tracking.no_spot["none_found"] == 2
-    assert tracking.spots + tracking.no_spot.total() == len(images) + 2
-
-
-def test_times_are_those_of_the_source(tmp_path, images):
-    stack = open_source(write_stack(tmp_path / "stack", images, ("metered",)))
-    video = open_source(write_video(tmp_path / "video.avi", images))
-    for source in (stack, video):
-        assert source.rate_hz == pytest.approx(25.0)
-        assert [frame.time_s for frame in source] == pytest.approx([k / 25 for k in range(12)])
-    folder = open_source(write_folder(tmp_path / "folder", images))
-    assert all(math.isnan(frame.time_s) for frame in folder)
 
 
 def test_an_exposure_that_a_source_lacks_is_refused_and_one_alone_needs_no_note(tmp_path, images):

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure, track
+from eyespot.estimator import SubpixelSettings, TrackState, measure, track
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, frame_of
 from tests.support.drawn.drawn_spots import with_shaft
@@ -235,14 +235,6 @@ def test_glints_vessels_and_shafts_are_no_spots():
 @pytest.mark.parametrize("seed", range(100, 104))
 def test_five_hundred_frames_without_a_spot_show_none(seed):
     assert false_spots(500, seed) == 0
-
-
-def test_both_modes_yield_one_result_a_frame():
-    rng = np.random.default_rng(10)
-    frames = [frame_of(s, rng) for s in (_NOTHING, _SCENE, _NOTHING)]
-    for settings in (LiteralSettings(threshold=150), SubpixelSettings()):
-        results = list(track(frames, settings))
-        assert [bool(r) for r in results] == [False, True, False]
 
 
 def test_a_violet_bell_keeps_its_channel_while_its_power_rises():

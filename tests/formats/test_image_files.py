@@ -466,65 +466,6 @@ def test_a_tiff_damaged_in_its_first_page_is_refused(tmp_path, light, at):
     assert "frame -1" not in str(caught.value)
 
 
-@pytest.mark.slow
-def test_200_tiffs_at_random_are_right_or_refused(tmp_path, light):
-    rng = np.random.default_rng(0)
-    path = tmp_path / "a.tif"
-    refused = 0
-    for _ in range(200):
-        bits = int(rng.choice([8, 10, 12, 14, 16]))
-        most = 2**bits - 1
-        values = samples(light, bits)
-        kind = str(rng.choice(["minisblack", "miniswhite", "rgb", "separated", "cfa"]))
-        options: dict[str, Any] = {
-            "photometric": kind,
-            "byteorder": str(rng.choice(["<", ">"])),
-            "bigtiff": bool(rng.integers(2)),
-            "compression": str(rng.choice(["none", "lzw", "zlib", "packbits", "zstd"])),
-        }
-        if options["compression"] == "none":
-            del options["compression"]
-        if rng.integers(2):
-            options["tile"] = (16 * int(rng.integers(1, 5)), 16 * int(rng.integers(1, 5)))
-        else:
-            options["rowsperstrip"] = int(rng.integers(1, SHAPE[0]))
-        if bits in (10, 12, 14):
-            # tifffile writes packed bits wrongly in the order ">".
-            options |= {"bitspersample": bits, "byteorder": "<"}
-            options.pop("compression", None)
-            options.pop("tile", None)
-        elif "compression" in options and rng.integers(2):
-            options["predictor"] = True
-        image = most - values if kind in ("miniswhite", "separated") else values
-        if kind == "rgb":
-            image = grey_as_rgb(values)
-        elif kind == "separated":
-            image = np.dstack([0 * image] * 3 + [image])
-        elif kind == "cfa":
-            options["extratags"] = cfa_tags(bytes(rng.choice([0, 1, 2], 4)))
-        if kind in ("minisblack", "miniswhite", "rgb") and rng.integers(3) == 0:
-            alpha = np.full(SHAPE, most, image.dtype)
-            alpha[:20, :30] = 0
-            image = np.dstack([image, alpha])
-            image[:20, :30, :-1] = 0 if kind == "miniswhite" else most
-            options["extrasamples"] = [str(rng.choice(["unassalpha", "unspecified"]))]
-        if image.ndim == 3 and rng.integers(2):
-            image = np.moveaxis(image, 2, 0)
-            options["planarconfig"] = "separate"
-        try:
-            tifffile.imwrite(path, image, **options)
-        except (ValueError, NotImplementedError, TypeError):
-            continue  # what tifffile does not write
-        try:
-            (frame,) = open_source(path)
-        except InputError as error:
-            refused += 1
-            assert "mosaic" in str(error) or "whether it is alpha" in str(error), options
-            continue
-        assert error_px(frame) < TOLERANCE_PX, (bits, options)
-    assert refused < 80
-
-
 def test_a_decoder_that_is_not_installed_is_not_called_a_damaged_image(monkeypatch):
     monkeypatch.setitem(sys.modules, "imagecodecs", None)
     _, png = cv2.imencode(".png", np.zeros((4, 4), np.uint8))

@@ -171,7 +171,6 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
 @pytest.mark.parametrize(
     ("changed", "told"),
     [
-        ({"schema": 0}, "schema is 0; this eyespot .* reads 1. Restore"),
         ({"camera_matrix": None}, "camera_matrix must be a matrix"),
         ({"pinhole_height_mm": None}, "camera_matrix must be null"),
         ({"scale_mm_px": 0.0068}, "Change both alike"),
@@ -179,7 +178,6 @@ def test_what_stands_in_the_file_must_not_be_given_too(written):
         ({"pinhole_height_mm": -11.5}, "must lie above or below the retinal pole"),
         ({"plane_normal": [0, 0, 2]}, "plane_normal must be a unit vector.*square"),
         ({"plane_normal": [0, 0, -1]}, "plane_normal must be a unit vector.*square"),
-        ({"response": "log"}, "response must be linear, srgb"),
     ],
 )
 def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, told):
@@ -194,15 +192,12 @@ def test_nonsense_in_our_file_is_refused_with_file_and_key(written, changed, tol
     [
         ("image_width: 640\n", "", "image_width .or width. is missing"),
         ("width: 640", "width: [640, 480]", "image_width must be one whole number"),
-        ("width: 640", "width: wide", "image_width must hold numbers"),
         ("3432.8, 224.25", "3500.0, 224.25", "square pixels.*CALIB_FIX_ASPECT_RATIO"),
         ("[3432.8, 0,", "[3432.8, 20.0,", "square pixels without skew"),
         ("  cols: 3\n", "  cols: 2\n", "9 numbers, but rows and cols say"),
         ("0.05]", "0.05, 1]", "6 numbers, but rows and cols say"),
         ("-0.21", "red", "must hold numbers"),
         ("-0.21, 0.13", ".nan, 0.13", "finite coefficients"),
-        ("  rows: 3\n", "  rows: -3\n", "rows and cols say -3 x 3"),
-        ("  rows: 3\n", "  rows: x\n", "must hold numbers"),
         ("[3432.8, 0, 330.5, 0, 3432.8, 224.25, 0, 0, 1]", "[]", "0 numbers, but rows and cols"),
     ],
 )
@@ -210,12 +205,6 @@ def test_nonsense_in_a_ros_file_is_refused(written, old, new, told):
     assert old in ROS
     with pytest.raises(InputError, match=told):
         read_microscope(written(ROS.replace(old, new, 1), ".yaml"), **EYE)
-
-
-@pytest.mark.parametrize("content", ["", "hello", "[1, 2", "{}", "\x00\x01", "%YAML:1.0\n---\n"])
-def test_what_is_no_microscope_file_is_refused(written, content):
-    with pytest.raises(InputError):
-        read_microscope(written(content, ".yaml"), **EYE)
 
 
 def through_a_path(**changed):
@@ -276,14 +265,11 @@ def test_a_retina_is_an_ellipsoid_through_the_pole(written):
     [
         (path_with(crossing=[0.9]), "equally many coefficients.*not 1, 2 and 2"),
         (path_with(crossing=[0.9, 0.9]), "crossing that is not 0 on the axis"),
-        (path_with(crossing=[0.81, math.nan]), "viewing_path.crossing.1 must be"),
         (path_with(orientation=0.5), "viewing_path.orientation must be 1 .* or -1"),
-        (path_with(iris=3.0), "missing or unknown: viewing_path.iris"),
         ({"camera_matrix": ours()["camera_matrix"]}, "camera_matrix must be null"),
         ({"distortion": [0.1, 0, 0, 0, 0]}, "distortion must be 0 with a viewing_path"),
         ({"pinhole_height_mm": 200.0}, "viewing_path says -0.06/mm"),
         ({"eye_radius_mm": 10.5, "pinhole_height_mm": 1 / -0.06 - 10.5}, "semi-axis along z"),
-        ({"retina_semi_axes_mm": [12.0, 11.0]}, "retina_semi_axes_mm"),
         ({"retina_shift_mm": [11.0, 0.0]}, "retina_shift_mm must be less than 11 mm"),
         ({"plane_normal": [0.0, 0.0, 1.0]}, "describe two walls"),
     ],

@@ -180,6 +180,8 @@ def test_a_million_cells_are_read_as_they_were_written(tmp_path):
         ("1,2,,4,0,0,1", "line 4: y_mm must be a finite number; got ''"),
         ('1,2,3,4,0,0,"1\n"x', "line 5: axis_z"),
         ("0.1,2,3,4,0,0,1", r"line 4: the time goes back from 0\.5.* to 0\.1"),
+        ("1,2,3,4,0,0,2", "line 4: .* unit vector"),
+        ("nan,2,3,4,0,0,1", "line 4: .* finite"),
     ],
 )
 def test_a_bad_row_is_named_by_its_line(tmp_path, bad, said):
@@ -282,6 +284,9 @@ def test_a_spreadsheets_table_has_the_same_poses(tmp_path, comma, cells):
             "time_s;x;y;z;axis_x;axis_y;axis_z\n0;1.000,5;2;3;0;0;-1\n",
             r"x must be a finite number; got '1\.000,5'",
         ),
+        ("time_s,x_mm,y_mm,z_mm\n1,2,3,4\n", "no direction of the tool among the columns 'time_s'"),
+        ("time_s,x_mm,y_mm,z_mm,qx,qy,qz,qw\n1,2,3,4,0,0,0,0\n", "line 2: .* unit quaternion"),
+        ("", "no times among the columns none"),
         ("0.1,2,3,-4,0,0,-1\n0.2,2,3,-4,0,0,-1\n", "no header: the first line is the numbers"),
         ("time_s,x_mm\n".encode("utf-16").decode("latin-1"), "not a text file.*UTF-8"),
     ],

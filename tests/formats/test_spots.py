@@ -117,13 +117,6 @@ def test_a_damaged_file_is_refused_with_its_line(tmp_path, damage, message):
     assert "spots.csv" in str(error.value)
 
 
-def test_a_picture_is_no_spots_file(tmp_path):
-    path = tmp_path / "picture.png"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n\xff\xfe")
-    with pytest.raises(ValueError, match=r"picture\.png"):
-        read_spots(path)
-
-
 @pytest.mark.parametrize("reason", Reason)
 def test_every_reason_is_explained(reason):
     assert reason.meaning.endswith(".")

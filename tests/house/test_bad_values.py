@@ -26,11 +26,7 @@ from tests.support.files.bad_input import OLD, png_chunk
     [
         ("motion=scan", "motion: .*got 'scan'"),
         ("motion.kind=[1]", r"motion.kind: must be one of .* got '\[1\]'"),
-        ("source.cone_k=1e9", "source.cone_k: .* 1000"),
-        ("microscope.samples=1000000000", "microscope.samples: .* 4096"),
         ("microscope.window_offset_px=[nan, 0]", "window_offset_px.0: .*finite"),
-        ("clocks.kinematics_offset_s=nan", "kinematics_offset_s: .*finite"),
-        ("spot.azimuth_deg=1e308", "spot.azimuth_deg: "),
         (f"camera.bit_depth={'9' * 5000}", "camera.bit_depth: "),
         (f"camera.bit_depth={'[' * 5000}", "camera.bit_depth: "),
         ("a." * 1000 + "b=1", "a change must have the form"),

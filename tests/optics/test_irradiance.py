@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.integrate import cubature, quad
+from scipy.integrate import quad
 
 from eyespot import optics
 from eyespot.optics.lens_table import LensField, transmitted_power
@@ -132,37 +132,6 @@ def test_a_core_narrower_than_the_cap_sends_light_where_brute_force_says(
     _, axial = field(lens, medium, radius, distance)
     # The referee's own error is some 2e-4 of the peak, by comparison with 900 steps.
     np.testing.assert_allclose(axial, expected, rtol=0, atol=1e-3 * max(expected))
-
-
-@pytest.mark.slow
-def test_no_light_of_thirty_lenses_is_lost():
-    lost, profile = [], []
-    for seed in range(1000, 1030):
-        lens, medium = random_lens(np.random.default_rng(seed)), (AIR, VITREOUS)[seed % 2]
-        light = LensField(lens, medium)
-        power = float(transmitted_power(lens, medium_index=medium))
-        for distance in (0.1, 0.5, 2.0):
-
-            def ring(rho, distance=distance, light=light):
-                _, axial = light(radius=rho[:, 0], distance=distance)
-                return 2 * np.pi * rho[:, 0] * np.asarray(axial)
-
-            # A narrow ring may fall between the nodes of the whole, which then states 1e-5 and is
-            # off by 8e-4. Slices are off by less than 1e-5.
-            edges = np.linspace(0.0, float(light.envelope(distance)), 25)[:, None]
-            flux = sum(
-                cubature(ring, *ends, rule="gk15", rtol=0, atol=4e-6 * power).estimate
-                for ends in pairwise(edges)
-            )
-            lost.append(abs(flux / power - 1))
-            radius = float(light.envelope(distance)) * np.linspace(0.0, 0.97, 12)
-            expected = np.array([irradiance(lens, medium, r, distance) for r in radius])
-            _, axial = field(lens, medium, radius, distance)
-            profile.append(np.max(np.abs(axial - expected)) / expected.max())
-    for name, error, limit in (("flux", lost, 1e-4), ("profile", profile, 1e-3)):
-        beyond = [f"{e:.1e}" for e in error if e > limit]
-        print(f"\n{name}: worst {max(error):.1e}, {len(beyond)} of {len(error)} beyond {limit:g}")
-        assert not beyond
 
 
 @pytest.mark.parametrize("medium", [AIR, VITREOUS])

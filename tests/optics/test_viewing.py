@@ -364,14 +364,16 @@ def test_wrong_input_is_named_with_its_remedy(call, said):
     assert said in str(error.value)
 
 
-def test_a_wrong_eye_file_names_the_key(tmp_path):
+def test_an_eye_of_nobody_is_refused_with_the_key(tmp_path):
     text = (Path(viewing.__file__).parent / "eyes" / "navarro.toml").read_text()
     for old, new, said in (
         ("front_radius_mm = 7.72", "front_radius_mm = 0", "cornea.front_radius_mm"),
         ("aqueous = [1.3445", "aqueous = [0.9445", "indices.aqueous.0"),
-        ("[lens]\n", "[lens]\ncolour = 1\n", "colour"),
+        ("[458.0, 543.0", "[-458.0, 543.0", "wavelength_nm.0 must be at least 100"),
+        ("thickness_mm = [4.0]", "thickness_mm = [-4.0]", "thickness_mm.0 must be above 0"),
         ("depth_mm = 3.60", "depth_mm = 0.50", "must follow each other in depth"),
-        ("schema = 1", "schema = 7", "schema is 7"),
+        ("[458.0, 543.0", "[543.0, 543.0", "wavelength_nm must increase"),
+        ("axial_length_mm = 23.9203", "axial_length_mm = 300.0", "must lie in (0, 60] mm"),
     ):
         assert old in text
         path = tmp_path / "own.toml"

@@ -10,8 +10,6 @@ from eyespot import optics
 from eyespot.scenes import Renderer
 from tests.support.drawn.scene_tables import BARE, scene_of
 from tests.support.light.lens_quadrature import irradiance
-from tests.support.light.photon_stacks import Recording, direct_light, half_maximum
-from tests.support.light.photons import Drop, counted_light
 
 
 @pytest.fixture(scope="module")
@@ -83,29 +81,3 @@ def test_half_maximum_label_is_the_half_maximum_contour_of_the_pixels(renderer):
         np.testing.assert_allclose(found.centre, truth.centre[frame], atol=0.05)
         np.testing.assert_allclose(found.semi_major, truth.semi_major[frame], atol=0.05)
         np.testing.assert_allclose(found.semi_minor, truth.semi_minor[frame], atol=0.05)
-
-
-def test_half_maximum_label_is_the_contour_of_light_that_photons_made(renderer):
-    scene, truth = renderer.scene, renderer.world.truth
-    drop = Drop.of(optics.load_lens("dome"))
-    light = counted_light(
-        drop, 1.0, nearest=0.4, farthest=4.0, contact=0.3, slope=0.6, count=1 << 22, planes=48
-    )
-    recording = Recording(
-        drop=drop,
-        width=scene.microscope.width_px,
-        height=scene.microscope.height_px,
-        scale=scene.microscope.scale_mm_px,
-        pinhole=scene.microscope.pinhole_height_mm,
-        radius=scene.phantom.radius_mm,
-    )
-    centre = np.asarray(renderer.world.microscope.principal_point)
-    for frame in range(2):
-        tip, beam = (np.asarray(part[frame]) for part in (truth.beam.tip, truth.beam.axis))
-        image = direct_light(recording, light, tip, beam, centre, samples=1)
-        found = optics.ellipse_of_contour(jnp.asarray(half_maximum(image)))
-        label = truth.half_max
-        # The peak that photons count errs by 2e-3; a bell's radius of 90 px moves by half of that.
-        np.testing.assert_allclose(found.centre, label.centre[frame], atol=0.1)
-        np.testing.assert_allclose(found.semi_major, label.semi_major[frame], atol=0.2)
-        np.testing.assert_allclose(found.semi_minor, label.semi_minor[frame], atol=0.2)

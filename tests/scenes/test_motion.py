@@ -4,10 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from eyespot import optics
-from eyespot.formats.poses import read_poses
 from eyespot.scenes import (
     Renderer,
     Scene,
@@ -19,7 +17,6 @@ from eyespot.scenes import (
 )
 from eyespot.scenes.world.motion import frame_times, kinematics
 from eyespot.scenes.world.world import World
-from tests.support.drawn.drawn_spots import spot_in
 from tests.support.drawn.scene_tables import BARE, scene_of
 
 SMALL = {"width_px": 160, "height_px": 120, "scale_mm_px": 0.0268}
@@ -198,21 +195,6 @@ def test_an_impossible_motion_is_refused_with_its_moment(parts, message):
         World(scene(**parts)).truth  # noqa: B018
 
 
-def test_a_motion_knows_its_own_keys_only(tmp_path):
-    file = tmp_path / "scene.toml"
-    file.write_text('schema = 1\n[motion]\nkind = "scan"\ndistance = 3.0\n')
-    with pytest.raises(SceneError, match=r"unknown key 'motion.distance'; did you mean 'distance_"):
-        load_scene(file)
-    file.write_text('schema = 1\n[motion]\nkind = "fly"\n')
-    with pytest.raises(SceneError, match=r"motion.kind: must be one of 'withdrawal', .*got 'fly'"):
-        load_scene(file)
-    file.write_text("schema = 1\n[withdrawal]\nframes = 3\n")
-    with pytest.raises(SceneError, match="unknown key 'withdrawal'"):
-        load_scene(file)
-    with pytest.raises(ValidationError, match="travel_mm"):
-        scene(motion={"travel_mm": -1.0})
-
-
 @pytest.mark.parametrize("kind", ["scan", "hand", "recorded"])
 def test_the_template_shows_every_motion_ready_to_be_put_in_place(kind, tmp_path):
     blocks = scene_template().split("\n\n")
@@ -222,17 +204,6 @@ def test_the_template_shows_every_motion_ready_to_be_put_in_place(kind, tmp_path
     file = tmp_path / "scene.toml"
     file.write_text("\n\n".join("\n".join(lines) if b is plain else b for b in blocks))
     assert load_scene(file).motion.kind == kind
-
-
-@pytest.mark.parametrize("motion", [hand(), {"kind": "scan", "length_mm": 1.0}])
-def test_every_label_of_a_moving_spot_is_found_again_in_the_pixels(motion):
-    renderer = Renderer(scene(motion=motion, microscope={"samples": 64}))
-    truth = renderer.world.truth.half_max
-    for frame in (0, 7):
-        image = renderer.render(frame).radiance
-        spot = spot_in(image / image.max() * 0.8)
-        axes = truth.semi_major[frame], truth.semi_minor[frame]
-        np.testing.assert_allclose(spot.ellipse[:4], (*truth.centre[frame], *axes), atol=0.05)
 
 
 def test_doubling_the_sub_frames_changes_no_pixel_by_more_than_the_noise():
@@ -293,20 +264,6 @@ def test_a_slow_withdrawal_needs_one_render_a_frame():
     exposed = renderer.exposed(1, sharp, exposure_s=0.066)
     assert exposed.sub_frames == 1
     assert exposed.radiance is sharp.radiance
-
-
-def test_kinematics_of_a_stack_are_what_the_rigs_reader_reads(tmp_path):
-    settings = scene(motion={"start_mm": 2.0, "travel_mm": 0.01, "frames": 2}, microscope=SMALL)
-    stack = render_stack(settings, tmp_path / "stack")
-    poses = read_poses(stack.folder / "kinematics.csv")
-    for row in stack.labels:
-        found = poses.at(row.time_s + 1e-6)
-        assert found is not None
-        pose, age = found
-        # The last pose is at most 5 ms old, in which the tip moves 0.5 um.
-        assert age <= 0.005 + 2e-6
-        np.testing.assert_allclose(pose.position_mm, row.tip_mm, atol=6e-4)
-        np.testing.assert_allclose(pose.axis, row.axis, atol=1e-8)
 
 
 def test_a_withdrawal_starts_where_the_whole_spot_is_lit():

@@ -253,8 +253,6 @@ def test_ambient_light_shows_the_instrument_and_coaxial_light_falls_off_with_the
     [
         ({"distortion": (-9.0, 0.0, 0.0, 0.0, 0.0)}, "folds the image"),
         ({"distortion": LENS, "pinhole_height_mm": float("inf")}, "telecentric"),
-        ({"light": "neon"}, "coaxial"),
-        ({"vignetting": 1.0}, "vignetting"),
     ],
 )
 def test_an_impossible_microscope_is_refused(microscope, message):

@@ -105,6 +105,7 @@ def test_a_change_leaves_all_other_keys_alone():
     ("change", "message"),
     [
         ("motion.travel=3", "--set motion.travel=3: unknown key 'motion.travel'; did you mean"),
+        ("withdrawal.frames=3", "unknown key 'withdrawal'"),
         ("spot.eccentricity_mm=far", "spot.eccentricity_mm: .* got 'far'"),
         ("seed", "a change must have the form table.key=value; got 'seed'"),
         ("=3", "a change must have the form table.key=value; got '=3'"),

@@ -1,4 +1,4 @@
-"""A withdrawal's geometry, wall and pinhole, and noise-free images of light that `photons` counted.
+"""A withdrawal's geometry, wall and pinhole, and the half-maximum contour of a spot in its image.
 
 It shares no code with `optics` or `scenes`. The frame is the eye's, in mm: the microscope's pinhole
 is (0, 0, z_F), u = u0 + f X/(z_F - Z), v = v0 - f Y/(z_F - Z), integers are the pixels' centres.
@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 from skimage.measure import find_contours
 
-from tests.support.light.photons import Drop, PhotonLight
+from tests.support.light.photons import Drop
 
 _PEAK_PX = 0.8
 """Smoothing of a spot before its peak is taken. On an oblique wall the peak is at the light's edge;
@@ -133,34 +133,6 @@ def principal_point(recording: Recording, where: Poses) -> np.ndarray:
     x, y, z = where.spot
     image = np.array([f * x, -f * y]) / (own.pinhole - z)
     return np.array([(own.width - 1) / 2, (own.height - 1) / 2]) - image
-
-
-def direct_light(
-    recording: Recording,
-    light: PhotonLight,
-    tip: np.ndarray,
-    beam: np.ndarray,
-    centre: np.ndarray,
-    *,
-    samples: int = 4,
-) -> np.ndarray:
-    """Irradiance of the wall behind each pixel, 1/mm² per unit power in the core.
-
-    The beam is a unit vector from the tip (mm) towards the wall, the centre the principal point
-    (px), and a pixel has so many samples each way.
-    """
-    own = recording
-    sub = (np.arange(samples) + 0.5) / samples - 0.5
-    v, u, dv, du = np.meshgrid(np.arange(own.height), np.arange(own.width), sub, sub, indexing="ij")
-    point, normal = seen_wall(own, u + du, v + dv, centre)
-    across, offset = perpendiculars(beam), point - tip
-    s = offset @ beam
-    in_front = s > light.nearest
-    flow = light.irradiance(
-        offset @ across[0], offset @ across[1], np.where(in_front, s, light.nearest)
-    )
-    onto = sum(part * (normal @ way) for part, way in zip(flow, (*across, beam), strict=True))
-    return np.asarray(np.where(in_front, -onto, 0.0).mean(axis=(2, 3)))
 
 
 def steady_light(recording: Recording, transmitted: float, centre: np.ndarray) -> np.ndarray:

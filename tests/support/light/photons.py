@@ -18,7 +18,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import ndimage
 from scipy.stats import qmc
 
 BATCH = 1 << 14  # photons at once, few enough to stay in the cache
@@ -113,31 +112,12 @@ class PhotonLight:
     """Vector irradiance per unit power in the core, counted by photons, of a symmetric drop."""
 
     rings: np.ndarray  # V e² in mm² / mm²: components (radial, axial) x planes x rings
-    nearest: float  # distance of the first plane
-    farthest: float
     contact: float  # reach of the rings, e(s) = contact + slope s
     slope: float
-    transmitted: float  # part of the power that leaves the cap
 
     def reach(self, s):
         """Radius of the outermost ring."""
         return self.contact + self.slope * s
-
-    def irradiance(self, x, y, s) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Components of V along x, y and s; 0 outside of the rings."""
-        planes, rings = self.rings.shape[1:]
-        rho, reach = np.hypot(x, y), self.reach(s)
-        row = np.log(s / self.nearest) / np.log(self.farthest / self.nearest) * (planes - 1)
-        column = rho / reach * rings - 0.5
-        parts = []
-        for sign, values in zip((-1.0, 1.0), self.rings, strict=True):
-            # Across the axis the radial component changes its sign.
-            table = np.concatenate([sign * values[:, 2::-1], values], axis=1)
-            looked = ndimage.map_coordinates(table, [row, column + 3], order=3, mode="nearest")
-            parts.append(np.where(rho < reach, looked, 0.0) / reach**2)
-        radial, axial = parts
-        outwards = radial / np.maximum(rho, 1e-300)
-        return outwards * x, outwards * y, axial
 
 
 def counted_light(
@@ -156,10 +136,9 @@ def counted_light(
     assert drop.shift == 0 and drop.tilt == 0
     s = np.geomspace(nearest, farthest, planes)
     sums = np.zeros((2, planes, rings))
-    starts, transmitted = qmc.Sobol(3, rng=0), 0.0
+    starts = qmc.Sobol(3, rng=0)
     for _ in range(count // BATCH):
-        x, y, slope_x, slope_y, weight, total = photons(drop, medium, starts.random(BATCH).T)
-        transmitted += total
+        x, y, slope_x, slope_y, weight, _ = photons(drop, medium, starts.random(BATCH).T)
         # Along a ray the squared distance from the axis is a quadratic of s.
         squared, linear = x**2 + y**2, 2 * (x * slope_x + y * slope_y)
         quadratic = slope_x**2 + slope_y**2
@@ -171,4 +150,4 @@ def counted_light(
             for part, own in enumerate((radial, weight)):
                 sums[part, k] += np.bincount(ring, own, rings + 1)[:rings]
     area = np.pi * (np.arange(1, rings + 1) ** 2 - np.arange(rings) ** 2) / rings**2
-    return PhotonLight(sums / area / count, nearest, farthest, contact, slope, transmitted / count)
+    return PhotonLight(sums / area / count, contact, slope)
