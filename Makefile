@@ -8,6 +8,7 @@ PACKAGES := .venv/.packages-installed
 LIBRARIES := .venv/.libraries-found
 RIG := .venv/.rig-installed
 SITE := .venv/.docs-installed
+ASV := .venv/.asv-installed
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## /\1\t/p' Makefile | expand -t 14
@@ -41,7 +42,11 @@ check: $(PACKAGES) ## lint, format, types
 docs: $(SITE) $(LIBRARIES) ## build the documentation into out/docs/site
 	.venv/bin/sphinx-build --fail-on-warning --keep-going --quiet docs out/docs/site
 
-bench: $(LIBRARIES) ## measure speed and accuracy, compared with alternatives
+# asv's fork server would fork after Mitsuba was loaded.
+bench: $(ASV) $(LIBRARIES) ## measure speed for `asv compare`, then accuracy beside alternatives
+	.venv/bin/asv machine --yes
+	.venv/bin/asv run --environment existing:.venv/bin/python --launch-method spawn \
+	    --set-commit-hash $$(git rev-parse HEAD)
 	.venv/bin/python -m eyespot.benchmarks.bench
 
 constraints: ## resolve all versions anew and write constraints.txt
@@ -57,6 +62,10 @@ $(RIG): pyproject.toml constraints.txt tools/install-packages scenes/machine/pac
 
 $(LIBRARIES): $(PACKAGES) scenes/machine/llvm.py scenes/machine/variant.py tools/install-libraries
 	@tools/install-libraries
+	@touch $@
+
+$(ASV): $(PACKAGES)
+	@tools/install-packages bench
 	@touch $@
 
 $(SITE): $(PACKAGES)

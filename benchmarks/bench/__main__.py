@@ -16,7 +16,7 @@ from cyclopts import Parameter
 
 import eyespot as eyespot  # so that what JAX compiles is kept
 
-FILES = ("fits", "load", "pixels", "promises", "speed")
+FILES = ("fits", "load", "pixels", "promises")
 LONG = {"branches", "coverage", "memory", "books"}
 """What `make bench` leaves out, because it takes long."""
 

@@ -6,8 +6,9 @@ import pytest
 
 from eyespot.benchmarks.bench import __main__ as bench
 from eyespot.benchmarks.bench.pixels import doubt_of_pose, share_a_radius
-from eyespot.estimator import Range, Reading
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.benchmarks.bench.speed import Outlines
+from eyespot.estimator import Range, Reading, track
+from eyespot.formats.spots import NoSpot, Reason, Spot
 
 
 def test_every_file_has_benchmarks_and_those_named_long_exist():
@@ -29,6 +30,15 @@ def test_a_benchmark_is_run_by_its_name_and_its_table_is_shown(monkeypatch, caps
     title, names, sums = capsys.readouterr().out.strip().splitlines()[:3]
     assert title == "== fits.counted: Counts."
     assert (names.split(), sums.split()) == (["a", "b"], ["sum", "110", "120"])
+
+
+@pytest.mark.parametrize("mode", Outlines.params[0])
+def test_asv_times_a_class_as_it_stands(mode):
+    bench = Outlines()
+    bench.setup(mode)
+    bench.time_thirty_frames(mode)
+    spots = list(track(bench.frames, bench.settings, start=bench.start))
+    assert all(isinstance(spot, Spot) for spot in spots)  # What is timed is the measurement.
 
 
 def test_an_unknown_bench_is_refused():
