@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
-from eyespot.benchmarks.statistics import first_reached, largest
+from eyespot.benchmarks.statistics import first_reached
 
 COMPARED = ("small_plane", "corrected", "stereographic", "exact")
 """The models of a spot in an eyeball; `planar` is one of a plane."""
@@ -177,13 +177,6 @@ def error_limits(errors: pd.DataFrame, tolerance: float) -> pd.DataFrame:
     return pd.concat([found, worst.assign(azimuth_deg=math.nan)], ignore_index=True)[
         [*keys, "c_mm"]
     ]
-
-
-def accuracy(errors: pd.DataFrame) -> pd.DataFrame:
-    """Each model's errors over all spots by pinhole height and azimuth of the incidence."""
-    by_geometry = errors.groupby(["model", "z_f_mm", "azimuth_deg"], sort=False).error_mm
-    found = by_geometry.agg(spots="size", mean_error_mm="mean", max_abs_error_mm=largest)
-    return found.reset_index()
 
 
 def largest_errors(errors: pd.DataFrame) -> pd.Series:

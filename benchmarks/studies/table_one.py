@@ -1,7 +1,4 @@
-"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart.
-
-A scan of lenses in closed form, then the best of them and some that fail on rendered stacks.
-"""
+"""`eyespot study table-one`: which lenses give the paper's Table I, and what sets trials apart."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from concurrent.futures import ThreadPoolExecutor
 from itertools import product
 from typing import Any, NamedTuple
 
-import jax.numpy as jnp
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
@@ -29,20 +25,18 @@ from eyespot.formats.page import PALETTE
 from eyespot.formats.whole_files import write_text
 from eyespot.optics.wall_light.lens import lens_of, lens_parameters, lens_toml
 from eyespot.scenes import Scene
-from eyespot.scenes.world.exposure import peak_irradiance
-from eyespot.scenes.world.world import LensLight, World
+from eyespot.scenes.world.world import World
 
-# Lenses, and the sizes of their spots over a fixed threshold.
-#
-# On the spot's minor axis a tilted plane is as far from the tip as the axis's own wall point, so
-# that its irradiance is cos(incidence) times that of a square plane at d: the isophote of a level
-# on the tilted plane is that of level / cos(incidence) on the square one. Wide bells have their
-# widest chord nearer to the tip than the axis, so that their ellipses come out larger: only
-# rendered stacks show that.
+# The scan: the threshold and range at which each lens comes nearest to Table I, in closed form.
 
-LARGEST_READING_MM = 8.0
-_ROWS, _COLUMNS = 65, 193
-_NEAREST_MM = 0.05
+LEVELS = np.geomspace(0.1, 2.0, 31)
+"""Thresholds, relative to the peak irradiance at `exposures.paper_distance_mm`."""
+NEAR_CONTACT_MM = 0.5
+"""First reading of a range from contact: nearer, the shaft hides a part of the spot."""
+_STEP_MM, LARGEST_READING_MM = 0.1, 8.0
+_SPANS_MM = (3.0, 3.5, 4.0, 5.0, 6.0)
+_LENS = ["numerical_aperture", "sag_mm"]
+_CHOICE = [*_LENS, "level", "from_mm", "to_mm"]
 
 
 def lens_values(numerical_aperture: float, sag_mm: float) -> dict[str, float]:
@@ -51,77 +45,9 @@ def lens_values(numerical_aperture: float, sag_mm: float) -> dict[str, float]:
     return lens_parameters(optics.load_lens("paper-candidate")) | own
 
 
-def world_of(lens: optics.GlueLens, scene: Scene) -> World:
-    """A scene's world with the light of another lens.
-
-    Its table is coarse: a tenth of the time of `optics.irradiance_table`, for many lenses.
-    """
-    world, medium_index = World(scene), optics.MEDIA[scene.source.medium]
-    field = optics.LensField(lens, medium_index)
-    distance = np.geomspace(_NEAREST_MM, LARGEST_READING_MM + 1.0, _ROWS)
-    envelope = np.asarray(field.envelope(distance))[:, None]
-    radius = envelope * np.linspace(0.0, 1.0, _COLUMNS)
-    light = np.stack(field(radius=radius, distance=distance[:, None]), axis=-1)
-    contact_radius = field.envelope(0.0)
-    table = optics.IrradianceTable(
-        values=light * np.square(envelope)[..., None],
-        medium_index=jnp.asarray(medium_index),
-        contact_radius=contact_radius,
-        slope=field.envelope(1.0) - contact_radius,
-        nearest=_NEAREST_MM,
-        farthest=LARGEST_READING_MM + 1.0,
-    )
-    world.light = LensLight(table, transmitted=math.nan)  # No stack is rendered of this world.
-    return world
-
-
-def thresholded(world: World, reading: np.ndarray, *, level: np.ndarray) -> np.ndarray:
-    """e1' over a fixed threshold, px, at readings since contact, mm; a row for each level.
-
-    A level is the threshold over the peak irradiance at `exposures.paper_distance_mm`.
-    """
-    scene, table = world.scene, world.table
-    assert table is not None  # World.table is None only for a cone.
-    peak = peak_irradiance(world, distance=scene.exposures.paper_distance_mm)
-    square = peak / scene.source.power_mw / math.cos(math.radians(scene.spot.incidence_deg))
-    distance = (reading + world.contact_distance)[None]
-    radius = optics.isophote_radius(table, distance=distance, level=level[:, None] * square)
-    return np.asarray(radius) / scene.microscope.scale_mm_px
-
-
-# The scan: the threshold and range at which each lens comes nearest to Table I, in closed form.
-
-LEVELS = np.geomspace(0.1, 2.0, 31)
-"""Thresholds, relative to the peak irradiance at `exposures.paper_distance_mm`."""
-NEAR_CONTACT_MM = 0.5
-"""First reading of a range from contact: nearer, the shaft hides a part of the spot."""
-_STEP_MM = 0.1
-_SPANS_MM = (3.0, 3.5, 4.0, 5.0, 6.0)
-_LENS = ["numerical_aperture", "sag_mm"]
-_CHOICE = [*_LENS, "level", "from_mm", "to_mm"]
-
-
-def even_span(*, r_squared: float, rmse_mm: float) -> float:
-    """Length of the range over which evenly spaced readings give a line's R² and RMSE, mm."""
-    # R² is what the line explains of the readings' variance.
-    return math.sqrt(12.0 / (1.0 - r_squared)) * rmse_mm
-
-
 def readings(low: float, high: float) -> np.ndarray:
     """Evenly spaced readings d_r, mm."""
     return np.linspace(low, high, round((high - low) / _STEP_MM) + 1)
-
-
-def misses(lines: pd.DataFrame) -> pd.Series:
-    """Worst violation of Table I's criteria by each line, in units of their tolerance.
-
-    Up to 1 all are met, except that a line without noise may be straighter than the paper's.
-    """
-    ideal = pd.Series({"delta_k_mm_px": 0.132, "b_mm": -5.1, "r_squared": 1.0, "rmse_mm": 0.0})
-    bounds = pd.DataFrame({column: (of.low, of.high) for column, of in paper.CRITERIA.items()})
-    tolerance = (bounds - ideal).abs().max()
-    off = (lines[paper.LINE] - ideal).abs() / tolerance
-    return off.max(axis=1, skipna=False).fillna(math.inf)
 
 
 def best_choice(world: World) -> pd.DataFrame:
@@ -130,7 +56,7 @@ def best_choice(world: World) -> pd.DataFrame:
     `level` is the threshold over the peak at 5 mm.
     """
     every = readings(0.0, LARGEST_READING_MM)
-    axis = thresholded(world, every, level=LEVELS)
+    axis = paper.thresholded(world, every, level=LEVELS)
     # A spot that the literal tracker would not accept is not seen.
     settings = LiteralSettings()
     small, large = settings.min_component_px, settings.max_minor_axis_px
@@ -144,7 +70,7 @@ def best_choice(world: World) -> pd.DataFrame:
         tried = pd.DataFrame({"level": LEVELS, "from_mm": low, "to_mm": low + span})
         tables.append(tried.join(found))
     choices = pd.concat(tables, ignore_index=True)
-    choices["miss"] = misses(choices)
+    choices["miss"] = paper.misses(choices)
     return choices.loc[[choices.miss.idxmin()]]
 
 
@@ -219,10 +145,7 @@ def confirm(study: Study, choices: Sequence[Any], *, frames: int) -> list[Confir
             changes = {**paper.to_photograph(trial, frames=frames), **own}
             wanted[names[choice][trial]] = scenes.changed(study.scene, changes)
     taken = study.photographers(wanted)
-    found = [
-        _confirmed(choice, {trial: taken[name] for trial, name in of.items()})
-        for choice, of in names.items()
-    ]
+    found = (_confirmed(one, {t: taken[n] for t, n in of.items()}) for one, of in names.items())
     return sorted(found, key=lambda one: (not one.reproduces, one.choice.miss > 1))
 
 
@@ -244,7 +167,7 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
     slope = ["delta_k_mm_px", "b_mm"]
     together = where(lines, trial=paper.ALL_PLANES).set_index(by)[slope]
     asked = lines[lines.trial != paper.ALL_PLANES].drop(columns=slope).join(together, on=by)
-    worst = asked.assign(miss=misses(asked)).groupby(by, as_index=False).miss.max()
+    worst = asked.assign(miss=paper.misses(asked)).groupby(by, as_index=False).miss.max()
     light, start, miss = worst.loc[worst.miss.idxmin()]
     choice = choice._replace(level=choice.level / light, from_mm=start, miss=miss)
     literal = where(literal, exposure=light)
@@ -256,9 +179,6 @@ def _confirmed(choice: Any, trials: Mapping[str, paper.Photographer]) -> Confirm
 
 # Why trials differ.
 
-LIGHT = 0.2
-"""Part of the light by which a trial may have more or less."""
-
 
 def moved_by_light(world: World, choice: Any) -> float:
     """How far a fifth more or less light moves −b/δk, the radius at contact, of a choice, px.
@@ -266,8 +186,8 @@ def moved_by_light(world: World, choice: Any) -> float:
     More light lowers the level that the threshold stands for. A wrong touch would shift b alone.
     """
     reading = readings(choice.from_mm, choice.to_mm)
-    levels = choice.level / np.array([1.0, 1.0 + LIGHT, 1.0 - LIGHT])
-    lines = fit_lines(thresholded(world, reading, level=levels), reading)
+    levels = choice.level / np.array([1.0, 1.2, 0.8])
+    lines = fit_lines(paper.thresholded(world, reading, level=levels), reading)
     own, *others = (-lines.b / lines.delta_k).tolist()
     return max(abs(other - own) for other in others)
 
@@ -289,12 +209,12 @@ def _figure(worlds: Worlds, scan: pd.DataFrame, confirmed: Sequence[ConfirmedLen
     left.set(xlabel="sag of the cap (mm)", ylabel="worst violation / tolerance", yscale="log")
     for (choice, spots, _), colour in zip(confirmed, PALETTE, strict=False):
         d_r, world = readings(0.0, choice.to_mm), worlds[choice.numerical_aperture, choice.sag_mm]
-        (axis,) = thresholded(world, d_r, level=np.array([choice.level]))
+        (axis,) = paper.thresholded(world, d_r, level=np.array([choice.level]))
         label = f"NA {choice.numerical_aperture:.2f}, sag {choice.sag_mm:g} mm"
         right.plot(axis[axis > 0], d_r[axis > 0], color=colour, label=label)
         right.plot(spots.semi_minor_px, spots.d_r_mm, ".", ms=3, color=colour)
     for row in rows_of(paper.TABLE_I.loc[paper.PLANES]):
-        d_r = np.array([0.0, even_span(r_squared=row.r_squared, rmse_mm=row.rmse_mm)])
+        d_r = np.array([0.0, paper.even_span(r_squared=row.r_squared, rmse_mm=row.rmse_mm)])
         axis = (d_r - row.b_mm) / row.delta_k_mm_px
         right.plot(axis, d_r, color=page.GREY, lw=2, alpha=0.5, zorder=0)
     right.set(xlabel=MEASURED, ylabel=READING, xlim=(0.0, None))
@@ -315,9 +235,8 @@ def report(
         f"{', so the table does not identify the lens' if len(fits) > 1 else ''}; "
         f"{sum(one.reproduces for one in confirmed)} of {len(confirmed)} rendered ones meet all "
         "its criteria.",
-        lead="A fixed threshold on the light of glue lenses: a scan of lenses, thresholds and "
-        "distances in closed form, then the best lenses and some that fail on rendered stacks, "
-        "tracked by the paper's algorithm and in sub-pixel mode.",
+        lead="A scan of glue lenses, thresholds and distances in closed form, then the best lenses "
+        "and some that fail on rendered stacks, tracked as in the paper and in sub-pixel mode.",
         first=[
             page.Picture(
                 "table_one",
@@ -333,8 +252,7 @@ def report(
                 scan.sort_values("miss", kind="stable"),
                 [*_CHOICE, *paper.LINE, "miss"],
                 "The lenses that come nearest to Table I, in closed form, at the scene's scale. "
-                "Level: the threshold over the peak at 5 mm. Miss: the worst violation of a "
-                "criterion over its tolerance.",
+                "Level: the threshold over the peak at 5 mm. Miss: the worst violation, as above.",
                 data="table_one_scan.csv",
             ),
         ],
@@ -419,7 +337,7 @@ def table_one(study: Study) -> list[ConfirmedLens]:
         sags = [0.0, 0.005, 0.01, 0.02, 0.04, 0.08, 0.12]
     lenses = [*product(apertures, sags)]
     with study.timed("scan of lenses"), ThreadPoolExecutor(max_workers=2) as pool:
-        made = pool.map(lambda lens: world_of(lens_of(lens_values(*lens)), base), lenses)
+        made = pool.map(lambda lens: paper.world_of(lens_of(lens_values(*lens)), base), lenses)
         worlds = dict(zip(lenses, made, strict=True))
         scan = pd.concat(
             best_choice(world).assign(numerical_aperture=aperture, sag_mm=sag)

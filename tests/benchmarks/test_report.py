@@ -35,9 +35,8 @@ from eyespot.benchmarks.sets.read import plain_spot
 from eyespot.benchmarks.studies import validate
 from eyespot.benchmarks.studies.validate import ValidateFindings, claims, report
 from eyespot.benchmarks.study import Study
-from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
-from eyespot.formats.stack import FrameLabels, StackWriter
+from eyespot.formats.stack import FrameLabels
 from eyespot.scenes.description.settings import Withdrawal
 from tests.support.drawn.drawn_sets import labels_of
 
@@ -48,11 +47,9 @@ CONTACT_MM = 0.144
 # A run in which everything is as the paper has it; each test changes what it is about.
 
 
-def paper_like_run(
-    sources: tuple[str, ...] = ("lens", "cone"), *, stacks: Path = Path("stacks")
-) -> ValidateFindings:
+def paper_like_run(sources: tuple[str, ...] = ("lens", "cone")) -> ValidateFindings:
     """A copy for the test to change."""
-    return replace(copy.deepcopy(_paper_like_run(sources)), stacks=stacks)
+    return copy.deepcopy(_paper_like_run(sources))
 
 
 @functools.cache
@@ -69,7 +66,6 @@ def _paper_like_run(sources: tuple[str, ...]) -> ValidateFindings:
     planes, spheres = validate.fit_tables(spots, trials.scene.iloc[0])
     square, tilted = (model_errors("analytic", incidence_deg=deg) for deg in (0.0, 30.0))
     return ValidateFindings(
-        stacks=Path(),
         trials=trials,
         spots=spots,
         planes=planes,
@@ -124,17 +120,6 @@ def model_errors(source: str, *, incidence_deg: float) -> pd.DataFrame:
     return errors.assign(error_mm=size, azimuth_deg=90.0, **about)
 
 
-def write_stacks(findings: ValidateFindings) -> None:
-    """The stacks that the film shows, with frames smaller than the views cut from them."""
-    findings.stacks.mkdir()
-    for trial in where(findings.trials, trial="sphere 1").itertuples():
-        with StackWriter(findings.stacks / str(trial.Index)) as writer:
-            writer.describe(stack={"run": {"versions": {"mitsuba": "3.9.1"}}}, microscope={})
-            for way in (LITERAL, SUBPIXEL):
-                for row in frames_of(trial, way):
-                    writer.add(np.full((48, 64, 3), 90, np.uint8), row, None)
-
-
 def study_in(out: Path) -> Study:
     return Study("validate", out=out, quick=True)
 
@@ -143,14 +128,13 @@ def study_in(out: Path) -> Study:
 def run(tmp_path_factory):
     """The folder of a published report, and the report."""
     out = tmp_path_factory.mktemp("run")
-    findings = paper_like_run(stacks=out / "stacks")
+    findings = paper_like_run()
     change(findings.spheres, "sphere 1", c_fitted_mm=0.0, c_error_mm=math.nan, at_bound=True)
     source = {"kind": "lens", "lens": "<script>alert(1)</script>"}
     scene = findings.trials.scene.iloc[0]
     named = scene.model_copy(update={"source": scene.source.model_copy(update=source)})
     findings.trials.at[findings.trials.index[0], "scene"] = named
     study = study_in(out)
-    write_stacks(findings)
     made: list[Report] = []
 
     def kept(findings: ValidateFindings) -> Report:
@@ -216,7 +200,7 @@ def test_every_link_leads_to_a_file_or_a_place_in_the_page(written, page):
 
 def test_every_figure_of_the_page_lies_beside_it_as_png_and_svg(written, page):
     figures = {str(attributes["id"]) for tag, attributes in page.tags if tag == "figure"}
-    assert {"film", "error_by_eccentricity"} <= figures
+    assert "error_by_eccentricity" in figures
     links = [str(attributes.get("href")) for tag, attributes in page.tags if tag == "a"]
     names = {Path(link).stem for link in links if link.startswith("figures/")}
     assert {path.stem for path in (written / "figures").iterdir()} == names
@@ -233,7 +217,7 @@ def test_a_page_shows_the_answer_first_and_no_more_than_a_person_looks_at(run, p
     first = [tag for tag, _ in page.tags].index("h2")
     opening = [attributes.get("class") for tag, attributes in page.tags[:first] if tag == "p"]
     assert opening[0] == "answer"
-    assert [tag for tag, _ in page.tags[:first]].count("img") == 2  # film and figure
+    assert [tag for tag, _ in page.tags[:first]].count("img") == 1
     for part in made.first:
         assert not isinstance(part, Table) or len(part.cells) <= 8
         assert not isinstance(part, Picture) or len(part.figure.axes) <= 4
@@ -266,7 +250,7 @@ def test_a_fit_at_the_bound_is_flagged(written, page):
 def test_frames_left_out_are_counted_once_each(written):
     rows = pd.read_csv(written / "frames.csv")
     # 12 trials of 9 frames in three ways, 24 of the grid with 4 frames in one.
-    counted = rows.groupby(["trial", "way"]).frames.sum()
+    counted = rows.groupby(["withdrawal", "way"]).frames.sum()
     assert sorted(counted) == [4] * 24 + [9] * 36
     assert rows.frames[rows.outcome == "none found"].sum() == 12 * 9
 
@@ -274,20 +258,20 @@ def test_frames_left_out_are_counted_once_each(written):
 def test_a_report_that_fails_leaves_the_earlier_one(written, tmp_path):
     out = tmp_path / "run"
     shutil.copytree(written, out)
-    shutil.rmtree(out / "stacks" / "cone-sphere-1")
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    changed = paper_like_run(stacks=out / "stacks")
-    change(changed.planes, "plane 1", source="cone", b_mm=-1.0)
-    study = study_in(out)
-    with pytest.raises(InputError, match="cone-sphere-1"):
-        study.publish(report, changed)
+
+    def broken(findings: ValidateFindings) -> Report:
+        made = report(findings)
+        return replace(made, data={**made.data, "no folder/table.csv": findings.planes})
+
+    with pytest.raises(OSError, match="no folder"):
+        study_in(out).publish(broken, paper_like_run())
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (out / ".report.unfinished").exists()
 
 
-def test_a_run_without_a_lens_is_reported_without_it(tmp_path):
-    findings = paper_like_run(("cone",), stacks=tmp_path / "stacks")
-    write_stacks(findings)
+def test_a_run_without_a_lens_is_reported_without_it():
+    findings = paper_like_run(("cone",))
     made = report(findings)
     assert not any("lens" in claim.name for claim in made.claims)
     assert any(claim.name == "the ideal cone is returned" for claim in made.claims)

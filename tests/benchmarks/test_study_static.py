@@ -9,11 +9,18 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.paper import PLANES, TABLE_I, line_fits
+from eyespot.benchmarks.paper import (
+    PLANES,
+    TABLE_I,
+    even_span,
+    line_fits,
+    thresholded,
+    world_of,
+)
 from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.studies import static, table_one
 from eyespot.benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
-from eyespot.benchmarks.studies.table_one import best_choice, lens_values, world_of
+from eyespot.benchmarks.studies.table_one import best_choice, lens_values
 from eyespot.calibration.spots.paper import fit_lines
 from eyespot.optics.wall_light.lens import lens_of
 from eyespot.scenes.world.exposure import peak_irradiance
@@ -97,7 +104,7 @@ def test_r_squared_and_rmse_tell_the_span_of_evenly_spaced_readings():
     d = np.linspace(0.0, span, n)
     e = (d - B) / (K * 0.0067) + np.random.default_rng(1).normal(0.0, 1.0, n)
     line = fit_lines(e, d)
-    found = table_one.even_span(r_squared=float(line.r_squared), rmse_mm=float(line.rmse))
+    found = even_span(r_squared=float(line.r_squared), rmse_mm=float(line.rmse))
     # n readings have a variance (n + 1)/(n - 1) times that of a continuum.
     assert found == pytest.approx(span, rel=1.1 / n)
 
@@ -115,7 +122,7 @@ def test_on_the_minor_axis_a_tilted_plane_has_the_cosines_part_of_a_square_ones_
         apex_offset=B,
     )
     reading = np.array([d - world.contact_distance])
-    axis_px = table_one.thresholded(world, reading, level=np.array([0.4])).item()
+    axis_px = thresholded(world, reading, level=np.array([0.4])).item()
     radius = axis_px * PLANE.microscope.scale_mm_px
     along = np.asarray(beam.axis)
     across = np.cross(along, (0.0, 0.0, 1.0))

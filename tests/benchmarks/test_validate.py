@@ -7,6 +7,7 @@ import pytest
 
 from eyespot import scenes
 from eyespot.benchmarks.paper import SUBPIXEL
+from eyespot.benchmarks.reporting import rows_of, where
 from eyespot.benchmarks.studies import validate
 
 FILES = ("report.html", "summary.json", "model_error.csv", "run.json")
@@ -32,7 +33,7 @@ def test_a_run_leaves_everything_that_it_promises(cone_run):
 @pytest.mark.slow
 def test_sub_pixel_spots_of_the_ideal_cone_give_its_parameters(cone_run):
     _, findings = cone_run
-    fit = findings.line("cone", SUBPIXEL)
+    (fit,) = rows_of(where(findings.planes, trial="all planes", way=SUBPIXEL.name))
     # k = 20, delta = 0.0067; readings start at contact, 0.25 tan(30 deg) = 0.144 mm from the wall.
     # 0.02 px of 60 at either end of the range is 5e-4 of the slope.
     assert fit.delta_k_mm_px == pytest.approx(0.134, rel=2e-3)
