@@ -82,6 +82,8 @@ class Range:
         poses: of `exact`: the best pose and its mirror image (the incidence reversed); of the mode
             pixels: the pose.
         chi_squared: of the mode pixels, per cell: 1 where beam, wall and camera explain the light.
+        bound_mm: of the mode pixels: the least standard deviation that noise, texture and priors
+            allow on a wall that nobody knows (Cramér-Rao).
         missing: why there is no distance, if there is none or it is negative.
     """
 
@@ -91,6 +93,7 @@ class Range:
     poses: tuple[TipPose, ...] = ()
     sigma_image_mm: float = math.nan
     chi_squared: float = math.nan
+    bound_mm: float = math.nan
     missing: Reason = Reason.OUT_OF_RANGE
     wall: WallMemory = WallMemory.NONE
 

@@ -349,5 +349,6 @@ def range_of(
         others_mm=others_mm,
         poses=(found,),
         chi_squared=solution.chi_squared,
+        bound_mm=float(np.sqrt(solution.newest_covariance[2, 2])),
         wall=wall,
     )

@@ -55,6 +55,8 @@ class Tracking:
         doubtful: number of spots without a distance or with a doubtful one, by `Reason`.
         wall_memory: number of frames by `WallMemory`, in the mode pixels.
         pose_ages_s: ages of the robot's poses, where there are poses (8 bytes a frame).
+        over_bound: standard deviations of distances over their bounds, `Range.bound_mm`, in the
+            mode pixels (8 bytes a frame).
         way: the tip's by the robot and by the distances, of frames that have both and no doubt.
         repeats: number of frames that equal the one before.
         disagreements: what two sources state differently, a sentence each.
@@ -70,6 +72,7 @@ class Tracking:
     doubtful: Counter[str] = field(default_factory=Counter)
     wall_memory: Counter[str] = field(default_factory=Counter)
     pose_ages_s: "array[float]" = field(default_factory=lambda: array("d"))
+    over_bound: "array[float]" = field(default_factory=lambda: array("d"))
     way: TipWay = field(default_factory=TipWay)
     repeats: int = 0
     disagreements: list[str] = field(default_factory=list)
@@ -146,6 +149,8 @@ def track_source(
                 show(frame, reading)
             write(record)
             tracking._count(record)
+            if reading.range is not None and reading.range.bound_mm > 0:
+                tracking.over_bound.append(reading.range.sigma_mm / reading.range.bound_mm)
             # A time that is not known, NaN, changes neither.
             earliest, latest = min(earliest, frame.time_s), max(latest, frame.time_s)
             if before is not None and np.array_equal(before, frame.image):
@@ -305,6 +310,7 @@ def summary_of(tracking: Tracking, source: Source, mode: str, seconds: float) ->
         "repeats": tracking.repeats,
         "clocks": tracking.clocks,
         "median_pose_age_s": median(tracking.pose_ages_s) if tracking.pose_ages_s else None,
+        "median_over_bound": median(tracking.over_bound) if tracking.over_bound else None,
         "seconds": round(seconds, 3),
         "ended": tracking.ended.value,
         "fault": tracking.fault,
@@ -343,6 +349,11 @@ def table_of(summary: dict[str, Any]) -> Group:
         )
     if summary["median_pose_age_s"] is not None:
         notes.append(f"Median age of the pose: {1e3 * summary['median_pose_age_s']:.1f} ms.")
+    if summary["median_over_bound"] is not None:
+        notes.append(
+            f"Distances are stated to {summary['median_over_bound']:.2f} times (median) the least "
+            "that noise, texture and priors allow (Cramér-Rao bound)."
+        )
     if summary["clocks"]:
         notes.append(summary["clocks"])
     if summary["repeats"]:

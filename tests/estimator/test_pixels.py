@@ -131,6 +131,19 @@ def test_poses_of_rendered_frames_are_within_their_stated_errors(paper_stack, tm
     assert not any(reader.read(frame).doubt for frame in open_source(paper_stack.folder))
 
 
+def test_a_distance_is_not_stated_better_than_its_bound(tmp_path):
+    bounded = {"kinds": ["metered"], "bound": True}
+    stack = cone_stack(
+        tmp_path / "stack", phantom={"wall": "uniform"}, motion=FOUR, exposures=bounded
+    )
+    reader = reader_in(stack, tmp_path)
+    poses = read_poses(stack.folder / "kinematics.csv")
+    for frame, labels in zip(open_source(stack.folder), stack.labels, strict=True):
+        found = reader.read(frame, poses=poses).range
+        # An unknown wall and pose cost something beside the noise, which is all that a label has.
+        assert labels.bound_d_mm < found.bound_mm <= found.sigma_mm
+
+
 def test_poses_of_a_camera_without_colours_are_within_their_stated_errors(paper_stack, tmp_path):
     reader = reader_in(paper_stack, tmp_path)
     poses = read_poses(paper_stack.folder / "kinematics.csv")
