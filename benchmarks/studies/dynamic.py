@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from functools import partial
 from itertools import product
 from typing import Annotated, Any, NamedTuple
 
@@ -37,13 +38,7 @@ _HAND_FRAMES = 10
 _SLOWEST_HAND_MM_S = 2.0  # Below, the residual tremor is faster than the hand.
 _FREEZING_GAIN = 1e4  # Exposures become shorter by as much.
 
-_REST = {
-    "motion.kind": "withdrawal",
-    "motion.start_mm": 1.0,
-    "motion.travel_mm": 3.5,
-    "motion.speed_mm_s": 0.1,
-    "motion.frames": 15,
-}
+_REST = {"start_mm": 1.0, "travel_mm": 3.5, "speed_mm_s": 0.1, "frames": 15}
 """A withdrawal as long and as slow as the paper's (2 um in 20 ms), over what motions reach."""
 
 
@@ -96,29 +91,20 @@ def trials(
 def _path(motion: str, speed: float, *, interval_s: float, seed: int) -> dict[str, object]:
     """Settings of a motion; its first and last frames, at its ends, are not evaluated."""
     intervals = 1 + (_HAND_FRAMES if motion == "hand" else _STRAIGHT_FRAMES)
-    duration = intervals * interval_s
+    duration, d = intervals * interval_s, _MEAN_DISTANCE_MM
     travel = speed * duration
-    path: dict[str, float] = {
-        "withdrawal": {
-            "start_mm": _MEAN_DISTANCE_MM - travel / 2,
-            "travel_mm": travel,
-            "speed_mm_s": speed,
-            "frames": intervals + 1,
-        },
-        "scan": {
-            "distance_mm": _MEAN_DISTANCE_MM,
-            "length_mm": travel,
-            "speed_mm_s": speed,
-            "trocar_mm": math.inf,  # so the tip is as fast as its spot
-        },
-        "hand": {
-            "distance_mm": _MEAN_DISTANCE_MM,
-            "duration_s": duration,
-            "top_speed_mm_s": speed,
-            "seed": seed,
-        },
-    }[motion]
-    return {"motion.kind": motion} | {f"motion.{name}": value for name, value in path.items()}
+    if motion == "withdrawal":
+        path = {"start_mm": d - travel / 2, "travel_mm": travel, "frames": intervals + 1}
+        return _motion(motion, speed_mm_s=speed, **path)
+    path = {"duration_s": duration, "top_speed_mm_s": speed, "seed": seed}
+    if motion == "scan":
+        # From a trocar infinitely far away, so the tip is as fast as its spot.
+        path = {"length_mm": travel, "speed_mm_s": speed, "trocar_mm": math.inf}
+    return _motion(motion, distance_mm=d, **path)
+
+
+def _motion(kind: str, **path: float) -> dict[str, object]:
+    return {"motion.kind": kind} | {f"motion.{name}": value for name, value in path.items()}
 
 
 # What a moving tip adds to the error of a distance, part by part.
@@ -209,10 +195,10 @@ def errors(trial: MovingTrial, *, moving: Stack, frozen: Stack, ranger: Ranger) 
         **labels[["frame", "time_s", "exposure_s", "speed_mm_s", "d_mm"]],
     }
     known = {"estimate": seen.distance_mm, "frozen": still.distance_mm, "d": labels.d_mm}
-    known["stamped"] = pd.Series([reading(poses, time, wall) for time in labels.time_s])
     tables = []
     for latency_s in LATENCIES_S:
         late = pd.Series([reading(poses, time + latency_s, wall) for time in labels.time_s])
+        known.setdefault("stamped", late)  # by the first latency, none
         rows = about | {
             "latency_s": latency_s,
             "doubt": seen.doubt,
@@ -259,7 +245,9 @@ def _rows(study: Study, source: str, *, speeds: tuple[float, ...], runs: int) ->
     scene = scenes.changed(study.scene, {"source.kind": source})
     exposure_s = float(study.options["exposure-ms"]) / 1000
     with study.timed(f"{source}: render at rest"):
-        (rest,) = study.stacks({f"{source}-rest": scenes.changed(scene, _REST)}).values()
+        (rest,) = study.stacks(
+            {f"{source}-rest": scenes.changed(scene, _motion("withdrawal", **_REST))}
+        ).values()
     wanted = []
     for way in COMPARED:
         # The sensitivity at which exposures at the mean distance are as long as asked for.
@@ -267,9 +255,6 @@ def _rows(study: Study, source: str, *, speeds: tuple[float, ...], runs: int) ->
         own = scene.exposures.sensitivity_mm2_sr_mj * there.exposure_s / exposure_s
         for run in range(1, runs + 1):
             wanted += trials(scene, way, sensitivity=own, speeds=speeds, run=run)
-    for trial in wanted:
-        if trial.speed_mm_s == speeds[-1]:  # reaches furthest, so refuse it before rendering
-            scenes.check_scene(trial.moving)
     with study.timed(f"{source}: render motions"):
         moving = study.stacks({trial.name: trial.moving for trial in wanted})
         frozen = study.stacks({f"{trial.name}-frozen": trial.frozen for trial in wanted})
@@ -445,13 +430,11 @@ VARIED = ("source.kind", "motion")
 """Keys of the scene that the study sets itself."""
 
 
-def check(scene: Scene) -> None:
-    """Refuse a scene without an eyeball."""
-    why = "the study's models are those of the eyeball"
-    Study.demand(scene, {"phantom.kind": "eyeball"}, why)
+_WHY = "the study's models are those of the eyeball"
+_CHECK = partial(Study.demand, needed={"phantom.kind": "eyeball"}, why=_WHY)
 
 
-@command(defaults=_JITTER, check=check, varies=VARIED)
+@command(defaults=_JITTER, check=_CHECK, varies=VARIED)
 def dynamic(
     study: Study,
     *,

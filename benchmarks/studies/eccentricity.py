@@ -137,7 +137,8 @@ def measure(study: Study, every: Mapping[str, Scene]) -> tuple[pd.DataFrame, pd.
     """Render and track: errors of all models on every spot that counts, and errors by cause."""
     tracked = study.tracked(every)
     # Empty tables first, so that a run without spots has tables, too.
-    errors, shares = [pd.DataFrame(columns=model_error.MODEL_ERROR)], [pd.DataFrame()]
+    errors = [pd.DataFrame(columns=model_error.MODEL_ERROR)]
+    shares = [pd.DataFrame(columns=["model", "z_f_mm"])]
     for name, scene in every.items():
         if name.endswith(_FINE):
             continue
@@ -285,7 +286,7 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables) -> page.Report:
                 data="limits.csv",
             ),
         ],
-        claims=list(_claims(scene, tables)),
+        claims=list(_claims(tables)),
         sections=[
             page.Section(
                 "The error that a fit of c hides",
@@ -318,23 +319,15 @@ def _report(scene: Scene, space: WorkspaceKeys, tables: Tables) -> page.Report:
             ),
         ],
         data={
-            "model_error.csv": pd.concat([tables["withdrawals"], tables["rendered"]])[
-                model_error.MODEL_ERROR
-            ],
-            "limits.csv": tables["limits"],
+            "model_error.csv": pd.concat([tables["withdrawals"], tables["rendered"]]),
             "refit.csv": refits,
-            "causes.csv": tables["causes"],
-            "eye.csv": tables["eye"],
+            **{f"{name}.csv": tables[name] for name in ("limits", "causes", "eye")},
         },
     )
 
 
-def _claims(scene: Scene, tables: Tables) -> Iterator[page.Claim]:
-    shares = tables["causes"]
-    for height in pinhole_heights(scene) if len(shares) else ():
-        here = where(shares, z_f_mm=height, model="small_plane")
-        if here.empty:
-            continue
+def _claims(tables: Tables) -> Iterator[page.Claim]:
+    for height, here in grouped(where(tables["causes"], model="small_plane"), "z_f_mm"):
         spot = _nearest(here, SHOWN_C_MM, SHOWN_C_MM)
         parts = where(here, c_mm=spot.c_mm, d_mm=spot.d_mm)
         parts = parts.sort_values("part_mm", key=lambda part: -part.abs(), kind="stable")
@@ -369,13 +362,13 @@ def _nearest(rows: pd.DataFrame, c: float, d: float) -> Any:
 
 
 def _causes(scene: Scene, shares: pd.DataFrame) -> list[str | page.Picture]:
-    length = error_causes.spread_length(scene)
     text = (
         "Each link between distance and spot is real or ideal, together with the model's own term "
         f"for it, in all {1 << len(CAUSES):,} sets of causes; the parts are Shapley's values. Edge "
         "and pixels are measured in rendered frames, light spread in the wall is that of L = "
-        f"{length:.3f} mm. The models are given an r {WRONG_R_MM:g} mm and a c "
-        f"{WRONG_C_MM:g} mm too large. The paper's cos φ counts as a term for foreshortening."
+        f"{error_causes.spread_length(scene):.3f} mm. The models are given an r {WRONG_R_MM:g} mm "
+        f"and a c {WRONG_C_MM:g} mm too large. The paper's cos φ counts as a term for "
+        "foreshortening."
     )
     if shares.empty:
         return [text, "No rendered spot counts in this run."]

@@ -4,7 +4,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -298,7 +298,7 @@ _STYLES = {
     Recipe.AREA: (page.BLUE, "-"),
 }
 """Colour and line; recipes that know the same have one colour."""
-_SMALLEST_MM, _LARGEST_MM = 0.002, 8.0
+_SHOWN_ERRORS_MM = 0.002, 8.0
 
 
 def error_figure(tables: Tables, paths: Sequence[str]) -> Figure:
@@ -314,11 +314,9 @@ def error_figure(tables: Tables, paths: Sequence[str]) -> Figure:
             axes.axhline(limit, color=page.BLACK, lw=0.8, ls="--")
         for recipe, (colour, line) in _STYLES.items():
             curve = curves.loc[path, recipe, tilt]
-            (drawn,) = axes.plot(_ECCENTRICITIES_MM, curve, ls=line, marker="o", ms=3)
-            drawn.set(color=colour, label=recipe)
-        axes.set_yscale("log")
-        axes.set_xlim(-0.2, _ECCENTRICITIES_MM[-1] + 0.2)
-        axes.set_ylim(_SMALLEST_MM, _LARGEST_MM)
+            style: dict[str, Any] = {"color": colour, "ls": line, "label": recipe}
+            axes.plot(_ECCENTRICITIES_MM, curve, marker="o", ms=3, **style)
+        axes.set(yscale="log", xlim=(-0.2, _ECCENTRICITIES_MM[-1] + 0.2), ylim=_SHOWN_ERRORS_MM)
 
     return page.small_multiples(
         draw,
