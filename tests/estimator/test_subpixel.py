@@ -4,14 +4,13 @@ from dataclasses import replace
 from functools import partial
 from statistics import NormalDist
 
-import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera import Response
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import (
     SHAPE,
@@ -165,23 +164,6 @@ def test_the_response_curve_is_taken_into_account(curve):
     share = (light - linear.min()) / (linear.max() - linear.min())
     # Taken as light, the values' middle lies further out, by the erf edge's quantile.
     assert errors["linear"] == pytest.approx(-4 * NormalDist().inv_cdf(share), abs=0.3)
-
-
-def test_integer_and_float_frames_agree():
-    image = light_of(Drawing(truth=_TRUTH, noise=0.0))
-    deep = np.rint(image * 257).astype(np.uint16)
-    integers = np.rint(image).astype(np.uint8), deep, deep.astype(">u2")
-    for frame in (*integers, integers[0][..., 0], (image / 255).astype(np.float32), image / 255):
-        # Rounding to 8 bits and the fixed-point grey mean move the contour by 0.01 px.
-        np.testing.assert_allclose(_TRUTH.errors(_measured(frame)), 0, atol=0.03)
-
-
-def test_a_saturated_edge_is_measured_by_its_visible_flank_and_flagged():
-    for amplitude in (300, 430):
-        scene = Drawing(truth=_TRUTH, amplitude=amplitude)
-        spot = _measured(frame_of(scene, np.random.default_rng(1)))
-        assert spot.saturated > 0.8
-        assert np.abs(_TRUTH.errors(spot)).max() < 0.3
 
 
 def test_one_unsaturated_channel_is_enough():
@@ -345,31 +327,6 @@ def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach, seed):
     result, _ = measure(frame_of(drawing, np.random.default_rng(seed)), _MIDDLE, SubpixelSettings())
     assert isinstance(result, NoSpot)
     assert result.reason is Reason.OCCLUDED or reach == 70  # hardly hidden
-
-
-def test_lens_distortion_is_taken_out():
-    camera = LensDistortion(
-        matrix=np.array([[900.0, 0, 320], [0, 900, 240], [0, 0, 1]]),
-        distortion=np.array([-0.35, 0.1, 0, 0]),
-    )
-    truth = Truth(x=470, y=330, semi_major=66, semi_minor=60, angle=0.7)
-    ideal = light_of(Drawing(truth=truth, noise=0.0)).astype(np.float32)
-    # A pixel of the distorted camera sees what the ideal one sees at the undistorted place.
-    v, u = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float64)
-    places = camera.undistorted(np.stack([u.ravel(), v.ravel()], axis=1)).astype(np.float32)
-    at = places.reshape(*SHAPE, 2)
-    frame = cv2.remap(ideal, at[..., 0], at[..., 1], cv2.INTER_CUBIC)
-    frame = np.clip(np.rint(frame), 0, 255).astype(np.uint8)
-    settings = SubpixelSettings(camera=camera)
-    spot, state = measure(frame, TrackState(), settings)
-    raw, _ = measure(frame, TrackState(), SubpixelSettings())
-    assert isinstance(spot, Spot) and isinstance(raw, Spot)
-    # The image is resampled and the lens stretches the edge's width: a few hundredths of a px.
-    np.testing.assert_allclose(truth.errors(spot), 0, atol=0.1)
-    assert np.abs(truth.errors(raw)).max() > 2
-    # The next frame is searched where this camera sees the spot; its middle is not quite the
-    # image of the ideal middle.
-    assert state.at_px == pytest.approx((raw.x_px, raw.y_px), abs=2)
 
 
 def test_both_modes_agree_where_the_threshold_is_the_half_level():

@@ -4,7 +4,6 @@ import json
 import math
 from typing import Any
 
-import cv2
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -135,23 +134,6 @@ distortion_coefficients:
   cols: 5
   data: [-0.21, 0.13, 0.001, -0.002, 0.05]
 """
-
-
-LISTS = {"K": MATRIX.tolist(), "D": DISTORTION.tolist(), "width": 640, "height": 480}
-
-
-def test_undistorted_points_lie_in_the_ideal_microscopes_image(written):
-    microscope = read_microscope(written(LISTS), **EYE)
-    # Points of the eye, seen by OpenCV's camera at F that looks down: (X, -Y, z_F - Z).
-    points = np.array([[0.0, 0.0, -11.5], [5.0, -3.0, -10.0], [-8.0, 6.0, -6.0]])
-    from_pinhole = points * [1, -1, -1] + [0, 0, 200.0]
-    seen, _ = cv2.projectPoints(from_pinhole, np.zeros(3), np.zeros(3), MATRIX, DISTORTION)
-    camera = microscope.camera()
-    assert camera is not None
-    undistorted = camera.undistorted(seen[:, 0])
-    ideal = microscope.ideal_microscope().project(jnp.asarray(points))
-    # OpenCV inverts the distortion by five fixed-point steps.
-    np.testing.assert_allclose(undistorted, ideal, atol=1e-4)
 
 
 @pytest.mark.parametrize("missing", ["pinhole_height_mm", "eye_radius_mm"])

@@ -44,7 +44,6 @@ from eyespot.scenes.description.scene_file import load_scene, scene_toml
 from eyespot.scenes.walls.picture import wall_image
 from eyespot.scenes.world.motion import frame_count, kinematics
 from eyespot.scenes.world.world import World
-from tests.support.command_line import run_process
 from tests.support.drawn.drawn_recording import write_video
 from tests.support.drawn.made_up import CONE, DOME, a_calibration, an_opencv_file
 from tests.support.files.bad_input import OLD, odd, signed, spoilt
@@ -390,73 +389,6 @@ def test_the_samples_are_read(folder):
 
 
 @pytest.mark.parametrize("kind", [*TARGETS, *VALUES])
-@pytest.mark.parametrize(
-    "seeds", [range(12), pytest.param(range(1000, 1030), marks=[pytest.mark.slow])]
-)
-def test_a_mutated_input_is_answered_with_one_message(folder, kind, seeds):
-    found = {seed: fault_with(folder, kind, seed) for seed in seeds}
+def test_a_mutated_input_is_answered_with_one_message(folder, kind):
+    found = {seed: fault_with(folder, kind, seed) for seed in range(12)}
     assert not any(found.values()), {seed: fault for seed, fault in found.items() if fault}
-
-
-COMMANDS = {
-    **dict.fromkeys(
-        ("frame", "labels", "stack", "stack's microscope"),
-        ("track", "small-v1/train/0000", "--out", "out.csv"),
-    ),
-    **{
-        kind: ("track", TARGETS[kind][0], "--out", "out.csv")
-        for kind in ("png", "jpg", "tif", "video", "ros 1")
-    },
-    "ros 2": ("track", "ros2", "--out", "out.csv"),
-    "poses": ("track", "image.png", "--out", "out.csv", "--poses", "poses.csv"),
-    "microscope": ("track", "image.png", "--out", "out.csv", "--rig", "microscope.json"),
-    "opencv yaml": (
-        *("track", "image.png", "--out", "out.csv", "--rig", "camera.yml"),
-        *("--set", "microscope.pinhole_height_mm=200", "--set", "wall.radius_mm=11.5"),
-    ),
-    "scene": ("scene", "check", "scene.toml"),
-    "set": ("dataset", "verify", "small-v1"),
-    "set's manifest": ("dataset", "verify", "small-v1"),
-    "manifest": ("export", "small-v1/train/0000", "--to", "webdataset", "--out", "out"),
-    "mask": ("export", "small-v1/train/0000", "--to", "webdataset", "--out", "out"),
-}
-"""A command for a kind of file, from the folder of the samples."""
-
-
-def outcome(folder, command):
-    """Exit code, stderr and processor time of a command."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    child = run_process(*command, cwd=folder)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    # Decoders of images, which are written in C, also print a word of their own.
-    theirs = ("libpng", "PNG warning", "Corrupt JPEG data", "[")
-    own = [line for line in child.stderr.splitlines() if not line.startswith(theirs)]
-    return child.exit_code, "\n".join(own), spent
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", COMMANDS)
-def test_a_command_ends_with_2_and_leaves_nothing(folder, kind):
-    def removed_results():
-        shutil.rmtree(folder / "out", ignore_errors=True)
-        (folder / "out.csv").unlink(missing_ok=True)
-        return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*"))
-
-    there, (file, form, _), found = removed_results(), TARGETS[kind], []
-    usual_s = outcome(folder, COMMANDS[kind])[2]
-    removed_results()
-    for seed in range(3):
-        rng = np.random.default_rng([seed, 7])
-        with spoilt(folder / file, rng, form):
-            code, words, spent_s = outcome(folder, COMMANDS[kind])
-        if code != 0:
-            lines = 21 if file == "small-v1/manifest.json" else 3
-            one = words.startswith("eyespot: ") and len(words.splitlines()) <= lines
-            if code != 2 or not one or "Traceback" in words:
-                found.append(f"seed {seed}: {code}: {words:.600}")
-        if spent_s > usual_s + LONGEST_S:
-            found.append(f"seed {seed}: {spent_s:.1f} s; usually {usual_s:.1f} s")
-        if (left := removed_results()) != there:
-            found.append(f"seed {seed} left {sorted(set(left) ^ set(there))}")
-    assert not found, "\n".join(found)

@@ -12,7 +12,6 @@ from eyespot.formats.stack import read_stack
 from eyespot.scenes import (
     Renderer,
     Scene,
-    SceneError,
     load_mitsuba,
     render_image,
     render_stack,
@@ -133,11 +132,6 @@ def test_the_instrument_hides_the_spot_that_the_labels_say_it_hides():
     ellipse = renderer.world.truth.half_max
     whole = np.pi * float(ellipse.semi_major[0] * ellipse.semi_minor[0])
     assert mask.sum() < 0.7 * whole
-
-
-def test_a_spot_outside_the_window_is_refused_with_the_way_out():
-    with pytest.raises(SceneError, match=r"leaves the 100 x 100 px window.*Shorten"):
-        Renderer(scene(microscope={"width_px": 100, "height_px": 100}))
 
 
 def test_a_stack_holds_every_exposure_of_every_frame_and_its_checksums(tmp_path):
