@@ -11,12 +11,12 @@ from collections import Counter
 from collections.abc import Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Self
 
 import numpy as np
 import pandas as pd
 from cyclopts import Parameter
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 from pydantic import Strict as StrictType
 
 from eyespot.benchmarks.reporting import rows_of
@@ -36,7 +36,7 @@ from eyespot.formats.inputs import (
     read_text,
     validated,
 )
-from eyespot.formats.microscope import microscope_in, read_microscope
+from eyespot.formats.microscope import microscope_in
 from eyespot.formats.rig import EXACT, rig_in
 from eyespot.formats.spots import PARAMETERS, spots_table
 from eyespot.formats.whole_files import refuse_existing, write_text
@@ -58,6 +58,7 @@ _SIGMAS_OF_95_PERCENT = 1.959964
 
 _Positive = Annotated[float, Field(gt=0)]
 _Table = list[list[float | None]]
+_TABLES = ("expected", "low", "high", "noise")
 
 
 class Plan(Strict):
@@ -92,6 +93,32 @@ class Plan(Strict):
     )
     sha256: str = Field(description="Of everything else in the file.")
 
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        frames, tables = len(self.times_s), {name: getattr(self, name) for name in _TABLES}
+        tables |= zip(self.uncertain, self.moved, strict=False)
+        for name, table in tables.items():
+            if len(table) != frames or any(len(row) != len(QUANTITIES) for row in table):
+                raise InputError(
+                    f"the table {name!r} must have {frames} rows of {len(QUANTITIES)} "
+                    "numbers, as times_s and quantities say"
+                )
+        increases = frames > 0 and np.all(np.diff(self.times_s) > 0)
+        rules = {
+            f"quantities must be {', '.join(QUANTITIES)}": self.quantities == [*QUANTITIES],
+            "moved must have a table for each key": len(self.moved) == len(self.uncertain),
+            "times_s must have frames and increase": increases,
+            "noise must not be negative": not np.any(self.array("noise") < 0),
+            "low must not exceed high": not np.any(self.array("low") > self.array("high")),
+        }
+        for rule, holds in rules.items():
+            if not holds:
+                raise InputError(rule)
+        microscope_in(self.microscope)
+        if self.calibration is not None:
+            calibration_in(self.calibration)
+        return self
+
     def array(self, name: str) -> np.ndarray:
         """A table of the plan, NaN for null."""
         return np.array(getattr(self, name), float)
@@ -104,44 +131,19 @@ def read_plan(path: Path) -> Plan:
         content = object_in(read_text(path, most_bytes=_MOST_BYTES))
         check_schema(content.get("schema"), HISTORY, remedy=remedy)
         plan = validated(Plan, content, remedy=remedy)
-        made = _sha256({key: value for key, value in content.items() if key != "sha256"})
+        made = _sha256(content)
         if made != plan.sha256:
             raise InputError(
                 f"the plan was changed after it was made: its SHA-256 is {made[:12]}…, and it says "
                 f"{plan.sha256[:12]}…. {remedy}"
             )
-        if plan.quantities != list(QUANTITIES):
-            raise InputError(f"quantities must be {', '.join(QUANTITIES)}. {remedy}")
-        named = {name: getattr(plan, name) for name in ("expected", "low", "high", "noise")}
-        named |= zip(plan.uncertain, plan.moved, strict=False)
-        frames = len(plan.times_s)
-        for name, table in named.items():
-            if len(table) != frames or any(len(row) != len(QUANTITIES) for row in table):
-                raise InputError(
-                    f"the table {name!r} must have {frames} rows of {len(QUANTITIES)} "
-                    f"numbers, as times_s and quantities say. {remedy}"
-                )
-        if not frames or len(plan.moved) != len(plan.uncertain):
-            raise InputError(
-                f"a plan needs frames, and a table in `moved` for each uncertain key; got {frames} "
-                f"and {len(plan.moved)} for {len(plan.uncertain)}. {remedy}"
-            )
-        rules = {
-            "times_s must increase": np.all(np.diff(plan.times_s) > 0),
-            "noise must not be negative": not np.any(plan.array("noise") < 0),
-            "low must not exceed high": not np.any(plan.array("low") > plan.array("high")),
-        }
-        for rule, holds in rules.items():
-            if not holds:
-                raise InputError(f"{rule}. {remedy}")
-        microscope_in(plan.microscope)
-        if plan.calibration is not None:
-            calibration_in(plan.calibration)
     return plan
 
 
-def _sha256(content: dict[str, Any]) -> str:  # in whatever order and layout it is written
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+def _sha256(content: Mapping[str, Any]) -> str:
+    """Of a plan's content in whatever order and layout, without the sum that it states."""
+    stated = {key: value for key, value in content.items() if key != "sha256"}
+    text = json.dumps(stated, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
@@ -198,15 +200,16 @@ def predicted(
     kinds = scene.exposures.kinds
     kind = "metered" if "metered" in kinds else kinds[0]
     stated = {key: _stated(scene, key, sigma) for key, sigma in uncertain.items()}
-    with tempfile.TemporaryDirectory() as made:
-        folder = Path(made) / "rehearsal"
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary) / "rehearsal"
         with progress("Rehearsing", total=frame_count(scene)) as advance:
             render_stack(scene, folder, progress=advance)
-        file = folder / "microscope.json"
-        microscope, view = json.loads(file.read_text()), read_microscope(file)
+        microscope = json.loads((folder / "microscope.json").read_text())
         rehearsal = Recording.open(folder, exposure=kind)
         seen = _observed(rehearsal, Options().reader(rehearsal.rig))
-    ranger = Ranger(read_calibration(calibration), view, model=model) if calibration else None
+    ranger = None
+    if calibration is not None:
+        ranger = Ranger(read_calibration(calibration), microscope_in(microscope), model=model)
     world = World(scene)
     times = np.asarray(world.times)
     expected = _exact(world, times, ranger)
@@ -229,11 +232,7 @@ def predicted(
     expected = np.where(np.isnan(noise), np.nan, expected)
     moved = np.where(np.isnan(noise), np.nan, (up - down) / 2)
     half = _SIGMAS_OF_95_PERCENT * np.sqrt(noise**2 + np.sum(moved**2, axis=0))
-
-    def rows(table: np.ndarray) -> Any:
-        # JSON has no NaN.
-        return np.where(np.isnan(table), np.array(None), table.astype(object)).tolist()
-
+    tables = {"expected": expected, "low": expected - half, "high": expected + half}
     content = {
         "schema": SCHEMA,
         "software": f"eyespot {version('eyespot')}",
@@ -245,13 +244,14 @@ def predicted(
         "uncertain": stated,
         "quantities": list(QUANTITIES),
         "times_s": times.tolist(),
-        "expected": rows(expected),
-        "low": rows(expected - half),
-        "high": rows(expected + half),
-        "noise": rows(noise),
-        "moved": rows(moved),
+        # JSON has no NaN.
+        **{
+            name: np.where(np.isnan(table), np.array(None), table.astype(object)).tolist()
+            for name, table in (tables | {"noise": noise, "moved": moved}).items()
+        },
     }
-    return Plan.model_validate(content | {"sha256": _sha256(content)})
+    made = content | {"sha256": _sha256(content)}
+    return validated(Plan, made, remedy="Change the scene.")
 
 
 def _stated(scene: Scene, key: str, sigma: float) -> tuple[float, float]:
@@ -261,11 +261,10 @@ def _stated(scene: Scene, key: str, sigma: float) -> tuple[float, float]:
     found = scene_value(scene, key)
     if found is None:
         changed(scene, {key: 0.0})  # the scene says which keys are near
-        raise InputError(f"{key} is not a key of this scene. `eyespot scene init` lists them.")
     if isinstance(found, bool) or not isinstance(found, float | int) or not math.isfinite(found):
         raise InputError(
             f"{key} is {found!r}, not a number with an uncertainty. Name a key of the scene such as"
-            " phantom.radius_mm."
+            " phantom.radius_mm; `eyespot scene init` lists them."
         )
     changed(scene, {key: found})  # refuses what follows from keys, such as phantom.mean_radius_mm
     return found, sigma
@@ -304,18 +303,18 @@ class Judgement(NamedTuple):
     """Which predictions held, in number and by quantity.
 
     Attributes:
-        tallies: by quantity: hits in the interval; misses, of which some are unmeasured; RMS of
+        quantities: by quantity: hits in the interval; misses, of which some are unmeasured; RMS of
             measured minus predicted over the standard uncertainty.
-        causes: by uncertain key, the farthest first: value as stated and as the recording agrees
-            with best, their standard uncertainties, and the pull between the two in such.
+        keys: by uncertain key, the farthest first: value as stated and as the recording agrees with
+            best, their standard uncertainties, and the pull between the two in such.
         misfit: RMS of what remains with the best values of all keys, over the noise.
         no_spot: frames without a spot, by reason.
     """
 
-    hits: int
+    held: int
     predictions: int
-    tallies: pd.DataFrame
-    causes: pd.DataFrame
+    quantities: pd.DataFrame
+    keys: pd.DataFrame
     misfit: float
     no_spot: Counter[str]
 
@@ -362,8 +361,7 @@ def judged(
             f"no frame has a time from {plan.times_s[0]:g} to {plan.times_s[-1]:g} s, for which the"
             " plan has predictions. --begin says when the motion begins."
         )
-    moved = np.array([at_frames(of_key) for of_key in plan.array("moved")])
-    moved = moved.reshape(-1, *expected.shape)
+    moved = np.reshape([at_frames(of) for of in plan.array("moved")], (-1, *expected.shape))
     off = seen[list(QUANTITIES)].to_numpy() - expected
     pulls = off / np.sqrt(noise**2 + np.sum(moved**2, axis=0))
     made, hits = ~np.isnan(expected), np.abs(pulls) <= _SIGMAS_OF_95_PERCENT
@@ -372,13 +370,12 @@ def judged(
             "hits": hits.sum(axis=0),
             "misses": (made & ~hits).sum(axis=0),
             "unmeasured": (made & np.isnan(pulls)).sum(axis=0),
-            "rms": np.sqrt((pd.DataFrame(pulls, columns=list(QUANTITIES)) ** 2).mean()),
-        },
-        index=pd.Index(QUANTITIES, name="quantity"),
+            "rms": np.sqrt((pd.DataFrame(pulls) ** 2).mean()),
+        }
     )
+    tallies.insert(0, "quantity", QUANTITIES)
     # No poses, no prediction about them; but a spot that is not there is a miss.
-    counted = made.any(axis=0) & ~((tallies.index == "robot_mm") & tallies.rms.isna())
-    tallies = tallies[counted].reset_index()
+    tallies = tallies[made.any(axis=0) & ~((tallies.quantity == "robot_mm") & tallies.rms.isna())]
     held, missed = tallies[["hits", "misses"]].sum().tolist()
     explained = _explained(plan, off / noise, moved / noise)
     return Judgement(held, held + missed, tallies, *explained, Counter(seen.no_spot.dropna()))
@@ -410,11 +407,11 @@ def _explained(plan: Plan, residual: np.ndarray, moved: np.ndarray) -> tuple[pd.
         found, covariance = fit(max(1.0, misfit), free)
         off, error = float(found[n]), math.sqrt(covariance[n, n])
         pull = off / math.hypot(1.0, error)
-        value = stated + unit * off
-        rows.append((key, stated, unit, value, unit * error, pull, abs(pull) > CHANGED_SIGMAS))
-    names = ["key", "stated", "stated_sigma", "found", "found_sigma", "pull", "contradicts"]
-    causes = pd.DataFrame(rows, columns=names)
-    return causes.sort_values("pull", key=lambda pull: -pull.abs(), kind="stable"), misfit
+        rows.append((key, stated, unit, stated + unit * off, unit * error, pull))
+    names = ["key", "stated", "stated_sigma", "found", "found_sigma", "pull"]
+    keys = pd.DataFrame(rows, columns=names)
+    keys["contradicts"] = keys.pull.abs() > CHANGED_SIGMAS
+    return keys.sort_values("pull", key=lambda pull: -pull.abs(), kind="stable"), misfit
 
 
 # The commands.
@@ -484,24 +481,16 @@ def adjudicate(
     agreed = read_plan(plan)
     found = judged(agreed, source, poses=poses, rig=rig, start_s=start_s)
     if as_json:
-        content = {
-            "plan_sha256": agreed.sha256,
-            "held": found.hits,
-            "predictions": found.predictions,
-            "quantities": found.tallies.to_dict("records"),
-            "keys": found.causes.to_dict("records"),
-            "misfit": found.misfit,
-            "no_spot": dict(found.no_spot),
-        }
-        print(json.dumps(content))
+        tables = {name: getattr(found, name).to_dict("records") for name in ("quantities", "keys")}
+        print(json.dumps({"plan_sha256": agreed.sha256} | found._asdict() | tables))
         return
     print(f"Plan {plan}, SHA-256 {agreed.sha256}")
     names = {"hits": "held", "misses": "missed", "unmeasured": "of these not measured"}
-    table = found.tallies.rename(columns=names | {"rms": "RMS deviation, σ"})
+    table = found.quantities.rename(columns=names | {"rms": "RMS deviation, σ"})
     print(table.to_string(index=False, float_format="{:.2f}".format))
-    share = 100 * found.hits / found.predictions
-    print(f"{found.hits} of {found.predictions} predictions held ({share:.1f} %).")
-    wrong = found.causes[found.causes.contradicts]
+    share = 100 * found.held / found.predictions
+    print(f"{found.held} of {found.predictions} predictions held ({share:.1f} %).")
+    wrong = found.keys[found.keys.contradicts]
     for cause in rows_of(wrong):
         print(
             f"Contradicted: {cause.key} was stated as {cause.stated:.6g} ± "

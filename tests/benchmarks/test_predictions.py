@@ -60,8 +60,8 @@ def verdict(plan: Plan, folder: Path, values: dict[str, float]) -> Judgement:
 def test_the_planned_scene_itself_keeps_every_prediction(plan, tmp_path):
     found = verdict(plan, tmp_path, {})
     # Without an error of the scene only noise is left, far inside of the intervals.
-    assert found.hits == found.predictions == plan.array("expected").size
-    assert not found.causes.contradicts.any()
+    assert found.held == found.predictions == plan.array("expected").size
+    assert not found.keys.contradicts.any()
 
 
 @pytest.mark.parametrize(
@@ -75,33 +75,33 @@ def test_the_planned_scene_itself_keeps_every_prediction(plan, tmp_path):
 )
 def test_what_is_wrong_is_named_with_its_value(plan, tmp_path, key, value, tolerance):
     found = verdict(plan, tmp_path, {key: value})
-    first = found.causes.iloc[0]
+    first = found.keys.iloc[0]
     assert first.contradicts
     assert first.key == key
     assert first.found == pytest.approx(value, abs=tolerance)
-    assert found.hits < found.predictions
+    assert found.held < found.predictions
 
 
 def test_an_error_that_no_key_explains_is_a_misfit(plan, tmp_path):
     # Under a tilt of 45 degrees instead of 30 the centres stay, and the axes change as no key does.
     found = verdict(plan, tmp_path, {"spot.incidence_deg": 45.0})
     assert found.misfit > 10
-    assert found.hits / found.predictions < 0.8
+    assert found.held / found.predictions < 0.8
 
 
 def test_a_spot_that_is_not_there_is_a_miss(plan, tmp_path):
     # At 60 degrees the instrument hides the spot in every frame.
     found = verdict(plan, tmp_path, {"spot.incidence_deg": 60.0})
     assert found.no_spot.total() == 6
-    tallies = found.tallies.set_index("quantity")
+    tallies = found.quantities.set_index("quantity")
     assert tallies.misses["semi_minor_px"] == tallies.misses["distance_mm"] == 6
     assert tallies.hits["robot_mm"] == 6
 
 
 def test_a_wrong_eccentricity_moves_the_centre_only(plan, tmp_path):
     found = verdict(plan, tmp_path, {"spot.eccentricity_mm": 2.8})
-    assert found.causes.key.iloc[0] == "spot.eccentricity_mm"
-    assert found.tallies.set_index("quantity").misses["x_px"] == 6
+    assert found.keys.key.iloc[0] == "spot.eccentricity_mm"
+    assert found.quantities.set_index("quantity").misses["x_px"] == 6
 
 
 def test_a_plan_comes_back_and_a_changed_one_is_refused(plan, tmp_path):
@@ -183,9 +183,9 @@ def test_95_percent_of_the_predictions_hold_with_true_scenes(plan, tmp_path):
         values = {key: v + s * noise.standard_normal() for key, (v, s) in plan.uncertain.items()}
         seeds = {"seed": number, "phantom.texture_seed": number}
         found.append(verdict(plan, tmp_path / f"{number}", values | seeds))
-    share = sum(one.hits for one in found) / sum(one.predictions for one in found)
+    share = sum(one.held for one in found) / sum(one.predictions for one in found)
     # Predictions of one stack share their errors: 60 stacks times about 5 that differ, 1.3 %.
     assert 0.91 <= share <= 0.99
-    pulls = np.concatenate([one.causes.pull for one in found])
+    pulls = np.concatenate([one.keys.pull for one in found])
     # Of 420 keys one is beyond three standard deviations by chance.
     assert np.sum(np.abs(pulls) > CHANGED_SIGMAS) <= 5
