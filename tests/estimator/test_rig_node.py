@@ -185,7 +185,6 @@ def test_parameters_are_taken_as_ros_hands_them_over():
         ({"start": "left"}, "start: must be X,Y in px.*'left'"),
         ({"start": 3}, "start: must be X,Y in px.*3"),
         ({"exposure_s": 0.0}, "exposure_s: .*greater than 0; got 0.0"),
-        ({"calibration": "c.json"}, "--calibration needs the microscope.*--rig"),
         ({"pinhole_height_mm": 200.0}, "is the key microscope.pinhole_height_mm of the rig file"),
         ({"settings": {"response": "srgb"}}, "settings are numbers.*microscope"),
         ({"settings": {"min_contrast": "high"}}, "settings: "),
