@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import product
 from typing import Annotated, Any, NamedTuple
 
@@ -430,11 +429,13 @@ VARIED = ("source.kind", "motion")
 """Keys of the scene that the study sets itself."""
 
 
-_WHY = "the study's models are those of the eyeball"
-_CHECK = partial(Study.demand, needed={"phantom.kind": "eyeball"}, why=_WHY)
+def check(scene: Scene) -> None:
+    """Refuse a scene without an eyeball."""
+    why = "the study's models are those of the eyeball"
+    Study.demand(scene, {"phantom.kind": "eyeball"}, why)
 
 
-@command(defaults=_JITTER, check=_CHECK, varies=VARIED)
+@command(defaults=_JITTER, check=check, varies=VARIED)
 def dynamic(
     study: Study,
     *,

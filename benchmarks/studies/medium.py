@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator, Mapping
 from enum import StrEnum
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
@@ -315,7 +314,6 @@ def _claims(errors: pd.DataFrame) -> Iterator[page.Claim]:
 
 # The command.
 
-
 VARIED = (
     *("source.medium", "phantom.kind", "microscope.height_px", "motion.kind"),
     *("motion.start_mm", "motion.travel_mm", "motion.frames", "exposures.kinds"),
@@ -323,10 +321,13 @@ VARIED = (
 """Keys of the scene that the study sets itself."""
 
 
-_WHY = "the study compares one lens in two media, and the ideal cone beside it"
+def check(scene: Scene) -> None:
+    """Refuse a scene without the lens."""
+    why = "the study compares one lens in two media, and the ideal cone beside it"
+    Study.demand(scene, {"source.kind": "lens"}, why)
 
 
-@command(check=partial(Study.demand, needed={"source.kind": "lens"}, why=_WHY), varies=VARIED)
+@command(check=check, varies=VARIED)
 def medium(study: Study) -> pd.DataFrame:
     """Calibrate in air, measure in vitreous: the error, and how much the lens model corrects."""
     base, quick = study.scene, study.quick
