@@ -37,8 +37,10 @@ from eyespot.estimator.detector.settings import SubpixelSettings
 from eyespot.estimator.detector.tuning import (
     RAYS,
     Capture,
+    Channel,
     Hollow,
     Refine,
+    Saturated,
     Search,
     Sharp,
     Small,
@@ -357,7 +359,33 @@ def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
         around = patch_round(region, fit.ellipse) if beyond else patch
         if hollow_share(around, fit.ellipse, lit, half, width) > Hollow.SHARE:
             return NoSpot(Reason.NONE_FOUND)  # as letters are
+        # Compressing moves a cut edge by tenths of a px, in each colour, which shows in no misfit.
+        cut = max(region.saturated) > Channel.SATURATED
+        if cut and _is_compressed(around, fit.ellipse, fit.levels.width):
+            return NoSpot(Reason.SATURATED)
     return fit
+
+
+def _is_compressed(patch: Patch, ellipse: AffineEllipse, width: float) -> bool:
+    """Whether pixels beside an edge are rougher than farther out, as in the blocks of a JPEG.
+
+    Second differences along both axes leave noise, and little of walls and flanks.
+    """
+    rough = patch.signal[1:, 1:] - patch.signal[:-1, 1:] - patch.signal[1:, :-1]
+    rough = rough + patch.signal[:-1, :-1]
+    v, u = np.mgrid[: rough.shape[0], : rough.shape[1]] + 0.5
+    to_circle, px = np.linalg.inv(ellipse.shape), ellipse.axes()[1]
+    u, v = u + patch.x0 - ellipse.centre[0], v + patch.y0 - ellipse.centre[1]
+    radius = np.hypot(*(row[0] * u + row[1] * v for row in to_circle))
+    beyond_px = (radius - 1 - Sharp.REACH * width) * px
+    near, far = (
+        rough[(beyond_px > first) & (beyond_px < last)] for first, last in Saturated.BLOCKS_PX
+    )
+    if min(near.size, far.size) < Saturated.FEWEST:
+        return False
+    # A glint on the edge is rough, too.
+    near, far = (np.sort(np.abs(of))[: int(Saturated.MOST * of.size)] for of in (near, far))
+    return bool(np.mean(near**2) > Saturated.ROUGHER**2 * np.mean(far**2))
 
 
 def _colours_show_texture(region: Region) -> bool:

@@ -144,7 +144,7 @@ def fit_to_pixels(
         return None
     columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
     errors = _errors(model, np.stack([u, v]), float(levels[0]), columns, left, values - left)
-    if errors is None:
+    if errors is None or not errors.half_radius > 0:  # a ring may be dark from its middle on
         return None
     # Both axes grow alike with the half level.
     covariance = errors.covariance[:5, :5]

@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -17,6 +18,7 @@ from eyespot.estimator.run.options import Options
 from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.scenes.drawn import Drawing, any_truth, any_wall, erf_edge, frame_of
 from tests.support.drawn.drawn_spots import spot_image, spot_in
 from tests.support.drawn.made_up import a_microscope_file
 
@@ -88,6 +90,23 @@ def test_a_disc_clipped_anywhere_is_saturated_and_measured(bits, level, shift):
             found += 1
     # With so much light the flank below the level still shows how high it goes.
     assert found >= 4
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_clipped_disc_is_refused_in_a_jpeg_and_measured_without(seed):
+    rng = np.random.default_rng(seed)
+    truth = any_truth(rng, rng.uniform(35, 75))
+    blur, power = erf_edge(rng.uniform(0.8, 2)), 255 * rng.uniform(2.5, 3.3)
+    disc = Drawing(truth=truth, profile=blur, amplitude=power, wall=any_wall(rng))
+    frame = frame_of(disc, rng)
+    # Red and green are cut; blue, a fifth of them, is not.
+    spot = measured(frame)
+    assert isinstance(spot, Spot)
+    assert_within(spot, (truth.semi_major, truth.semi_minor))
+    # A JPEG shifts the edge of each colour, by up to ten standard errors.
+    _, encoded = cv2.imencode(".jpg", frame, [cv2.IMWRITE_JPEG_QUALITY, 85])
+    decoded = np.asarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR))
+    assert measured(decoded) == NoSpot(Reason.SATURATED)
 
 
 @pytest.mark.parametrize(("bits", "level", "shift"), LEVELS)

@@ -123,7 +123,8 @@ def test_neither_darkness_nor_noise_of_any_size_is_a_spot(shape):
         assert literal in (NoSpot(Reason.NONE_FOUND), NoSpot(Reason.TOO_SMALL))
 
 
-@pytest.mark.parametrize("shape", [(100, 100), (480, 640), (100, 3000, 3), (4320, 7680)])
+# In the middle of 100 x 100 px this disc would be as a camera's round field is.
+@pytest.mark.parametrize("shape", [(100, 160), (480, 640), (100, 3000, 3), (4320, 7680)])
 def test_a_spot_is_measured_in_a_frame_of_any_size(shape):
     frame = np.full(shape, 20, np.uint8)
     x, y = shape[1] - 48.5, shape[0] / 2
