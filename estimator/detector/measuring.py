@@ -331,11 +331,11 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
         return NoSpot(Reason.NONE_FOUND)
     contour = Patch(light.astype(np.float32), window.x0, window.y0)
     half = spot.background + spot.amplitude / 2
-    radii = np.array([Small.MIDDLE, 1.0])
-    inner, along = np.nan_to_num(contour.unwrapped(spot.ellipse, radii) - half).T
+    rings = np.nan_to_num(contour.unwrapped(spot.ellipse, np.array(Small.RINGS)) - half).T
+    along, heights = rings[-1], rings.mean(axis=1) + spot.amplitude / 2
     corners = max(ring_variance(along, slice(k, k + 1)) for k in range(3, Verdict.CORNERS.stop))
     cornered = 2 / RAYS * corners > (Small.CORNERED * spot.amplitude) ** 2
-    hollow = inner.mean() < 0 and not clipped.any()  # clipped light has lost its middle
+    hollow = heights[0] < 0.5 * heights[1:-1].max()
     if cornered or hollow or spot.ellipse.axes()[1] > Small.OPENING_PX / 2:
         return NoSpot(Reason.NONE_FOUND)
     area = math.pi * abs(np.linalg.det(spot.ellipse.shape))

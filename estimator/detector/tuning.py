@@ -331,5 +331,6 @@ class Small:
     VAGUEST = 0.1  # radii: standard error of a size
     CORNERED = 0.06  # of the peak: a wave of the light along the contour; beams 0.036, boxes 0.13
     ROUGHEST = 0.2  # of the light: standard deviation of what is no such spot's
-    MIDDLE = 0.15  # radii: there a ring is below its half maximum, a spot near its peak
+    # radii: the middle, where a ring has less than half of its light; that light; the contour
+    RINGS = (0.15, 0.55, 0.7, 0.85, 1.0)
     AT_LIMIT = 3.0  # standard deviations of a pixel below the limit, within which a flat top is cut
