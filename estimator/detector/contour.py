@@ -376,16 +376,22 @@ def _is_compressed(patch: Patch, ellipse: AffineEllipse, width: float) -> bool:
     v, u = np.mgrid[: rough.shape[0], : rough.shape[1]] + 0.5
     to_circle, px = np.linalg.inv(ellipse.shape), ellipse.axes()[1]
     u, v = u + patch.x0 - ellipse.centre[0], v + patch.y0 - ellipse.centre[1]
-    radius = np.hypot(*(row[0] * u + row[1] * v for row in to_circle))
-    beyond_px = (radius - 1 - Sharp.REACH * width) * px
-    near, far = (
-        rough[(beyond_px > first) & (beyond_px < last)] for first, last in Saturated.BLOCKS_PX
-    )
-    if min(near.size, far.size) < Saturated.FEWEST:
-        return False
-    # A glint on the edge is rough, too.
-    near, far = (np.sort(np.abs(of))[: int(Saturated.MOST * of.size)] for of in (near, far))
-    return bool(np.mean(near**2) > Saturated.ROUGHER**2 * np.mean(far**2))
+    cos, sin = (row[0] * u + row[1] * v for row in to_circle)
+    beyond_px = (np.hypot(cos, sin) - 1 - Sharp.REACH * width) * px
+    # A glint on the edge is rough, too, but not all round it.
+    turn = np.arctan2(sin, cos) / (2 * math.pi)
+    sector = np.floor(Saturated.SECTORS * turn).astype(int) % Saturated.SECTORS
+    typical = []
+    for first, last in Saturated.BLOCKS_PX:
+        there = (beyond_px > first) & (beyond_px < last)
+        number = np.bincount(sector[there], minlength=Saturated.SECTORS)
+        square = np.bincount(sector[there], rough[there] ** 2, minlength=Saturated.SECTORS)
+        seen = number > Saturated.FEWEST
+        if np.count_nonzero(seen) < Saturated.SECTORS // 2:
+            return False
+        typical.append(float(np.median(square[seen] / number[seen])))
+    near, far = typical
+    return near > Saturated.ROUGHER**2 * far
 
 
 def _colours_show_texture(region: Region) -> bool:

@@ -175,8 +175,7 @@ class Saturated:
     MISFIT = 0.01  # full scale: a disc is off a blurred step by 0.001, a lamp with a halo by 0.02
     # px beyond the edge: within a block of 8 px that has a part of it, and outside of such blocks.
     BLOCKS_PX = ((1.0, 6.0), (12.0, 21.0))
-    MOST = 0.95  # of the pixels: glints are among the others
-    FEWEST = 100  # pixels that show how rough either place is: to 7 %
+    SECTORS, FEWEST = 8, 20  # of the ring, and pixels that show how rough a sector is: to 16 %
     ROUGHER = 1.15  # near over far: raw frames 0.93 to 1.06, JPEG of quality 75 to 95 mostly more
     DOME = 0.06  # peak: standard deviation of a clipped plateau above its rim
     BELL_MISFIT = 0.03  # full scale: deviation of the flank from a bell's
