@@ -80,7 +80,7 @@ def analytic_errors(geometry: model_error.Geometry, *, quick: bool) -> pd.DataFr
     tables = []
     for height, (tilt, azimuth) in product(_ANALYTIC_HEIGHTS_MM, tilts):
         own = geometry._replace(pinhole_height=height, incidence=tilt, incidence_azimuth=azimuth)
-        about: dict[str, Any] = {"source": "analytic", "refit": False, "medium": "air"}
+        about: dict[str, Any] = {"source": "analytic", "medium": "air"}
         tables.append(model_error.errors_of(own, model_error.COMPARED, c=c, d=d, **about))
     return pd.concat(tables, ignore_index=True)
 

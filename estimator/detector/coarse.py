@@ -165,8 +165,7 @@ def bright_regions(
         half = (peak + background) // 2
         mask = (smooth > half).view(np.uint8)
         contours, _ = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-        # A contour runs through pixel centres; half its length is the area outside them.
-        areas = [cv2.contourArea(c) + len(c) / 2 + 1 for c in contours]
+        areas = [_area(contour) for contour in contours]
         largest = max(range(len(areas)), key=areas.__getitem__)
         painted = [contours[largest]]
         if areas[largest] * coarse.stride**2 < min_area:
@@ -250,8 +249,7 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
     middles: list[np.ndarray] = []
     brightest: list[np.ndarray] = []
     for piece in order:
-        hull = cv2.contourArea(cv2.convexHull(contours[piece]))
-        if cv2.contourArea(contours[piece]) < Search.CONVEX * hull:
+        if not _is_convex(contours[piece]):
             return False
         mask = np.zeros_like(light)
         cv2.drawContours(mask, contours, piece, 1, cv2.FILLED)
@@ -267,17 +265,26 @@ def is_of_lattice(coarse: Coarse, dot: AffineEllipse, half: float) -> bool:
     light = (coarse.levels > half / coarse.unit).view(np.uint8)
     semi_axes = dot.axes()[0] / coarse.stride, dot.axes()[1] / coarse.stride
     area = math.pi * semi_axes[0] * semi_axes[1]
-    x, y = ((dot.centre - (coarse.x0, coarse.y0)) / coarse.stride).tolist()
-    alike = 0
-    for contour in cv2.findContours(light, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]:
-        size = cv2.contourArea(contour) + len(contour) / 2 + 1
-        if not Verdict.RIVAL * area < size < area / Verdict.RIVAL:
-            continue
-        hull = cv2.convexHull(contour)
-        (u, v), _ = cv2.minEnclosingCircle(hull)
-        apart = math.hypot(u - x, v - y) > semi_axes[0]
-        alike += apart and cv2.contourArea(contour) > Search.CONVEX * cv2.contourArea(hull)
-    return alike > 1
+    middle = ((dot.centre - (coarse.x0, coarse.y0)) / coarse.stride).tolist()
+    contours, _ = cv2.findContours(light, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    alike = [
+        contour
+        for contour in contours
+        if Verdict.RIVAL * area < _area(contour) < area / Verdict.RIVAL
+        and math.dist(cv2.minEnclosingCircle(contour)[0], middle) > semi_axes[0]
+        and _is_convex(contour)
+    ]
+    return len(alike) > 1
+
+
+def _area(contour: np.ndarray) -> float:
+    """A contour runs through pixel centres; half its length is the area outside them."""
+    return cv2.contourArea(contour) + len(contour) / 2 + 1
+
+
+def _is_convex(contour: np.ndarray) -> bool:
+    hull = cv2.contourArea(cv2.convexHull(contour))
+    return cv2.contourArea(contour) >= Search.CONVEX * hull
 
 
 def _hull_ellipse(points: np.ndarray, coarse: Coarse) -> AffineEllipse | None:

@@ -373,11 +373,8 @@ def _is_compressed(patch: Patch, ellipse: AffineEllipse, width: float) -> bool:
     """
     rough = patch.signal[1:, 1:] - patch.signal[:-1, 1:] - patch.signal[1:, :-1]
     rough = rough + patch.signal[:-1, :-1]
-    v, u = np.mgrid[: rough.shape[0], : rough.shape[1]] + 0.5
-    to_circle, px = np.linalg.inv(ellipse.shape), ellipse.axes()[1]
-    u, v = u + patch.x0 - ellipse.centre[0], v + patch.y0 - ellipse.centre[1]
-    cos, sin = (row[0] * u + row[1] * v for row in to_circle)
-    beyond_px = (np.hypot(cos, sin) - 1 - Sharp.REACH * width) * px
+    cos, sin = Patch(rough, patch.x0 + 0.5, patch.y0 + 0.5).on_circle(ellipse)
+    beyond_px = (np.hypot(cos, sin) - 1 - Sharp.REACH * width) * ellipse.axes()[1]
     # A glint on the edge is rough, too, but not all round it.
     turn = np.arctan2(sin, cos) / (2 * math.pi)
     sector = np.floor(Saturated.SECTORS * turn).astype(int) % Saturated.SECTORS

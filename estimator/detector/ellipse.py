@@ -225,6 +225,14 @@ class Patch:
             borderValue=math.nan,
         )
 
+    def on_circle(self, ellipse: AffineEllipse) -> tuple[np.ndarray, np.ndarray]:
+        """Places of all pixels, (h, w) each, where the ellipse is the unit circle; of stride 1."""
+        height, width = self.signal.shape
+        u = np.arange(width, dtype=np.float32) + np.float32(self.x0 - ellipse.centre[0])
+        v = np.arange(height, dtype=np.float32) + np.float32(self.y0 - ellipse.centre[1])
+        (a, b), (c, d) = np.linalg.inv(ellipse.shape).astype(np.float32)
+        return a * u + b * v[:, None], c * u + d * v[:, None]
+
 
 def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:
     """Image points (RAYS, 2) at radial offsets from the ellipse, px."""

@@ -158,7 +158,7 @@ def background_of(
             if around.size > RAYS // 8:
                 means = np.sort(np.convolve(around, np.full(5, 1 / 5), "valid"))
                 low, high = means[int(0.16 * means.size)], means[int(0.84 * means.size)]
-                scatter = max(float(high - low) / 2, 0.5) * coarse.unit  # 8 bits are rounded
+                scatter = max(float(high - low) / 2, HalfLevel.ROUNDING) * coarse.unit
             middle = float(np.partition(ring, ring.size // 2)[ring.size // 2])
             return middle * coarse.unit, radius, scatter
         radius = 1 + 0.75 * (radius - 1)

@@ -65,12 +65,7 @@ def _visible_flank(
     neighbour would be too dark. By bin: radius offset; light over the background, in full scales;
     and the root of the number of pixels.
     """
-    height, width = patch.signal.shape
-    u = np.arange(width, dtype=np.float32) + np.float32(patch.x0 - ellipse.centre[0])
-    v = np.arange(height, dtype=np.float32) + np.float32(patch.y0 - ellipse.centre[1])
-    to_circle = np.linalg.inv(ellipse.shape).astype(np.float32)
-    cos = to_circle[0, 0] * u + to_circle[0, 1] * v[:, None]
-    sin = to_circle[1, 0] * u + to_circle[1, 1] * v[:, None]
+    cos, sin = patch.on_circle(ellipse)
     offset = np.sqrt(cos * cos + sin * sin) - 1
     band = np.abs(offset) < reach
     ray = np.rint(np.arctan2(sin[band], cos[band]) * (RAYS / (2 * math.pi))).astype(int) % RAYS

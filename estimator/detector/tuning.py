@@ -197,6 +197,7 @@ class HalfLevel:
     TAIL_END, TAIL_LEFT = 4.4, 0.005  # radii, peak: where the tail of a glue lens's bell ends
     RINGS = (0.0, 0.1, 0.2, 0.3, 0.4)  # radii: rings of the background, from where it begins
     SURROUNDINGS = (2.6, 2.9, 3.2, 3.5, 3.8, 4.1)  # radii: show the wall's slope; a bell has 1 %
+    ROUNDING = 0.5  # levels of the search that hide the scatter of the background (derived)
     LIT_SURROUNDINGS = 0.03  # peak: darker ones, a few grey levels, do not show that slope
 
 

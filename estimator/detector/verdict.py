@@ -171,7 +171,7 @@ def _is_like_field(fit: EdgeFit, region: Region) -> bool:
     levels, uneven = fit.levels, float(np.std(fit.band.gain[fit.bright]))
     plain = levels.scatter < FieldStop.PLAIN * uneven * levels.background
     # Rounding to a level of the search hides so faint a texture.
-    hidden = levels.scatter < 0.51 * region.coarse.unit
+    hidden = levels.scatter < 1.02 * HalfLevel.ROUNDING * region.coarse.unit
     darkest = FieldStop.PLAINEST if plain else FieldStop.DIM if hidden else FieldStop.DARK
     return (
         semi_minor > FieldStop.SMALLEST * min(frame[:2])

@@ -116,7 +116,7 @@ def model_errors(source: str, *, incidence_deg: float) -> pd.DataFrame:
     reach = np.where(errors.z_f_mm < 100, 5.0, 2.5)
     small_plane = -0.5 * (errors.c_mm / reach) ** 2 * (1 + errors.d_mm) / 7
     size = small_plane.where(errors.model == "small_plane", 0.001 * (1 + errors.d_mm))
-    about: dict[str, Any] = {"source": source, "refit": False, "incidence_deg": incidence_deg}
+    about: dict[str, Any] = {"source": source, "incidence_deg": incidence_deg}
     return errors.assign(error_mm=size, azimuth_deg=90.0, **about)
 
 
