@@ -155,8 +155,8 @@ def test_a_quick_run_is_within_what_was_asked(tmp_path):
     errors = pose.pose(out=tmp_path / "run", quick=True)
     assert set(errors.spots) == {1, 3}
     found = scatter(where(errors, prior=pose.ROUGH), "spots").loc[1]
-    assert found.tip_mm < 0.010
-    assert found.axis_deg < 0.1
+    assert found.tip_error_mm < 0.010
+    assert found.axis_error_deg < 0.1
     known = where(errors, prior=pose.KNOWN)
     assert rms(known.distance_error_mm) < 0.005
     for name in ("report.html", "pose_error.csv", "pose_bound.csv", "figures/incidence.png"):
