@@ -1,10 +1,10 @@
 """`eyespot study eye`: distances through cornea, crystalline lens and viewing lens."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from eyespot import optics
 from eyespot.benchmarks import reporting as page
 from eyespot.benchmarks.model_error import ECCENTRICITY
-from eyespot.benchmarks.reporting import grouped, listed, number, rows_of, where
+from eyespot.benchmarks.reporting import grouped, listed, number, where
 from eyespot.benchmarks.statistics import coalitions, first_reached, shapley_values
 from eyespot.benchmarks.studies import eye_paths
 from eyespot.benchmarks.studies.eye_paths import PATHS, Drawn, Pinhole, Recipe, Seen, Spots
@@ -31,17 +31,12 @@ from eyespot.optics.viewing import DILATED_MM, Eye, PathCamera, load_eye
 
 _OPEN_PUPIL_MM = 50.0  # It hides nothing.
 _EYES_AT_ONCE = 8  # So few that their spots stay in the cache.
-
-
-class PathErrors(NamedTuple):
-    """Errors behind one path, mm, eyes x c x d x tilts, as if the iris hid nothing.
-
-    NaN where the optics show no whole contour. Kappas are fitted in each eye, 1/mm; the first is
-    the schematic eye's.
-    """
-
-    errors: dict[Recipe, np.ndarray]
-    kappas: np.ndarray
+CLOSED_FORMS = {
+    Recipe.PLANAR: "planar",
+    Recipe.SMALL_PLANE: "small_plane",
+    Recipe.STEREOGRAPHIC: "stereographic",
+    Recipe.FITTED: "corrected",
+}
 
 
 def path_errors(
@@ -51,7 +46,7 @@ def path_errors(
     *,
     seed: int | None,
     recipes: Sequence[Recipe] = tuple(Recipe),
-) -> PathErrors:
+) -> tuple[dict[Recipe, np.ndarray], np.ndarray]:
     """Look at spots in every eye, calibrate each, and compute distances by every recipe.
 
     Args:
@@ -59,6 +54,10 @@ def path_errors(
             the schematic one, which stands for all others where no calibration is made, and is
             calibrated without noise.
         seed: of the noise of the calibrations; None for none.
+
+    Returns:
+        Errors by recipe, mm, eyes x c x d x tilts, as if the iris hid nothing, NaN where the optics
+        show no whole contour; and kappa fitted in each eye, 1/mm.
     """
     axes = jnp.concatenate([group.retina_semi_axes for group in eyes])
     every = _path_cameras(path, eyes, pupil_radius=_OPEN_PUPIL_MM)
@@ -66,32 +65,25 @@ def path_errors(
     seen, fitted = in_batches(lambda eyes: _calibrated(eyes, spots), batches, size=_EYES_AT_ONCE)
     known, schematic = (jax.tree.map(lambda leaf: leaf[0], of) for of in (every, fitted))
     own = jax.tree.map(lambda leaf: leaf[:, None, None, None], fitted)
-    uncalibrated = Pinhole(
-        *map(jnp.asarray, (eye_paths.SCALE_MM_PX, 0.0, eye_paths.NOMINAL_RADIUS_MM))
-    )
+    unknown = Pinhole(*map(jnp.asarray, (eye_paths.SCALE_MM_PX, 0.0, eye_paths.NOMINAL_RADIUS_MM)))
     shape, minor = seen.visible.shape, seen.ellipse.semi_minor
     in_a_row = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[len(shape) :]), seen)
-    closed_form = partial(eye_paths.distance_by_closed_form, semi_minor=minor, spots=spots)
 
-    def by_area(pinhole: Pinhole) -> np.ndarray:
+    def read(recipe: Recipe) -> np.ndarray:
+        if recipe is Recipe.EXACT_SCHEMATIC:
+            return eye_paths.distance_through_path(in_a_row, known, axes[0])
+        if model := CLOSED_FORMS.get(recipe):
+            pinhole = own if recipe is Recipe.FITTED else unknown
+            return eye_paths.distance_by_closed_form(model, minor, spots, pinhole)
+        pinhole = own if recipe is Recipe.AREA else schematic
         each = jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).ravel(), pinhole)
         return eye_paths.distance_by_area(in_a_row, each)
 
-    ways: dict[Recipe, Callable[[], np.ndarray]] = {
-        Recipe.PLANAR: lambda: closed_form("planar", pinhole=uncalibrated),
-        Recipe.SMALL_PLANE: lambda: closed_form("small_plane", pinhole=uncalibrated),
-        Recipe.STEREOGRAPHIC: lambda: closed_form("stereographic", pinhole=uncalibrated),
-        Recipe.FITTED: lambda: closed_form("corrected", pinhole=own),
-        Recipe.EXACT_SCHEMATIC: lambda: eye_paths.distance_through_path(in_a_row, known, axes[0]),
-        Recipe.AREA_SCHEMATIC: lambda: by_area(schematic),
-        Recipe.AREA: lambda: by_area(own),
-    }
-
     def error(recipe: Recipe) -> np.ndarray:
-        read = ways[recipe]().reshape(shape)
-        return np.where(seen.visible, read - np.asarray(spots.distance), np.nan)
+        found = read(recipe).reshape(shape) - np.asarray(spots.distance)
+        return np.where(seen.visible, found, np.nan)
 
-    return PathErrors({recipe: error(recipe) for recipe in recipes}, fitted.kappa)
+    return {recipe: error(recipe) for recipe in recipes}, fitted.kappa
 
 
 def fields(path: str, eyes: Sequence[Eye]) -> np.ndarray:
@@ -154,13 +146,11 @@ _INDEX_OF_3_MM = 3
 _DISTANCES_MM = np.array([0.5, 2.0, 4.0, 6.0])
 _TILTS_DEG = ((0.0, 0.0), (30.0, 0.0), (30.0, 90.0), (30.0, 180.0))
 _TILTS = {"square": slice(1), "any": slice(None)}
+_QUANTILES = {"median": "median_mm", "within": "p95_mm"}
 _QUICK_DISTANCES_MM = np.array([1.0, 3.0, 5.0])
 _EYES, _QUICK_EYES = 1000, 47
 _CAUSES_EYES, _QUICK_CAUSES_EYES = 95, 31
 _CAUSES_PATH = "flat, phakic"
-_NOISE = "noise of the calibration"
-_PINHOLE = "a pinhole for the mean eye"
-_SCHEMATIC = "the mean eye is not Navarro's"
 _SHOWN_MM = (2.0, 3.0, 4.0)
 
 
@@ -177,21 +167,22 @@ def _causes(
     population. What remains with no part is the error in the mean eye. `schematic` has a leading
     axis; `spots` are c x d x tilts.
     """
-    players = (*eye_paths.PARTS, _NOISE)
-    recipes = (Recipe.AREA_SCHEMATIC, Recipe.AREA)
+    players = (*eye_paths.PARTS, "noise of the calibration")
+    recipes = {
+        Recipe.AREA_SCHEMATIC: "the mean eye is not Navarro's",
+        Recipe.AREA: "a pinhole for the mean eye",
+    }
     shown = np.isin(np.asarray(spots.eccentricity)[:, 0, 0], _SHOWN_MM)
     worth = np.zeros((len(recipes), len(_SHOWN_MM), 2 ** len(players)))
     for row, members in enumerate(coalitions(len(players))):
         parts = [part for part, inside in zip(eye_paths.PARTS, members, strict=False) if inside]
         eyes, noise = [schematic, eyes_drawn.eyes(parts)], seed if members[-1] else None
-        found = path_errors(path, eyes, spots, seed=noise, recipes=recipes)
+        found, _ = path_errors(path, eyes, spots, seed=noise, recipes=tuple(recipes))
         for k, recipe in enumerate(recipes):
-            largest = np.abs(found.errors[recipe][1:]).max(axis=(2, 3))
+            largest = np.abs(found[recipe][1:]).max(axis=(2, 3))
             worth[k, :, row] = np.quantile(largest[:, shown], SERVED_SHARE, axis=0)
-    shares = shapley_values(worth)
-    rows = []
-    for (k, recipe), (j, c) in product(enumerate(recipes), enumerate(_SHOWN_MM)):
-        rest = _SCHEMATIC if recipe is Recipe.AREA_SCHEMATIC else _PINHOLE
+    shares, rows = shapley_values(worth), []
+    for (k, (recipe, rest)), (j, c) in product(enumerate(recipes.items()), enumerate(_SHOWN_MM)):
         causes = (rest, worth[k, j, 0]), *zip(players, shares[k, j], strict=True)
         rows += [(recipe, c, cause, float(value)) for cause, value in causes]
     return pd.DataFrame(rows, columns=["recipe", "c_mm", "cause", "share_mm"])
@@ -201,7 +192,7 @@ def _causes(
 
 
 def tables_of(
-    paths: Mapping[str, PathErrors],
+    paths: Mapping[str, tuple[Mapping[Recipe, np.ndarray], np.ndarray]],
     fields: Mapping[str, np.ndarray],
     names: Sequence[str],
     population: int,
@@ -219,10 +210,10 @@ def tables_of(
       median error of small_plane at c = 3 mm and the worst distance, with a perpendicular beam.
     """
     random, errors, eyes, pinholes = slice(1, 1 + population), [], [], []
-    for path, found in paths.items():
+    for path, (found, kappas) in paths.items():
         for recipe, tilt in product(Recipe, _TILTS):
             # A spot that is not whole at any distance or tilt counts as not seen.
-            worst = np.abs(found.errors[recipe][random, ..., _TILTS[tilt]]).max(axis=(2, 3))
+            worst = np.abs(found[recipe][random, ..., _TILTS[tilt]]).max(axis=(2, 3))
             by_c = pd.DataFrame(worst, columns=_ECCENTRICITIES_MM)
             # A quantile of the few eyes that show the spot would not be the eyes'.
             enough = by_c.count() > SERVED_SHARE * population
@@ -233,37 +224,31 @@ def tables_of(
             }
             about = {"path": path, "recipe": recipe, "tilt": tilt, "c_mm": _ECCENTRICITIES_MM}
             errors.append(pd.DataFrame(about | of_c))
-        each = {"kappa_per_mm": found.kappas, "field_mm": fields[path]}
+        each = {"kappa_per_mm": kappas, "field_mm": fields[path]}
         for name, recipe in (("fitted", Recipe.AREA), ("schematic", Recipe.AREA_SCHEMATIC)):
-            at_three = np.abs(found.errors[recipe][:, _INDEX_OF_3_MM])
+            at_three = np.abs(found[recipe][:, _INDEX_OF_3_MM])
             each[f"{name}_error_mm"] = at_three.max(axis=(1, 2))
         eyes.append(pd.DataFrame({"path": path, "eye": names, **each}))
         low, middle, high = np.quantile(fields[path][random], [0.05, 0.5, 0.95])
-        small = np.nanmedian(found.errors[Recipe.SMALL_PLANE][random, _INDEX_OF_3_MM, :, 0], axis=0)
+        small = np.nanmedian(found[Recipe.SMALL_PLANE][random, _INDEX_OF_3_MM, :, 0], axis=0)
         pinholes.append(
             {
                 "path": path,
-                "schematic": found.kappas[0],
-                "mean": found.kappas[random].mean(),
-                "deviation": found.kappas[random].std(),
+                "schematic": kappas[0],
+                "mean": kappas[random].mean(),
+                "deviation": kappas[random].std(),
                 "field_low": low,
                 "field": middle,
                 "field_high": high,
                 "small_plane_mm": max(small.tolist(), key=abs),
             }
         )
-    every = pd.concat(errors, ignore_index=True)
-    limits = [
-        {"path": path, "recipe": recipe, "tilt": tilt}
-        | {
-            f"{part}_{limit:g}_mm".replace(".", "_"): crossing(
-                curve.c_mm.to_numpy(), curve[column].to_numpy(), limit
-            )
-            for part, column in (("median", "median_mm"), ("within", "p95_mm"))
-            for limit in LIMITS_MM
-        }
-        for (path, recipe, tilt), curve in grouped(every, "path", "recipe", "tilt")
-    ]
+    every, limits = pd.concat(errors, ignore_index=True), []
+    for (path, recipe, tilt), curve in grouped(every, "path", "recipe", "tilt"):
+        limits.append({"path": path, "recipe": recipe, "tilt": tilt})
+        for (part, column), limit in product(_QUANTILES.items(), LIMITS_MM):
+            name = f"{part}_{limit:g}_mm".replace(".", "_")
+            limits[-1][name] = crossing(curve.c_mm.to_numpy(), curve[column].to_numpy(), limit)
     return {
         "eye_errors": every,
         "limits": pd.DataFrame(limits),
@@ -431,6 +416,7 @@ def _claims(tables: Tables) -> Iterator[page.Claim]:
             f"{schematic:.1f} mm with the pinhole of Navarro's eye, and up to {small:.1f} mm with "
             f"small_plane. A pupil of 7 mm shows c = {field:.1f} mm (median).",
             value=area,
+            low=small,
         )
     eyes = tables["eyes"]
     others = eyes[~eyes.eye.str.startswith("random") & (eyes.eye != "navarro")]
@@ -444,22 +430,6 @@ def _claims(tables: Tables) -> Iterator[page.Claim]:
             f"{navarros:.2f} mm with Navarro's pinhole.",
             value=own,
         )
-    worst = tables["pinholes"].set_index("path").small_plane_mm
-    said = "; ".join(f"{error:+.2f} mm, {path}" for path, error in worst.items())
-    yield page.Claim(
-        name="small_plane at c = 3",
-        sentence=f"At c = 3 mm and a perpendicular beam small_plane errs by {said} (median of the "
-        "eyes at the worst distance).",
-        value=tuple(worst.tolist()),
-    )
-    at_three = where(tables["causes"], recipe=Recipe.AREA, c_mm=3.0)
-    row = max(rows_of(at_three), key=lambda row: row.share_mm)
-    yield page.Claim(
-        name="largest remaining cause",
-        sentence="With the fitted pinhole and the area the largest share of what remains at c = 3 "
-        f"mm is {row.share_mm:.3f} mm: {row.cause} ({_CAUSES_PATH}).",
-        value=row.share_mm,
-    )
 
 
 # The command.
