@@ -10,7 +10,7 @@ DIR/best.toml      the drop with the smallest error, a lens file
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -91,10 +91,12 @@ def score(
 
 
 class DropSearch:
-    """Computes drops at one dose, mJ/mm² a frame, and keeps them in `rows`."""
+    """Computes drops at one dose, mJ/mm² a frame, by default `coarse`, and keeps them in `rows`."""
 
-    def __init__(self, scene: Scene, *, count: int, goal: Goal, dose: float | None) -> None:
-        self.wall, self.goal = UnknownWallScene(scene), goal
+    def __init__(
+        self, scene: Scene, *, count: int, goal: Goal, dose: float | None, coarse: bool = False
+    ) -> None:
+        self.wall, self.goal, self.coarse = UnknownWallScene(scene), goal, coarse
         self.dose = dose or scene.exposures.metered_peak * self.wall.full_dose
         self.fixed = lens_parameters(optics.load_lens(scene.source.lens))  # what no drop changes
         self.distances = np.geomspace(*RANGE_MM, count).tolist()
@@ -102,6 +104,7 @@ class DropSearch:
 
     def light(self, drop: Mapping[str, float], **how: Any) -> SpotLight:
         """Of a drop, as of `UnknownWallScene.of_lens`."""
+        how = {"coarse": self.coarse} | how
         return self.wall.of_lens(self.fixed | dict(drop), self.distances, **how)
 
     def score(self, light: SpotLight, **drop: Any) -> tuple[float, np.ndarray]:
@@ -190,9 +193,7 @@ PHOTONS_PER_MJ = 550e-9 / (6.62607015e-34 * 299792458.0) / 1e3  # at 550 nm
 OFF_BY = (-0.2, -0.05, 0.05, 0.2)
 
 
-def tables_of(
-    search: DropSearch, best: Mapping[str, float], varied: Sequence[str]
-) -> dict[str, pd.DataFrame]:
+def tables_of(search: DropSearch, best: Mapping[str, float]) -> dict[str, pd.DataFrame]:
     """What the best drop and others reach: by distance, by dose, and if not made exactly."""
     wall, free = search.wall, {"free": tuple(LIMITS)}  # compiled for the search
     reached = np.max if search.goal == "worst" else np.mean
@@ -213,7 +214,7 @@ def tables_of(
         brightest = wall.brightest(light)
         photons = search.dose / brightest[-1] * wall.scene.source.power_mw * PHOTONS_PER_MJ
         summary.append((name, mine.max(), outline.max(), *least, brightest[0], photons))
-    for name in varied:
+    for name in ("sag", "numerical_aperture"):
         made = [search.light({**best, name: best[name] * (1 + x)}, **free) for x in OFF_BY]
         off = [reached(wall.sigmas(light, search.dose)) for light in made]
         tolerance.append((name.replace("_", " "), *off))
@@ -312,8 +313,8 @@ def design(
         limits: Limits of the drop, such as "sag=0:0.1 core_radius=0.25".
     """
     asked, quick = np.array([*limits_in(limits).values()]).T, study.quick
-    count, random, starts, steps = (4, 8, 1, 5) if quick else (6, 500, 2, 25)
-    search = DropSearch(study.scene, count=count, goal=goal, dose=dose)
+    count, random, starts, steps = (4, 12, 1, 5) if quick else (6, 500, 2, 25)
+    search = DropSearch(study.scene, count=count, goal=goal, dose=dose, coarse=quick)
     free = tuple(LIMITS) if quick else ()  # a quick run compiles the derivatives only
     with study.timed("search"):
         rng = np.random.default_rng(study.seed)
@@ -323,21 +324,19 @@ def design(
         drawn = pd.DataFrame(search.rows)[[*LIMITS, "score"]]
         for start in drawn.nsmallest(starts, "score")[list(LIMITS)].to_numpy():
             search.descend(start, asked, steps=steps)
-        for numbers in (
-            drawn.nsmallest(starts + 1, "score")[list(LIMITS)].to_numpy().tolist()
-        ):  # not coarse
+        for numbers in drawn.nsmallest(3, "score")[list(LIMITS)].to_numpy().tolist():  # finer
             drop = dict(zip(LIMITS, numbers, strict=True))
             search.score(search.light(drop, free=free), **drop, way="best random")
     drops = pd.DataFrame(search.rows)
     found = drops[drops.way == "gradient"].nsmallest(1, "score")[list(LIMITS)].to_numpy(float)
     best = dict(zip(LIMITS, found[0].tolist(), strict=True))
-    varied = ("sag",) if quick else ("sag", "numerical_aperture")
-    made = {"best": best} | {f"more {name}": {**best, name: 1.2 * best[name]} for name in varied}
+    others = () if quick else ("sag", "numerical_aperture")
+    made = {"best": best} | {f"more {name}": {**best, name: 1.2 * best[name]} for name in others}
     lenses = {name: (study.folder / f"{name}.toml").absolute() for name in made}
     for name, path in lenses.items():
         path.write_text(lens_toml(search.fixed | made[name], provenance=study.command))
     with study.timed("tables"):
-        tables = tables_of(search, best, varied) | {"drops": drops}
+        tables = tables_of(search, best) | {"drops": drops}
     if not quick:
         with study.timed("render and read"):
             tables["measured"] = measured(study, lenses, search.dose / search.wall.full_dose)
