@@ -96,21 +96,24 @@ class Plan(Strict):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         frames, tables = len(self.times_s), {name: getattr(self, name) for name in _TABLES}
-        for name, table in (tables | dict(zip(self.uncertain, self.moved, strict=False))).items():
+        tables |= zip(self.uncertain, self.moved, strict=False)
+        for name, table in tables.items():
             if len(table) != frames or any(len(row) != len(QUANTITIES) for row in table):
                 raise InputError(
                     f"the table {name!r} must have {frames} rows of {len(QUANTITIES)} "
                     "numbers, as times_s and quantities say"
                 )
+        increases = frames > 0 and np.all(np.diff(self.times_s) > 0)
         rules = {
             f"quantities must be {', '.join(QUANTITIES)}": self.quantities == [*QUANTITIES],
             "moved must have a table for each key": len(self.moved) == len(self.uncertain),
-            "times_s must have frames and increase": frames and np.all(np.diff(self.times_s) > 0),
+            "times_s must have frames and increase": increases,
             "noise must not be negative": not np.any(self.array("noise") < 0),
             "low must not exceed high": not np.any(self.array("low") > self.array("high")),
         }
-        if broken := [rule for rule, holds in rules.items() if not holds]:
-            raise InputError(broken[0])
+        for rule, holds in rules.items():
+            if not holds:
+                raise InputError(rule)
         microscope_in(self.microscope)
         if self.calibration is not None:
             calibration_in(self.calibration)
@@ -128,7 +131,8 @@ def read_plan(path: Path) -> Plan:
         content = object_in(read_text(path, most_bytes=_MOST_BYTES))
         check_schema(content.get("schema"), HISTORY, remedy=remedy)
         plan = validated(Plan, content, remedy=remedy)
-        if (made := _sha256(content)) != plan.sha256:
+        made = _sha256(content)
+        if made != plan.sha256:
             raise InputError(
                 f"the plan was changed after it was made: its SHA-256 is {made[:12]}…, and it says "
                 f"{plan.sha256[:12]}…. {remedy}"
@@ -332,10 +336,11 @@ def judged(
     is_stack = (Path(source) / "stack.toml").is_file()
     exposure = plan.exposure if is_stack else None
     frames = Recording.open(source, rig=rig, poses=poses, exposure=exposure)
-    known, own = frames.rig, frames.robot() if poses is None and is_stack else poses
     if frames.view is None:
-        known = rig_in(EXACT | {"seen": microscope_in(plan.microscope)}, where="plan")
-    frames = Recording(frames.source, poses=own, rig=known)
+        planned = rig_in(EXACT | {"seen": microscope_in(plan.microscope)}, where="plan")
+        frames = Recording(frames.source, poses=poses, rig=planned)
+    if poses is None and is_stack:
+        frames = Recording(frames.source, poses=frames.robot(), rig=frames.rig)
     options, beam = Options(), None
     if plan.calibration is not None:
         beam = calibration_in(plan.calibration)
