@@ -29,6 +29,11 @@ _DEEPEST_MM = 0.1
 """How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
 _RATE_S = 0.05
 """Clocks without stamps differ by about this; over it a robot's speed is taken."""
+_CONTINUED = 100
+"""Over how many of them poses are continued at the speed of their ends: any offset of a clock."""
+DELAYS = 81
+"""Clock offsets of which readings are computed: 40 steps, four standard deviations, on each side of
+0. Between them a robot that sets off is rounded by an eighth of a step, 0.6 ms of 0.05 s."""
 _EXPOSURE_PARTS = 32
 """In the middles of so many parts of an exposure the tip's place is averaged."""
 
@@ -41,14 +46,19 @@ class ReportedWithdrawal(NamedTuple):
         motion: the motion, reversed, a unit vector towards the wall.
         axis: the tool's mean axis, a unit vector towards the wall.
         across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
-        rates: (n, 2), by how much each reading changes if `clock_offset_s` is larger, per s and per
-            s^2, mm.
+        delay_s: step of the clock offsets of `delayed`, s.
+        delayed: (n, DELAYS), the readings if `clock_offset_s` is larger by as many steps, mm; the
+            middle column has the readings themselves.
+        rates: (n, 2), slope and bend of the same, mm per s and per s^2. They are wrong where the
+            robot sets off or stops.
     """
 
     readings: "Float[np.ndarray, 'n']"
     motion: "Float[np.ndarray, '3']"
     axis: "Float[np.ndarray, '3']"
     across: "Float[np.ndarray, '2 3']"
+    delay_s: float
+    delayed: "Float[np.ndarray, 'n delays']"
     rates: "Float[np.ndarray, 'n 2']"
 
 
@@ -106,8 +116,10 @@ def withdrawal_of(
         parts = exposure_s[:, None] * middles
     moments = times_s[:, None] + parts
 
+    times, positions = _continued(known, poses.positions_mm)
+
     def places_at(moments: "Float[np.ndarray, 'n parts']") -> "Float[np.ndarray, 'n 3']":
-        along = [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T]
+        along = [np.interp(moments, times, x).mean(axis=1) for x in positions.T]
         return np.stack(along, axis=1)
 
     places = places_at(moments)
@@ -127,11 +139,33 @@ def withdrawal_of(
     _check_sense(readings, axis, robot, where)
     middle = poses.rotations[(first + last) // 2]
     across = np.array([turned(side, tuple(middle)) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
+    delay_s = (robot.clock_sigma_s or _RATE_S) / 10
+    offsets_s = delay_s * (np.arange(DELAYS) - DELAYS // 2)
+    delayed = np.stack([-places_at(moments - offset_s) @ motion for offset_s in offsets_s], axis=1)
+    delayed -= delayed[0]
     # The parabola through the readings of an earlier and a later clock, about the first frame's.
     early, late = ((places_at(moments + off) - places) @ motion for off in (-_RATE_S, _RATE_S))
     rates = np.stack([(late - early) / (2 * _RATE_S), -(late + early) / (2 * _RATE_S**2)], axis=1)
     rates -= rates[0]
-    return ReportedWithdrawal(readings, motion, axis, across, rates)
+    return ReportedWithdrawal(readings, motion, axis, across, delay_s, delayed, rates)
+
+
+def _continued(
+    times_s: "Float[np.ndarray, 'n']", positions_mm: "Float[np.ndarray, 'n 3']"
+) -> "tuple[Float[np.ndarray, 'm'], Float[np.ndarray, 'm 3']]":
+    """Positions and their times, with one before and one after, at the first and the last speed.
+
+    Poses may begin with the first frame. A tip that rested before would fix the clock.
+    """
+    ends_s = times_s[[0, -1]]
+    away_s = np.array([-_RATE_S, _RATE_S])
+    ends, inner = (
+        np.stack([np.interp(at_s, times_s, x) for x in positions_mm.T], axis=1)
+        for at_s in (ends_s, ends_s - away_s)
+    )
+    before, after = ends + _CONTINUED * (ends - inner)
+    before_s, after_s = ends_s + _CONTINUED * away_s
+    return np.array([before_s, *times_s, after_s]), np.stack([before, *positions_mm, after])
 
 
 def straight_line(
