@@ -1,13 +1,14 @@
 """What a fit found, against what the rig file states of it."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
 from eyespot.calibration.pixels.fit import ImageFit
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import ConeFit
+from eyespot.calibration.tolerances import TOLERANCES, PriorOutcome
 from eyespot.estimator.distance.consistency import Compared, against_prior, contact
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 
@@ -19,6 +20,20 @@ _OF_BEAM = (
     "The tool's axis (robot.tool_axis), its motion and the way of the spot in the image do not "
     "belong together: correct robot.tool_axis, robot.columns or robot.eye_from_robot"
 )
+
+_OF_TOLERANCE = (
+    "It is not as stated, or another number that changes the spots likewise is not: correct it, or "
+    "state a larger sigma"
+)
+
+
+def priors_against_images(outcomes: Iterable[PriorOutcome]) -> Iterator[Compared]:
+    """What the rig states to a tolerance, against what the fit found."""
+    for one in outcomes:
+        if one.name in TOLERANCES:
+            numbers = one.value, one.sigma, *one.prior
+            found = against_prior("tolerance", one.name, *numbers, cause=_OF_TOLERANCE)
+            yield from [found] if found else []
 
 
 def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Iterator[Compared]:

@@ -12,13 +12,15 @@ from scipy import stats
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.comparisons import cone_against_rig
+from eyespot.calibration.command.comparisons import cone_against_rig, priors_against_images
 from eyespot.calibration.command.crossed import as_stated, crossed, read_by_cone
 from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
+from eyespot.calibration.tolerances import PriorOutcome
+from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.recording import Recording
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import SpotRecord
@@ -241,3 +243,19 @@ def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
     )
     found: Any = cone_against_rig(cast(Any, fit), cast(Any, [one, one]))
     assert [c.sigmas for c in found if c.key == "contact"] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sigma", "told"),
+    [
+        ("robot_scale", 0.957, 0.0072, True),  # 4.3 of its sigmas, 6.2 of what the images add
+        ("robot_scale", 0.985, 0.0072, False),
+        ("robot_scale", 0.957, 0.0099, False),  # the images add nothing
+        ("b", -2.0, 0.1, False),  # a person's own prior, of the cone
+    ],
+)
+def test_a_fit_that_leaves_what_the_rig_states_disagrees_with_it(name, value, sigma, told):
+    outcome = PriorOutcome(name, Prior(1.0, 0.01), value, sigma)
+    found = disagreements(priors_against_images([outcome]))
+    assert bool(found) == told
+    assert all("robot_scale is 1 ± 0.01 as stated, but 0.957" in said for said in found)
