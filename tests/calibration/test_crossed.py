@@ -238,11 +238,17 @@ def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
         covariance=np.diag(SIGMAS**2),
         touch=np.zeros(2),
         touch_error=np.full(2, 0.01),
+        lean=np.array([[0.0, 0.01], [0.0, 0.1]]),
         boresight=np.full((2, 2), 0.03),
         boresight_covariance=np.tile(1e-8 * np.eye(2), (2, 1, 1)),
     )
     found: Any = cone_against_rig(cast(Any, fit), cast(Any, [one, one]))
+    found = list(found)
     assert [c.sigmas for c in found if c.key == "contact"] == pytest.approx([0.0, 0.0], abs=1e-9)
+    # The robot's directions are known to a degree.
+    turned = [c for c in found if c.key == "frame"]
+    assert [c.sigmas for c in turned] == pytest.approx(np.degrees([0.0, 0.01, 0.0, 0.1]))
+    assert "eye_from_robot" in disagreements(turned)[0]
 
 
 @pytest.mark.parametrize(
@@ -250,7 +256,8 @@ def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
     [
         ("robot_scale", 0.957, 0.0072, True),  # 4.3 of its sigmas, 6.2 of what the images add
         ("robot_scale", 0.985, 0.0072, False),
-        ("robot_scale", 0.957, 0.0099, False),  # the images add nothing
+        ("robot_scale", 0.957, 0.02, True),  # the error is enlarged by a misfit
+        ("robot_scale", 0.995, 0.0099, False),  # the images add nothing
         ("b", -2.0, 0.1, False),  # a person's own prior, of the cone
     ],
 )
