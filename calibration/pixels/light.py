@@ -21,7 +21,8 @@ from jaxtyping import Array, Bool, Float, Int
 from eyespot import optics
 from eyespot.calibration.pixels.data import CONE, LENS, POSE, Footage
 from eyespot.calibration.pixels.lens_light import LinearLensLight
-from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall
+from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall, reading_at
+from eyespot.estimator.distance.withdrawal import DELAYS
 from eyespot.estimator.pixels.beam import blurred, blurred_with_growth
 from eyespot.optics.wall_light.cells import NODES, CellBeam, pixels_see, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
@@ -235,14 +236,15 @@ class Light:
     ) -> list[FrameLight] | None:
         footage, view = self.footage, self.view(values)
         chosen = list(numbers)
-        none = np.zeros((len(footage.readings), 2))
-        rates = (none if footage.rates is None else footage.rates)[chosen]
+        delayed = footage.delayed
+        if delayed is None:
+            delayed = np.tile(footage.readings[:, None], DELAYS)
         poses, turns = map(
             np.asarray,
             _poses(
                 jnp.array([values[name] for name in POSE]),
-                jnp.asarray(footage.readings[chosen]),
-                jnp.asarray(rates),
+                jnp.asarray(delayed[chosen]),
+                jnp.asarray(footage.delay_s),
                 jnp.asarray(footage.motion),
                 jnp.asarray(footage.axis),
                 view.camera,
@@ -429,8 +431,8 @@ class _WallView:
 @eqx.filter_jit
 def _poses(
     at: Float[Array, "9"],
-    readings: Float[Array, "frames"],
-    rates: Float[Array, "frames 2"],
+    delayed: Float[Array, "frames delays"],
+    delay_s: Float[Array, ""],
     motion: Float[Array, "3"],
     axis: Float[Array, "3"],
     camera: optics.Microscope,
@@ -438,7 +440,7 @@ def _poses(
 ) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 9"]]:
     """Tip and axis of frames by the parameters `POSE`, and their derivatives."""
 
-    def pose(at: Array, reading: Array, rate: Array) -> Array:
+    def pose(at: Array, delayed: Array) -> Array:
         touch, u, v, lean, lean_sideways, boresight, boresight_sideways, scale, late = at
         spot = wall.intersect(*camera.ray(jnp.stack([u, v]))).point
         way, beam = beam_directions(
@@ -447,7 +449,7 @@ def _poses(
             lean=jnp.stack([lean, lean_sideways]),
             boresight=jnp.stack([boresight, boresight_sideways]),
         )
-        gone = scale * (reading + rate @ jnp.stack([late, late**2]))
+        gone = scale * reading_at(delayed, late / delay_s)
         return jnp.concatenate([spot - touch * beam - gone * way, beam])
 
-    return jax.vmap(lambda *own: (pose(at, *own), jax.jacfwd(pose)(at, *own)))(readings, rates)
+    return jax.vmap(lambda own: (pose(at, own), jax.jacfwd(pose)(at, own)))(delayed)

@@ -149,13 +149,15 @@ def reading_at(delayed: Float[Array, "delays"], steps: Float[Array, ""]) -> Floa
     """The reading for a clock offset of so many steps, by a quadratic B-spline.
 
     It has a slope everywhere and no waves, also where a robot sets off; a parabola through a few
-    offsets has a second minimum there.
+    offsets has a second minimum there. Without an offset it is the reading itself.
     """
     at = jnp.clip(jnp.round(steps), 1 - DELAYS // 2, DELAYS // 2 - 1)
     beside = steps - at
     weights = jnp.stack([(0.5 - beside) ** 2 / 2, 0.75 - beside**2, (0.5 + beside) ** 2 / 2])
-    first = at.astype(int) + DELAYS // 2 - 1
-    return weights @ jax.lax.dynamic_slice(delayed, (first,), (3,))
+    first = DELAYS // 2 - 1
+    still = delayed[first : first + 3]
+    smoothed = jnp.array([0.125, 0.75, 0.125]) @ still - still[1]
+    return weights @ jax.lax.dynamic_slice(delayed, (at.astype(int) + first,), (3,)) - smoothed
 
 
 def phantom_wall(

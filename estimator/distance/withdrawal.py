@@ -54,8 +54,6 @@ class ReportedWithdrawal(NamedTuple):
         delay_s: step of the clock offsets of `delayed`, s.
         delayed: (n, DELAYS), the readings if `clock_offset_s` is larger by as many steps, mm; the
             middle column has the readings themselves.
-        rates: (n, 2), slope and bend of the same, mm per s and per s^2. They are wrong where the
-            robot sets off or stops.
     """
 
     readings: "Float[np.ndarray, 'n']"
@@ -64,7 +62,6 @@ class ReportedWithdrawal(NamedTuple):
     across: "Float[np.ndarray, '2 3']"
     delay_s: float
     delayed: "Float[np.ndarray, 'n delays']"
-    rates: "Float[np.ndarray, 'n 2']"
 
 
 def withdrawal_of(
@@ -148,12 +145,7 @@ def withdrawal_of(
 
     delay_s = (robot.clock_sigma_s or _RATE_S) / 10
     delayed = [delayed_by(delay_s * (step - DELAYS // 2)) for step in range(DELAYS)]
-    # The parabola through the readings of an earlier and a later clock.
-    early, late = (delayed_by(offset_s) - readings for offset_s in (-_RATE_S, _RATE_S))
-    rates = np.stack([(late - early) / (2 * _RATE_S), (late + early) / (2 * _RATE_S**2)], axis=1)
-    return ReportedWithdrawal(
-        readings, motion, axis, across, delay_s, np.stack(delayed, axis=1), rates
-    )
+    return ReportedWithdrawal(readings, motion, axis, across, delay_s, np.stack(delayed, axis=1))
 
 
 def straight_pieces(
