@@ -48,9 +48,8 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
     for number, one in enumerate(recordings):
         if one.ghost is not None:
             yield Compared("ghost", one.ghost.sigmas, f"{one.name}: {one.ghost.said}")
-        # The fit knows these to some error; without it the difference counts as smaller.
-        for angle in fit.lean[number]:
-            yield _of_frame(one, angle, 0.0)
+        for angle, sigma in zip(fit.lean[number], fit.lean_error[number], strict=True):
+            yield _of_frame(one, angle, sigma)
         if one.trial.touch == FREE_TOUCH:  # b then rests on the core
             continue
         yield _of_contact(one, cone, [*fit.free], fit.covariance)
