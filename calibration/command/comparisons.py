@@ -21,7 +21,8 @@ _OF_TOUCH = (
 )
 _OF_FRAME = (
     "The robot's frame is not as the rig file says: correct robot.eye_from_robot, the sign or the "
-    "order of its axes (robot.columns), or robot.tool_axis; or the eye turned"
+    "order of its axes (robot.columns), or robot.tool_axis; or the wall's kind or the microscope's "
+    "principal_point_px is another, or the eye turned"
 )
 _OF_BEAM = (
     "The tool's axis (robot.tool_axis), its motion and the way of the spot in the image do not "
