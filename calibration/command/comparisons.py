@@ -21,7 +21,8 @@ _OF_TOUCH = (
 )
 _OF_FRAME = (
     "The robot's frame is not as the rig file says: correct robot.eye_from_robot, the sign or the "
-    "order of its axes (robot.columns), or robot.tool_axis; or the eye turned"
+    "order of its axes (robot.columns), or robot.tool_axis; or the wall's kind or the microscope's "
+    "principal_point_px is another, or the eye turned"
 )
 _OF_BEAM = (
     "The tool's axis (robot.tool_axis), its motion and the way of the spot in the image do not "
@@ -48,9 +49,8 @@ def cone_against_rig(fit: ConeFit, recordings: Sequence[RecordedTrial]) -> Itera
     for number, one in enumerate(recordings):
         if one.ghost is not None:
             yield Compared("ghost", one.ghost.sigmas, f"{one.name}: {one.ghost.said}")
-        # The fit knows these to some error; without it the difference counts as smaller.
-        for angle in fit.lean[number]:
-            yield _of_frame(one, angle, 0.0)
+        for angle, sigma in zip(fit.lean[number], fit.lean_error[number], strict=True):
+            yield _of_frame(one, angle, sigma)
         if one.trial.touch == FREE_TOUCH:  # b then rests on the core
             continue
         yield _of_contact(one, cone, [*fit.free], fit.covariance)

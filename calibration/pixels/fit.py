@@ -132,9 +132,12 @@ All lengths can grow alike without a change of the light, and nearly so those al
 beam. That a table's derivatives, known to some thousandths, do not show this exactly, looks like
 knowledge: errors of numerical aperture and scale were stated at half to two thirds of what they
 are. How parameters follow what was stated does not suffer from it."""
+_VALLEY = 0.01
+"""Information along a direction, over that of its parameters one by one, below which errors of the
+light's derivatives, some hundredths at sharp edges, would pass for knowledge."""
 _FINE_NODES = 12
-"""On each side of a cell, at the fit's end. By four, derivatives of a light with sharp edges are
-2 % off, by these 0.3 %."""
+"""On each side of a cell, at the end of a fit along a valley. By four, derivatives of a light with
+sharp edges are 2 % off, by these 0.3 %."""
 _HOLD_SIGMAS = 1e-3  # stated standard deviations to which a considered parameter is held
 _GHOST_FRAMES = 6  # evenly over the withdrawal, in which a ghost is looked for
 _LEAST_LIGHT = 1e-6  # over the frame's peak: there may be no light at all, and weights need some
@@ -266,8 +269,11 @@ def fit_image(
         fit, of_table = _from_wider_core(fit, of_table)
     if failed is None:
         fit, of_table = _with_cut_light(fit, of_table)
-    if fit.of.is_linear:
-        fit = _finely(fit)
+    if fit.of.lens is not None and _has_valley(fit):
+        fit = _in_finer_light(fit)
+    if fit.of.is_linear:  # its derivatives are to be those of the end
+        fit.look()
+        fit = fit.evaluated()
 
     # 5. Covariance, misfit and ghost.
     return _result(fit, considered, failed, of_table)
@@ -455,18 +461,20 @@ def _again(
     return _evaluated_at(fit.point, fit), of_table
 
 
-def _finely(fit: BeamFit) -> BeamFit:
-    """The fit's end, with derivatives there of a light in finer cells.
+def _has_valley(fit: BeamFit) -> bool:
+    """Whether some combination of parameters hardly changes the light, though each alone does."""
+    information, _ = fit.effective()
+    alone = np.sqrt(np.diag(information))
+    return bool(np.linalg.eigvalsh(information / np.outer(alone, alone))[0] < _VALLEY)
 
-    Along a valley of nearly equal light, errors of derivatives look like knowledge.
-    """
+
+def _in_finer_light(fit: BeamFit) -> BeamFit:
+    """The fit with a lens's light in finer cells, whose derivatives are nearer to the true ones."""
     of = fit.of
-    if of.lens is not None:
-        of.lens.tabulate(fit.point.values, finely=True)
+    assert of.lens is not None
+    of.lens.tabulate(fit.point.values, finely=True)
     light = Light(of.footage, of.cells, of.names, of.lens, nodes=_FINE_NODES)
-    fit = replace(fit, of=replace(of, light=light))
-    fit.look()
-    return fit.evaluated()
+    return replace(fit, of=replace(of, light=light))
 
 
 def covariance_with(

@@ -82,6 +82,7 @@ class ConeFit(NamedTuple):
         touch_error: its standard error, mm; infinite if the data do not determine it.
         lean: rotation of the robot against the eye per trial, along the two vectors of
             `optics.perpendicular_frame`, rad.
+        lean_error: its standard errors, rad; infinite if the data do not determine it.
         boresight: angle of the beam from the tool's axis per trial, along the same vectors, rad.
         boresight_covariance: covariance of each; infinite if the data do not determine it.
         spot: (x, y) of the wall's point that the beam meets at reading 0 per trial, mm.
@@ -104,6 +105,7 @@ class ConeFit(NamedTuple):
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
     lean: Float[np.ndarray, "trials 2"]
+    lean_error: Float[np.ndarray, "trials 2"]
     boresight: Float[np.ndarray, "trials 2"]
     boresight_covariance: Float[np.ndarray, "trials 2 2"]
     spot: Float[np.ndarray, "trials 2"]
@@ -272,6 +274,7 @@ def fit_cone(
         touch=means + sigmas * deviations[:, 0],
         touch_error=sigmas * known_to[:, 0],
         lean=LEAN_SIGMA * deviations[:, 3:5],
+        lean_error=LEAN_SIGMA * known_to[:, 3:5],
         boresight=BORESIGHT_SIGMA * deviations[:, 5:7],
         boresight_covariance=BORESIGHT_SIGMA**2 * np.array([covariance[at, at] for at in beams]),
         spot=np.asarray(spot)[in_order],

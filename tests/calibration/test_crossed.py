@@ -239,13 +239,14 @@ def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
         touch=np.zeros(2),
         touch_error=np.full(2, 0.01),
         lean=np.array([[0.0, 0.01], [0.0, 0.1]]),
+        lean_error=np.full((2, 2), np.inf),
         boresight=np.full((2, 2), 0.03),
         boresight_covariance=np.tile(1e-8 * np.eye(2), (2, 1, 1)),
     )
     found: Any = cone_against_rig(cast(Any, fit), cast(Any, [one, one]))
     found = list(found)
     assert [c.sigmas for c in found if c.key == "contact"] == pytest.approx([0.0, 0.0], abs=1e-9)
-    # The robot's directions are known to a degree.
+    # The robot's directions are known to a degree, and here the images add nothing.
     turned = [c for c in found if c.key == "frame"]
     assert [c.sigmas for c in turned] == pytest.approx(np.degrees([0.0, 0.01, 0.0, 0.1]))
     assert "eye_from_robot" in disagreements(turned)[0]
