@@ -12,6 +12,8 @@ from eyespot.calibration.spots.cone_trials import Prior
 
 OF_ROBOT = ("robot_scale", "clock_offset")
 """Tolerances of the robot."""
+TOLERANCES = ("scale", "eye_radius", "inverse_working_distance", *OF_ROBOT)
+"""The keys of `tolerances`."""
 _PULLED = 2.0
 """Standard deviations by which data may move a prior without a word; six priors have one beyond it
 in a quarter of good recordings."""

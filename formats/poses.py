@@ -443,7 +443,7 @@ def _from_table(table: "pd.DataFrame", robot: RobotKeys, *, where: str, place: P
         raise InputError(
             f"{place(row + 1)}: the time goes back from {times_s[row]:.6f} to "
             f"{times_s[row + 1]:.6f} s, as if two recordings were in one file or the clock was set "
-            "back. Keep one recording."
+            "back. Keep one recording, or sort its rows by time."
         )
     rotations = _rotations(parts, values(parts), robot, place)
     if columns.keys() >= set(POSITION):

@@ -61,7 +61,7 @@ class Choices(Given):
     """Robot poses (CSV or ROS bag), one file per source in the same order; a stack contains its
     own, and a ROS bag may."""
     fps: Annotated[float | None, Field(gt=0), _RIG] = None
-    """Images a second, of a folder without frames.csv (file,time_s,exposure_s)."""
+    """Images a second, of a folder without frames.csv (file,time_s,exposure_s) or of a TIFF."""
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -348,6 +348,8 @@ def fit_recordings(sources: Sequence[Recording], choices: Choices) -> Fit:
     if fit.good or not one_cone or not has_pixels or any(first.tilt):
         return fit
     of_pixels = "lens" if _edge_width(recordings) > SHARP_EDGE else "image"
+    if of_pixels == "image" and any(doubt.fault is Fault.DISAGREEMENT for doubt in fit.doubts):
+        return fit  # the rig is not as its file says, whatever is fitted
     say(f"The spots are {fit.verdict.splitlines()[0]} Trying model {of_pixels}, of all pixels.")
     try:
         other = _fit(of_pixels, recordings, choices)

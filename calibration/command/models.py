@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.comparisons import cone_against_rig
+from eyespot.calibration.command.comparisons import cone_against_rig, priors_against_images
 from eyespot.calibration.command.fit_verdict import Fitted, bounds_hit
 from eyespot.calibration.pixels.data import CONE, UNITS
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
@@ -356,6 +356,7 @@ def _fitted(
         if recording.trial.kind == "eyeball"
     ]
     known = [PriorOutcome(n, p, fit.values[n], sigma[n]) for n, p in priors.items() if n in sigma]
+    compared = [*cone_against_rig(fit, recordings), *priors_against_images(known)]
     known += [
         PriorOutcome(f"touch of {name}", one.trial.touch, touch, error)
         for one, name, touch, error in zip(
@@ -377,7 +378,7 @@ def _fitted(
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals=dict(zip(MISMATCHES, residuals.T, strict=True)),
-        disagreements=disagreements(cone_against_rig(fit, recordings)),
+        disagreements=disagreements(compared),
         recordings=recordings,
         used=len(residuals),
         others=[

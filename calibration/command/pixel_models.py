@@ -13,7 +13,7 @@ from scipy import ndimage
 from eyespot import optics
 from eyespot.calibration.command.apart import OF_ONE
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.comparisons import pixels_against_rig
+from eyespot.calibration.command.comparisons import pixels_against_rig, priors_against_images
 from eyespot.calibration.command.fit_verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.command.lens_guess import guessed_lenses
 from eyespot.calibration.command.models import cone_from, cone_start, free_core, known_cone
@@ -263,6 +263,7 @@ def _fitted(
     slopes = jax.jacfwd(of_file)(fitted)
     follows = np.array([[slopes[name][own] for own in fitted] for name in values])
     pixels = pixel_residuals(fit)
+    compared = [*pixels_against_rig(fit, recording), *priors_against_images(_outcomes(fit))]
     own = list(fit.parameters)
     by_prior = {
         name: (follows @ fit.covariance[own.index(name)] / prior.sigma)[None]
@@ -283,7 +284,7 @@ def _fitted(
         chi_squared=fit.chi_squared,
         degrees_of_freedom=fit.degrees_of_freedom,
         residuals={},
-        disagreements=disagreements(pixels_against_rig(fit, recording)),
+        disagreements=disagreements(compared),
         recordings=[recording],
         used=len(pixels.frames),
         others=[
@@ -319,11 +320,16 @@ def _notes(fit: ImageFit) -> list[str]:
             "Numerical errors of the lens's light enlarge the standard errors by a factor of up to "
             f"{fit.numerical_inflation:.2g}; these errors are included."
         )
-    return notes + said_of_priors(
+    return notes + said_of_priors(_outcomes(fit))
+
+
+def _outcomes(fit: ImageFit) -> list[PriorOutcome]:
+    """What a rig states, and what was found."""
+    return [
         PriorOutcome(name, prior, *fit.parameters[name])
         for name, prior in fit.priors.items()
         if name in _STATED_APART
-    )
+    ]
 
 
 def pixel_residuals(fit: ImageFit) -> PixelResiduals:

@@ -31,7 +31,7 @@ class Footage:
         clear: whether a pixel is neither black nor saturated in any channel.
         exposure_s: exposure times that the camera reports, or in proportion to them.
         readings: distance of the tip from its place in the first frame, mm.
-        rates: of `ReportedWithdrawal`; None: the clocks are one.
+        delayed, delay_s: of `ReportedWithdrawal`; None: the clocks are one.
         motion: unit vector against the tip's motion, towards the wall, reported by the robot.
         axis: unit vector along the tool from the tip towards the wall, reported by the robot.
         noise: the camera's noise.
@@ -56,7 +56,8 @@ class Footage:
     kind: str
     medium_index: float
     touch_sigma: float = 0.02
-    rates: Float[np.ndarray, "frames 2"] | None = None
+    delayed: Float[np.ndarray, "frames delays"] | None = None
+    delay_s: float = 1.0
 
 
 def footage_of(source: Any) -> Footage:
@@ -106,7 +107,8 @@ def footage_of(source: Any) -> Footage:
         clear=np.stack([noise.is_within(frame.image) for frame in frames]),
         exposure_s=_relative_exposures(light, noise) if known is None else exposure_s,
         readings=way.readings,
-        rates=way.rates,
+        delayed=way.delayed,
+        delay_s=way.delay_s,
         motion=way.motion,
         axis=way.axis,
         noise=noise,

@@ -75,15 +75,23 @@ class LinearLensLight:
         self._kept: dict[tuple[float, ...], tuple[LensSamples, LensTable]] = {}
         self._halvings: int | None = None
 
-    def tabulate(self, values: Mapping[str, float], *, coarse: bool) -> None:
-        """Compute the table at these values of all parameters, unless it is one of the last."""
+    def tabulate(
+        self, values: Mapping[str, float], *, coarse: bool = False, finely: bool = False
+    ) -> None:
+        """Compute the table at these values of all parameters, unless it is one of the last.
+
+        Args:
+            coarse: of a first fit.
+            finely: anew and in cells of half the width, to be the last. Where the light has a step,
+                its derivatives have a peak, which wide cells place badly.
+        """
         at = {name: values[name] for name in (*LENS, "touch")}
         at["sag"], at["rim_height"] = max(at["sag"], _FLAT_MM), max(at["rim_height"], 0.0)
         at["aperture_radius"] = max(at["aperture_radius"], ENCLOSED * at["core_radius"])
-        where = (coarse, *at.values())
+        where = (coarse, finely, *at.values())
         if where not in self._kept:
             self._kept = dict([*self._kept.items()][1 - _KEPT :])
-            self._kept[where] = self._computed(values, at, coarse=coarse)
+            self._kept[where] = self._computed(values, at, coarse=coarse, finely=finely)
         self._samples, self._table = self._kept[where]
         self._at, self._coarse = at, coarse
 
@@ -93,10 +101,10 @@ class LinearLensLight:
         return (self._coarse, *self._at.values())
 
     def _computed(
-        self, values: Mapping[str, float], at: Mapping[str, float], *, coarse: bool
+        self, values: Mapping[str, float], at: Mapping[str, float], *, coarse: bool, finely: bool
     ) -> tuple[LensSamples, LensTable]:
         """The table at some parameters, from the last one if that is near by."""
-        anew = coarse or self._coarse or self._is_beyond(_NEAR_BY, values)
+        anew = coarse or finely or self._coarse or self._is_beyond(_NEAR_BY, values)
         lens = {name: at[name] for name in LENS}
         farthest = float(self.footage.readings.max() + values["touch"]) + _MARGIN_MM
         least = float(self.footage.readings.min() + values["touch"])
@@ -113,8 +121,8 @@ class LinearLensLight:
             nearest=max(NEAREST_MM, least - _MARGIN_MM),
             farthest=farthest,
             reach=_REACH[coarse],
-            halvings=self._halvings,
-            finest=finest,
+            halvings=self._halvings + finely,
+            finest=finest / (1 + finely),
             coarse=coarse,
             near=None if anew else self._samples,
         )

@@ -21,9 +21,10 @@ from jaxtyping import Array, Bool, Float, Int
 from eyespot import optics
 from eyespot.calibration.pixels.data import CONE, LENS, POSE, Footage
 from eyespot.calibration.pixels.lens_light import LinearLensLight
-from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall
+from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall, reading_at
+from eyespot.estimator.distance.withdrawal import DELAYS
 from eyespot.estimator.pixels.beam import blurred, blurred_with_growth
-from eyespot.optics.wall_light.cells import CellBeam, pixels_see, square_lattice
+from eyespot.optics.wall_light.cells import NODES, CellBeam, pixels_see, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.pose_light import (
     BeamFrame,
@@ -142,10 +143,17 @@ class Light:
     Args:
         names: names of the free parameters.
         lens: the light of a fit's lens; None for a cone.
+        nodes: at which a lens's light is taken on each side of a cell.
     """
 
     def __init__(
-        self, footage: Footage, cells: Cells, names: tuple[str, ...], lens: LinearLensLight | None
+        self,
+        footage: Footage,
+        cells: Cells,
+        names: tuple[str, ...],
+        lens: LinearLensLight | None,
+        *,
+        nodes: int = NODES,
     ) -> None:
         self.footage, self.cells, self.names, self.lens = footage, cells, names, lens
         # The beam's own parameters, which its light takes.
@@ -153,7 +161,9 @@ class Light:
         of_cone = np.array([[name == free for free in self.own] for name in CONE], float)
         self._of_cone = of_cone.reshape(len(CONE), len(self.own))
         self.of_view = tuple(name for name in VIEW if name in names)
-        self._view = functools.lru_cache(maxsize=4)(functools.partial(_WallView, footage, cells))
+        self._view = functools.lru_cache(maxsize=4)(
+            functools.partial(_WallView, footage, cells, nodes)
+        )
         self._looked: dict[str, float] = {}
         self._by_view: dict[int, np.ndarray] = {}  # by number of frame, of all cells
         self._last: tuple[Any, list[FrameLight]] = None, []
@@ -226,14 +236,15 @@ class Light:
     ) -> list[FrameLight] | None:
         footage, view = self.footage, self.view(values)
         chosen = list(numbers)
-        none = np.zeros((len(footage.readings), 2))
-        rates = (none if footage.rates is None else footage.rates)[chosen]
+        delayed = footage.delayed
+        if delayed is None:
+            delayed = np.tile(footage.readings[:, None], DELAYS)
         poses, turns = map(
             np.asarray,
             _poses(
                 jnp.array([values[name] for name in POSE]),
-                jnp.asarray(footage.readings[chosen]),
-                jnp.asarray(rates),
+                jnp.asarray(delayed[chosen]),
+                jnp.asarray(footage.delay_s),
                 jnp.asarray(footage.motion),
                 jnp.asarray(footage.axis),
                 view.camera,
@@ -380,7 +391,13 @@ class _WallView:
     """The wall behind the cells, for one scale, radius of the eye and pinhole."""
 
     def __init__(
-        self, footage: Footage, cells: Cells, scale: float, eye_radius: float, kappa: float
+        self,
+        footage: Footage,
+        cells: Cells,
+        nodes: int,
+        scale: float,
+        eye_radius: float,
+        kappa: float,
     ) -> None:
         file = footage.microscope
         k1, k2, p1, p2, k3 = file.distortion
@@ -392,7 +409,7 @@ class _WallView:
             distortion=(k1, k2, p1, p2, k3),
         )
         self.wall = phantom_wall(footage.kind, eye_radius=eye_radius)
-        self.cells = cells
+        self.cells, self.nodes = cells, nodes
         centres = cells.centres()
         self.point, normal = map(np.asarray, pixels_see(self.camera, self.wall, centres))
         self.sight = np.asarray(self.camera.ray(jnp.asarray(centres))[1])
@@ -406,14 +423,16 @@ class _WallView:
         size = TILE * self.cells.side
         corner = np.array([self.cells.left + column * size, self.cells.top + row * size]) - 0.5
         right = np.array([self.cells.side, 0.0])
-        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=TILE)
+        return square_lattice(
+            self.camera, self.wall, corner=corner, right=right, count=TILE, nodes=self.nodes
+        )
 
 
 @eqx.filter_jit
 def _poses(
     at: Float[Array, "9"],
-    readings: Float[Array, "frames"],
-    rates: Float[Array, "frames 2"],
+    delayed: Float[Array, "frames delays"],
+    delay_s: Float[Array, ""],
     motion: Float[Array, "3"],
     axis: Float[Array, "3"],
     camera: optics.Microscope,
@@ -421,7 +440,7 @@ def _poses(
 ) -> tuple[Float[Array, "frames 6"], Float[Array, "frames 6 9"]]:
     """Tip and axis of frames by the parameters `POSE`, and their derivatives."""
 
-    def pose(at: Array, reading: Array, rate: Array) -> Array:
+    def pose(at: Array, delayed: Array) -> Array:
         touch, u, v, lean, lean_sideways, boresight, boresight_sideways, scale, late = at
         spot = wall.intersect(*camera.ray(jnp.stack([u, v]))).point
         way, beam = beam_directions(
@@ -430,7 +449,7 @@ def _poses(
             lean=jnp.stack([lean, lean_sideways]),
             boresight=jnp.stack([boresight, boresight_sideways]),
         )
-        gone = scale * (reading + rate @ jnp.stack([late, late**2]))
+        gone = scale * reading_at(delayed, late / delay_s)
         return jnp.concatenate([spot - touch * beam - gone * way, beam])
 
-    return jax.vmap(lambda *own: (pose(at, *own), jax.jacfwd(pose)(at, *own)))(readings, rates)
+    return jax.vmap(lambda own: (pose(at, own), jax.jacfwd(pose)(at, own)))(delayed)

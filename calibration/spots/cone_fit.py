@@ -63,6 +63,9 @@ HALVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "even and odd": lambda readings: np.arange(readings.size) % 2 == 1,
 }
 """Which spots of a trial are the second half, by the name of both."""
+_SHORT_STEP = 0.01
+"""In standard errors. Where a robot sets off, chi squared bends at the clock's offset, and only
+hundreds of steps become as short as the solver wants them, 1e-10."""
 _HAS_PRIOR = np.array([name not in ("u", "v") for name in NUISANCES], float)
 
 
@@ -79,6 +82,7 @@ class ConeFit(NamedTuple):
         touch_error: its standard error, mm; infinite if the data do not determine it.
         lean: rotation of the robot against the eye per trial, along the two vectors of
             `optics.perpendicular_frame`, rad.
+        lean_error: its standard errors, rad; infinite if the data do not determine it.
         boresight: angle of the beam from the tool's axis per trial, along the same vectors, rad.
         boresight_covariance: covariance of each; infinite if the data do not determine it.
         spot: (x, y) of the wall's point that the beam meets at reading 0 per trial, mm.
@@ -101,6 +105,7 @@ class ConeFit(NamedTuple):
     touch: Float[np.ndarray, "trials"]
     touch_error: Float[np.ndarray, "trials"]
     lean: Float[np.ndarray, "trials 2"]
+    lean_error: Float[np.ndarray, "trials 2"]
     boresight: Float[np.ndarray, "trials 2"]
     boresight_covariance: Float[np.ndarray, "trials 2 2"]
     spot: Float[np.ndarray, "trials 2"]
@@ -269,6 +274,7 @@ def fit_cone(
         touch=means + sigmas * deviations[:, 0],
         touch_error=sigmas * known_to[:, 0],
         lean=LEAN_SIGMA * deviations[:, 3:5],
+        lean_error=LEAN_SIGMA * known_to[:, 3:5],
         boresight=BORESIGHT_SIGMA * deviations[:, 5:7],
         boresight_covariance=BORESIGHT_SIGMA**2 * np.array([covariance[at, at] for at in beams]),
         spot=np.asarray(spot)[in_order],
@@ -279,8 +285,14 @@ def fit_cone(
         undetermined=undetermined,
         stated={name: moves * sizes for name, moves in stated.items()},
         halves=halves,
-        converged=bool(solution.converged),
+        converged=bool(solution.converged) or _is_at_minimum(jacobian, left),
     )
+
+
+def _is_at_minimum(jacobian: Float[np.ndarray, "m p"], left: Float[np.ndarray, "m"]) -> bool:
+    """Whether another step would be short, also where the solver's steps have not become tiny."""
+    step = np.linalg.lstsq(jacobian, left)[0]
+    return float(np.sum(np.square(jacobian @ step))) < _SHORT_STEP**2
 
 
 def _rows(

@@ -22,7 +22,7 @@ from jaxtyping import Array, ArrayLike, Float, ScalarLike
 
 from eyespot import optics
 from eyespot.calibration.least_squares import padded
-from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
+from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA, DELAYS
 from eyespot.formats.inputs import InputError
 
 NUISANCES = (
@@ -106,7 +106,8 @@ class ConeTrial:
         kind: "eyeball", a sphere around the origin, or "plane", a plane through the sphere's pole
             that is perpendicular to z except for its tilt.
         motion: unit vector against the tip's motion, towards the wall; None: the axis.
-        rates: of `ReportedWithdrawal`; None: the clocks are one.
+        delayed: readings by clock offset, of `ReportedWithdrawal`; None: the clocks are one.
+        delay_s: the step of its offsets.
     """
 
     ellipses: optics.Ellipse
@@ -118,7 +119,8 @@ class ConeTrial:
     touch: Prior
     kind: str
     motion: Float[np.ndarray, "3"] | None = None
-    rates: Float[np.ndarray, "n 2"] | None = None
+    delayed: Float[np.ndarray, "n delays"] | None = None
+    delay_s: float = 1.0
 
 
 def beam_directions(
@@ -141,6 +143,21 @@ def beam_directions(
     directions = jnp.stack([motion + lean @ frame, axis + (lean + boresight) @ frame])
     motion, beam = directions / jnp.linalg.norm(directions, axis=-1, keepdims=True)
     return motion, beam
+
+
+def reading_at(delayed: Float[Array, "delays"], steps: Float[Array, ""]) -> Float[Array, ""]:
+    """The reading for a clock offset of so many steps, by a quadratic B-spline.
+
+    It has a slope everywhere and no waves, also where a robot sets off; a parabola through a few
+    offsets has a second minimum there. Without an offset it is the reading itself.
+    """
+    at = jnp.clip(jnp.round(steps), 1 - DELAYS // 2, DELAYS // 2 - 1)
+    beside = steps - at
+    weights = jnp.stack([(0.5 - beside) ** 2 / 2, 0.75 - beside**2, (0.5 + beside) ** 2 / 2])
+    first = DELAYS // 2 - 1
+    still = delayed[first : first + 3]
+    smoothed = jnp.array([0.125, 0.75, 0.125]) @ still - still[1]
+    return weights @ jax.lax.dynamic_slice(delayed, (at.astype(int) + first,), (3,)) - smoothed
 
 
 def phantom_wall(
@@ -177,8 +194,9 @@ class TrialGroup(eqx.Module):
     kind: str = eqx.field(static=True)
     coverage: Float[Array, "trials n"] | None = None
     """None: all ellipses are wholly visible."""
-    rates: Float[Array, "trials n 2"] | None = None
-    """Of `ConeTrial`; None: zero."""
+    delayed: Float[Array, "trials n delays"] | None = None
+    """Of `ConeTrial`; None: the readings."""
+    delays_s: Float[Array, "trials"] | None = None
 
     @property
     def size(self) -> int:
@@ -212,9 +230,13 @@ class TrialGroup(eqx.Module):
             whitening=whitening * real[..., None, None],
             coverage=stacked([t.coverage for t in trials]),
             readings=stacked([t.readings for t in trials]),
-            rates=stacked(
-                [np.zeros((t.readings.size, 2)) if t.rates is None else t.rates for t in trials]
+            delayed=stacked(
+                [
+                    np.tile(t.readings[:, None], DELAYS) if t.delayed is None else t.delayed
+                    for t in trials
+                ]
             ),
+            delays_s=jnp.array([t.delay_s for t in trials]),
             motions=jnp.asarray(
                 np.stack([t.axis if t.motion is None else t.motion for t in trials])
             ),
@@ -334,10 +356,9 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
         larger = trial.size_sigmas * nuisance[7]
         touching = spot - (trial.touch_means + trial.touch_sigmas * nuisance[0]) * aim
 
-        def of_frame(ellipse, whiten, coverage, reading, rate):
-            if rate is not None:
-                late = values["clock_offset"]
-                reading = reading + rate @ jnp.stack([late, late**2])
+        def of_frame(ellipse, whiten, coverage, reading, delayed):
+            if delayed is not None:
+                reading = reading_at(delayed, values["clock_offset"] / trial.delays_s)
             gone = values.get("robot_scale", 1.0) * reading
             beam = optics.Beam(
                 tip=touching - gone * away,
@@ -348,7 +369,7 @@ def misfit(group: TrialGroup, camera: optics.Microscope, values, nuisances) -> A
             return whiten @ _mismatch(wall, view, beam, spot, ellipse, coverage).at[2].add(larger)
 
         frames = jax.vmap(of_frame)(
-            trial.ellipses, trial.whitening, trial.coverage, trial.readings, trial.rates
+            trial.ellipses, trial.whitening, trial.coverage, trial.readings, trial.delayed
         )
         # The spot's position in the image has no prior.
         return jnp.concatenate([jnp.ravel(frames), nuisance[:1], nuisance[3:]])

@@ -33,6 +33,8 @@ TESTS = {
     "standstill": "a robot that stands still against the distances",
     "contact": "the light at the tip's face against the fibre",
     "touch": "the distance in the first frame, as stated and as the spots show it",
+    "tolerance": "what the rig file states to a tolerance against the images (five numbers)",
+    "frame": "the robot's directions against the eye (two angles)",
     "beam": "the tool's axis and motion against the way of the spot in the image (two angles)",
     "recordings": "the parameters of two recordings of one beam that are fitted apart",
     "ghost": "the light beside the spot against that of one spot",
@@ -40,9 +42,9 @@ TESTS = {
 """What is compared in a recording."""
 FALSE_ALARMS = 1e-3
 """Part of the recordings with a rig as stated in which at least one test contradicts."""
-_COMPARISONS = len(TESTS) + 1  # the beam has two angles
+_COMPARISONS = len(TESTS) + 2 + 4  # frame and beam have two angles; five tolerances are stated
 CONTRADICTION_SIGMAS = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / (2.0 * _COMPARISONS))
-"""Difference, in standard deviations, from which a test contradicts (Bonferroni): 3.84."""
+"""Difference, in standard deviations, from which a test contradicts (Bonferroni): 3.99."""
 
 
 class Compared(NamedTuple):
@@ -112,26 +114,26 @@ def contact(
 
 def against_prior(
     key: str, name: str, value: float, sigma: float, mean: float, prior_sigma: float, *, cause: str
-) -> Compared | None:
+) -> Compared:
     """A fitted value against the prior that took part in the fit.
 
-    The difference of the two has the variance of the prior less that of the result. None where the
-    data add too little to the prior to contradict it.
+    The difference of the two has the variance of the prior less that of the result. Where the data
+    add too little to the prior for that, or a misfit has enlarged the result's error beyond it, the
+    whole variance of the prior counts.
     """
     added = prior_sigma**2 - sigma**2
     if not added > (_LEAST_ADDED * prior_sigma) ** 2:
-        return None
-    sigmas = (value - mean) / math.sqrt(added)
+        added = prior_sigma**2
     says = (
         f"{name} is {mean:.4g} ± {prior_sigma:.2g} as stated, but {value:.4g} ± {sigma:.2g} by the "
         f"images. {cause}"
     )
-    return Compared(key, sigmas, says)
+    return Compared(key, (value - mean) / math.sqrt(added), says)
 
 
 _LEAST_ADDED = 0.3
-"""Least part of a prior's standard deviation that the data must take away from it to contradict it;
-with less, rounding of the two variances is as large as their difference."""
+"""Least part of a prior's standard deviation that the data must take away from it to be compared
+with it alone; with less, rounding of the two variances is as large as their difference."""
 
 _FEWEST_FRAMES, _LEAST_TRAVEL_MM = 5, 1.0
 """Of a withdrawal that shows how true distances are."""

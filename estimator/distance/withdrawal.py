@@ -29,6 +29,16 @@ _DEEPEST_MM = 0.1
 """How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
 _RATE_S = 0.05
 """Clocks without stamps differ by about this; over it a robot's speed is taken."""
+DELAYS = 81
+"""Clock offsets of which readings are computed: 40 steps, four standard deviations, on each side of
+0. Between them a robot that sets off is rounded by an eighth of a step, 0.6 ms of 0.05 s."""
+_STRAIGHT = 6.0
+"""Standard deviations of a pose's noise up to which a motion counts as straight in time: four of a
+pose beside a line between two such. Wiggles of the noise would seem to tell the clock."""
+_FOR_EVER_S = 1e3
+"""Longer than any clock is late."""
+_LEAST_NOISE_MM = 1e-5
+"""Least noise of a pose: files have five or six digits."""
 _EXPOSURE_PARTS = 32
 """In the middles of so many parts of an exposure the tip's place is averaged."""
 
@@ -41,15 +51,17 @@ class ReportedWithdrawal(NamedTuple):
         motion: the motion, reversed, a unit vector towards the wall.
         axis: the tool's mean axis, a unit vector towards the wall.
         across: unit vectors of the tool's x and y axes in the middle of the withdrawal.
-        rates: (n, 2), by how much each reading changes if `clock_offset_s` is larger, per s and per
-            s^2, mm.
+        delay_s: step of the clock offsets of `delayed`, s.
+        delayed: (n, DELAYS), the readings if `clock_offset_s` is larger by as many steps, mm; the
+            middle column has the readings themselves.
     """
 
     readings: "Float[np.ndarray, 'n']"
     motion: "Float[np.ndarray, '3']"
     axis: "Float[np.ndarray, '3']"
     across: "Float[np.ndarray, '2 3']"
-    rates: "Float[np.ndarray, 'n 2']"
+    delay_s: float
+    delayed: "Float[np.ndarray, 'n delays']"
 
 
 def withdrawal_of(
@@ -106,11 +118,8 @@ def withdrawal_of(
         parts = exposure_s[:, None] * middles
     moments = times_s[:, None] + parts
 
-    def places_at(moments: "Float[np.ndarray, 'n parts']") -> "Float[np.ndarray, 'n 3']":
-        along = [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T]
-        return np.stack(along, axis=1)
-
-    places = places_at(moments)
+    along = [np.interp(moments, known, x).mean(axis=1) for x in poses.positions_mm.T]
+    places = np.stack(along, axis=1)
     axis = poses.axes[first : last + 1].mean(axis=0)
     axis /= np.linalg.norm(axis)
     motion, readings, aside = straight_line(places, axis)
@@ -127,11 +136,49 @@ def withdrawal_of(
     _check_sense(readings, axis, robot, where)
     middle = poses.rotations[(first + last) // 2]
     across = np.array([turned(side, tuple(middle)) for side in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))])
-    # The parabola through the readings of an earlier and a later clock, about the first frame's.
-    early, late = ((places_at(moments + off) - places) @ motion for off in (-_RATE_S, _RATE_S))
-    rates = np.stack([(late - early) / (2 * _RATE_S), -(late + early) / (2 * _RATE_S**2)], axis=1)
-    rates -= rates[0]
-    return ReportedWithdrawal(readings, motion, axis, across, rates)
+    knots = straight_pieces(known, -poses.positions_mm @ motion)
+
+    def delayed_by(offset_s: float) -> "Float[np.ndarray, 'n']":
+        gone = (np.interp(moments - late_s, *knots).mean(axis=1) for late_s in (offset_s, 0.0))
+        changes = np.subtract(*gone)
+        return np.asarray(readings + changes - changes[0])
+
+    delay_s = (robot.clock_sigma_s or _RATE_S) / 10
+    delayed = [delayed_by(delay_s * (step - DELAYS // 2)) for step in range(DELAYS)]
+    return ReportedWithdrawal(readings, motion, axis, across, delay_s, np.stack(delayed, axis=1))
+
+
+def straight_pieces(
+    times_s: "Float[np.ndarray, 'n']", along_mm: "Float[np.ndarray, 'n']"
+) -> "tuple[Float[np.ndarray, 'k'], Float[np.ndarray, 'k']]":
+    """Knots of a motion in pieces of constant speed, as few as its noise permits.
+
+    After Douglas and Peucker (1973). The noise is that of differences between neighbours. The
+    first and the last piece go on for ever: poses may begin with the first frame, and a tip that
+    rested before would tell the clock.
+    """
+    bends = np.abs(np.diff(along_mm, 2))
+    noise_mm = float(np.mean(bends)) * math.sqrt(math.pi / 12) if bends.size else 0.0
+    most = _STRAIGHT * max(noise_mm, _LEAST_NOISE_MM)
+    kept, pieces = {0, len(times_s) - 1}, [(0, len(times_s) - 1)]
+    while pieces:
+        first, last = pieces.pop()
+        inner, ends = slice(first, last + 1), [first, last]
+        line = np.interp(times_s[inner], times_s[ends], along_mm[ends])
+        off = np.abs(along_mm[inner] - line)
+        if off.max() > most:
+            middle = first + int(np.argmax(off))
+            kept.add(middle)
+            pieces += [(first, middle), (middle, last)]
+    at = sorted(kept)
+    knots_s, knots_mm = times_s[at], along_mm[at]
+    if len(at) > 1:
+        speeds = np.diff(knots_mm)[[0, -1]] / np.diff(knots_s)[[0, -1]]
+        beyond_s = _FOR_EVER_S * np.array([-1.0, 1.0])
+        beyond = knots_mm[[0, -1]] + speeds * beyond_s
+        knots_s[[0, -1]] += beyond_s
+        knots_mm[[0, -1]] = beyond
+    return knots_s, knots_mm
 
 
 def straight_line(
@@ -171,6 +218,12 @@ def _check_times(poses: PoseTrack, first: int, last: int, where: str) -> None:
     )
 
 
+_UNIT_REMEDY = (
+    "write its own unit into robot.unit ('m', 'mm' or 'um') and, if their names state another, "
+    "rename its columns (such as x_mm to x_m)"
+)
+
+
 def _check_travel(travel_mm: float, poses_s: float, frames_s: float, where: str) -> None:
     if travel_mm < 1e-9:
         raise InputError(
@@ -187,17 +240,16 @@ def _check_travel(travel_mm: float, poses_s: float, frames_s: float, where: str)
         )
         raise InputError(
             f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at least "
-            f"{_LEAST_TRAVEL_MM} mm long. If its file is in m (the travel is then "
-            f"{1e3 * travel_mm:.4g} mm), write robot.unit = 'm' and, if their names state mm, "
-            f"rename its columns (x_mm to x_m); otherwise it stood still.{clock}"
+            f"{_LEAST_TRAVEL_MM} mm long. If its file is in m but taken to be in mm, or in mm but "
+            f"taken to be in µm (the travel is then {1e3 * travel_mm:.4g} mm), {_UNIT_REMEDY}; "
+            f"otherwise it stood still.{clock}"
         )
     if travel_mm > _MOST_TRAVEL_MM:
         raise InputError(
             f"The robot moves by {travel_mm:.4g} mm in {where}; a withdrawal is at most "
-            f"{_MOST_TRAVEL_MM:g} mm long, more than an eye. If its file is in µm (the travel is "
-            f"then {1e-3 * travel_mm:.4g} mm), write robot.unit = 'um' and, if their names state "
-            "mm, rename its columns (x_mm to x_um); otherwise leave out the frames of other "
-            "motions."
+            f"{_MOST_TRAVEL_MM:g} mm long, more than an eye. If its file is in µm but taken to be "
+            f"in mm, or in mm but taken to be in m (the travel is then {1e-3 * travel_mm:.4g} mm), "
+            f"{_UNIT_REMEDY}; otherwise leave out the frames of other motions."
         )
 
 

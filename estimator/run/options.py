@@ -308,7 +308,7 @@ class RecordingOptions:
 
     exposure: Exposure = None
     fps: Annotated[float | None, Parameter(validator=Number(gt=0))] = None
-    """Images a second, of a folder without frames.csv (file,time_s,exposure_s)."""
+    """Images a second, of a folder without frames.csv (file,time_s,exposure_s) or of a TIFF."""
     poses: Annotated[Path | None, _RIG] = None
     """Robot's poses (CSV or bag), on SOURCE's clock; [robot] of the rig says what they mean."""
 

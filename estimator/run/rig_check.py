@@ -31,6 +31,7 @@ _STEADY = 0.2
 _WIDE_CORE = 1.15
 """Light at contact over the fibre's radius above which the recording begins later. A spot's
 semi-minor axis in mm is that of the wall to 10 % at c = 5 mm."""
+_GAP = 20.0  # times the usual step of the poses, from which they are missing
 _OTHER_NOISE = 0.2  # relative difference of two standard deviations of noise
 _SATURATED = 0.01  # part of a spot's pixels
 _BLACK_DN = 3.0  # difference of a dark level that is worth a word, of 255
@@ -272,7 +273,7 @@ def _of_robot(
     times = np.array([frame.time_s for frame, _ in spots])
     if times.size < 2 or np.isnan(times).any():
         return none, [("robot", "", f"{len(poses)} poses", "unknown", "Give the frames' times.")]
-    lines = list(_of_frame(poses, robot))
+    lines = [*_of_gaps(poses, times), *_of_frame(poses, robot)]
     anywhere = robot.model_copy(update={"touch": "free"})
     try:
         way = withdrawal_of(poses, times, robot=anywhere, where=recording.name)
@@ -291,6 +292,21 @@ def _of_robot(
     lines += _of_contact(recording, float(start), float(slope))
     lines += _of_clock(poses, times, robot, radius)
     return travel, lines
+
+
+def _of_gaps(poses: PoseTrack, times: np.ndarray) -> Iterator[Line]:
+    """Times in which the robot's file says nothing, while frames were taken."""
+    steps = np.diff(poses.times_s)
+    begin = np.flatnonzero(steps > _GAP * np.median(steps)) if steps.size else steps.astype(int)
+    for first in begin:
+        from_s, to_s = poses.times_s[first : first + 2]
+        inside = int(np.count_nonzero((from_s < times) & (times < to_s)))
+        if inside:
+            yield (
+                *("robot", "poses", f"none from {from_s:.3f} to {to_s:.3f} s", "wrong"),
+                f"{inside} frames lie between: a pause there would not be seen. Leave them out, or "
+                "record again.",
+            )
 
 
 def _of_frame(poses: PoseTrack, robot: RobotKeys) -> Iterator[Line]:

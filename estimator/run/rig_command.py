@@ -48,7 +48,7 @@ def check(
         source: Recording, as of `eyespot track`.
         changes: Change a key of the rig file. Repeatable.
         poses: Robot's poses (CSV or bag; default: the recording's own).
-        fps: Images a second, of a folder without frames.csv.
+        fps: Images a second, of a folder without frames.csv or of a TIFF.
         out: Picture to write (.png, .pdf or .svg).
         overwrite: Replace OUT if it exists.
     """

@@ -1,7 +1,10 @@
 """Opens a source: a stack, images, a video, a camera or a bag."""
 
+import itertools
+import math
 import os
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +49,7 @@ def open_source(
         exposure: of a stack that has several; by default "metered", whose peaks are never
             saturated.
         image_topic: of a bag, see `open_bag`.
-        fps: images a second of a folder that has no times, see `times_of`; None: unknown.
+        fps: images a second of a folder, a TIFF or an array without times; None: unknown.
 
     Raises:
         InputError: the source does not exist, cannot be read or is empty, or it has no such
@@ -89,11 +92,21 @@ def open_source(
         opened = open_video(path)
     if exposure is not None:
         raise InputError(f"{source} is not a stack, so it has no exposures. Leave the option out.")
-    if fps is not None and not path.is_dir():
-        raise InputError(
-            f"{source} is no folder of images, and has its own times. Leave --fps out."
-        )
-    return opened
+    if fps is None or path.is_dir():
+        return opened
+    if opened.live or any(math.isfinite(frame.time_s) for frame in itertools.islice(opened, 1)):
+        raise InputError(f"{source} has its own times. Leave --fps out.")
+    return _at_rate(opened, fps)
+
+
+def _at_rate(source: Source, fps: float) -> Source:
+    """A source without times, such as a TIFF's pages, at a constant rate."""
+
+    def read() -> Iterator[Frame]:
+        for frame in source:
+            yield replace(frame, time_s=frame.index / fps)
+
+    return replace(source, read=read, rate_hz=fps)
 
 
 def array_source(

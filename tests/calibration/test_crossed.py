@@ -12,13 +12,15 @@ from scipy import stats
 
 from eyespot import optics
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.comparisons import cone_against_rig
+from eyespot.calibration.command.comparisons import cone_against_rig, priors_against_images
 from eyespot.calibration.command.crossed import as_stated, crossed, read_by_cone
 from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.models import fit_cone_to_spots
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
+from eyespot.calibration.tolerances import PriorOutcome
+from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.recording import Recording
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import SpotRecord
@@ -236,8 +238,32 @@ def test_the_light_at_the_tip_of_each_recording_is_that_of_the_fitted_cone():
         covariance=np.diag(SIGMAS**2),
         touch=np.zeros(2),
         touch_error=np.full(2, 0.01),
+        lean=np.array([[0.0, 0.01], [0.0, 0.1]]),
+        lean_error=np.full((2, 2), np.inf),
         boresight=np.full((2, 2), 0.03),
         boresight_covariance=np.tile(1e-8 * np.eye(2), (2, 1, 1)),
     )
     found: Any = cone_against_rig(cast(Any, fit), cast(Any, [one, one]))
+    found = list(found)
     assert [c.sigmas for c in found if c.key == "contact"] == pytest.approx([0.0, 0.0], abs=1e-9)
+    # The robot's directions are known to a degree, and here the images add nothing.
+    turned = [c for c in found if c.key == "frame"]
+    assert [c.sigmas for c in turned] == pytest.approx(np.degrees([0.0, 0.01, 0.0, 0.1]))
+    assert "eye_from_robot" in disagreements(turned)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "sigma", "told"),
+    [
+        ("robot_scale", 0.957, 0.0072, True),  # 4.3 of its sigmas, 6.2 of what the images add
+        ("robot_scale", 0.985, 0.0072, False),
+        ("robot_scale", 0.957, 0.02, True),  # the error is enlarged by a misfit
+        ("robot_scale", 0.995, 0.0099, False),  # the images add nothing
+        ("b", -2.0, 0.1, False),  # a person's own prior, of the cone
+    ],
+)
+def test_a_fit_that_leaves_what_the_rig_states_disagrees_with_it(name, value, sigma, told):
+    outcome = PriorOutcome(name, Prior(1.0, 0.01), value, sigma)
+    found = disagreements(priors_against_images([outcome]))
+    assert bool(found) == told
+    assert all("robot_scale is 1 ± 0.01 as stated, but 0.957" in said for said in found)

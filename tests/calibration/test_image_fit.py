@@ -21,7 +21,7 @@ from eyespot.calibration.pixels.lens_light import LinearLensLight
 from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.distance.withdrawal import withdrawal_of
+from eyespot.estimator.distance.withdrawal import DELAYS, withdrawal_of
 from eyespot.formats.camera import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import RobotKeys, read_poses
@@ -264,7 +264,8 @@ def one_frame() -> Footage:
         clear=np.ones((1, 128, 128), bool),
         exposure_s=np.array([0.05]),
         readings=np.array([3.0]),
-        rates=np.array([[0.4, 0.1]]),
+        delayed=3.0 + np.linspace(-0.08, 0.08, DELAYS)[None],  # at 0.4 mm/s
+        delay_s=0.005,
         motion=motion / np.linalg.norm(motion),
         axis=axis / np.linalg.norm(axis),
         microscope=a_microscope(**size, principal_point_px=(-37.0, 63.0)),

@@ -103,6 +103,13 @@ def test_a_table_that_does_not_fit_the_images_is_refused(images, tmp_path, chang
 def test_times_without_a_table_are_those_of_exif_or_of_a_rate(images, folder, tmp_path):
     times = [frame.time_s for frame in Recording.open(folder, fps=20.0).source]
     assert times == pytest.approx([0.0, 0.05, 0.1, 0.15])
+    pages = [Image.fromarray(image) for image in images]
+    pages[0].save(tmp_path / "pages.tif", save_all=True, append_images=pages[1:])
+    source = Recording.open(tmp_path / "pages.tif", fps=20.0).source
+    assert [frame.time_s for frame in source] == pytest.approx(times)
+    write_video(tmp_path / "video.avi", images)
+    with pytest.raises(InputError, match=r"video\.avi has its own times.*--fps"):
+        Recording.open(tmp_path / "video.avi", fps=20.0)
     photographs = tmp_path / "photographs"
     photographs.mkdir()
     begin = datetime(2026, 3, 1, 10)

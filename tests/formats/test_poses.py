@@ -205,8 +205,8 @@ IDENTITY = (0.0, 0.0, 0.0, 1.0)
     ("positions", "axis", "robot", "said"),
     [
         (TIPS_MM[:1], AXIS, {}, r"stands still.*at least 0\.1 mm.*robot\.pose_topic"),
-        (TIPS_MM / 1e3, AXIS, {}, r"moves by 0\.0048 mm.*then 4\.8 mm\), write robot\.unit = 'm'"),
-        (TIPS_MM * 1e3, AXIS, {}, r"moves by 4800 mm.*then 4\.8 mm\), write robot\.unit = 'um'"),
+        (TIPS_MM / 1e3, AXIS, {}, r"moves by 0\.0048 mm.*in m but .*then 4\.8 mm\), write its own"),
+        (TIPS_MM * 1e3, AXIS, {}, r"moves by 4800 mm.*in mm but .*then 4\.8 mm\), write its own"),
         (2 * TIPS_MM[0] - TIPS_MM, AXIS, {}, r"4\.8 mm towards the wall.*reverse robot\.tool_axis"),
         (TIPS_MM, -AXIS, {}, r"4\.8 mm towards the wall.*reverse robot\.tool_axis \(now '\+z'\)"),
         (TIPS_MM, -AXIS, {"eye_from_robot": IDENTITY}, r"points to the microscope.*z = \+0\.87"),

@@ -7,6 +7,7 @@ import tomllib
 import numpy as np
 import pytest
 
+import eyespot
 from eyespot.estimator import Recording
 from eyespot.estimator.run.option_names import MOVED
 from eyespot.estimator.run.options import Options
@@ -215,6 +216,26 @@ def test_frames_of_one_time_are_contradicted():
     at_once = Recording(frames, times=times, poses=recording.robot(), rig=recording.rig)
     found = checked(at_once).lines.set_index("key").found["times"]
     assert "6 frames have the time of another" in [*found]
+
+
+def test_frames_while_the_robots_file_says_nothing_are_contradicted():
+    recording = withdrawal()
+    known = recording.robot()
+    dense = np.linspace(0.0, 1.1, 221)
+    some = dense[(dense < 0.35) | (dense > 0.75)]
+    poses = PoseTrack(pose for time_s in some if (pose := known.interpolated(float(time_s))))
+    gap = Recording(recording.source, poses=poses, rig=recording.rig)
+    lines = checked(gap).lines
+    (found,) = lines[lines.verdict == "wrong"].itertuples()
+    assert found.found == "none from 0.345 to 0.755 s"
+    assert found[-1].startswith("4 frames lie between")
+
+
+def test_a_recording_that_began_late_is_no_matter_of_the_model():
+    fit = eyespot.fit(withdrawal(begin_mm=1.5))
+    assert (fit.model, fit.good) == ("cone", False)
+    # (5 + 1.5) / 20 mm
+    assert "the light leaves the tip with a radius of 0.32" in fit.verdict
 
 
 def test_a_turn_is_proposed_for_a_robot_whose_z_points_down():
