@@ -68,6 +68,11 @@ class _DrawnRig(NamedTuple):
         )
 
     @property
+    def cone(self) -> Float[Array, "2"]:
+        """Half-angle and b; an array, since numbers would be compiled anew for each rig."""
+        return jnp.array([self.half_angle, self.b])
+
+    @property
     def wall(self) -> optics.Surface:
         """The true plane or sphere."""
         return phantom_wall(self.rig.wall.kind or "eyeball", eye_radius=self.radius)
@@ -137,7 +142,7 @@ def _drawn(
 def _ellipses(
     wall: optics.Surface,
     camera: optics.Microscope,
-    cone: tuple[float, float],
+    cone: Float[Array, "2"],
     spot: Array,
     beam: Array,
     motion: Array,
@@ -218,7 +223,7 @@ def _calibrated(world: _DrawnRig, noise: np.random.Generator, folder: Path) -> C
 
     distances = world.touch + gone(times) - gone(times[:1])
     ways = map(jnp.asarray, (spot, beam, motion, distances))
-    seen = _ellipses(world.wall, world.camera, (world.half_angle, world.b), *ways)
+    seen = _ellipses(world.wall, world.camera, world.cone, *ways)
     sigma, size = noise.uniform(0.005, 0.03), 1 + 1e-4 * noise.standard_normal()
     centre = np.array([(_WIDTH_PX - 1) / 2, (_HEIGHT_PX - 1) / 2])
     records = [
@@ -275,7 +280,7 @@ def _one(number: int, folder: Path) -> dict[str, Any]:
     spot, axis = _tool(wall, c, noise, tilt)
     pose, motion, true = _truly(axis, world, noise)
     ways = map(jnp.asarray, (spot, true, motion, [d]))
-    seen = _ellipses(wall, camera, (world.half_angle, world.b), *ways)
+    seen = _ellipses(wall, camera, world.cone, *ways)
     view, stated = other.rig.view, other.rig.stated.model_copy(update={"touch_sigma_mm": 0.0})
     assert view is not None
     measured = _measured(_at(seen, 0, np.array(view.principal_point_px)), noise, 0.02, 1.0)

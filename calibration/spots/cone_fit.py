@@ -189,11 +189,13 @@ def fit_cone(
         TrialGroup.of([trials[n] for n in own], *([part[n] for n in own] for part in missed))
         for own in of_kinds
     ]
-    # Nuisances are deviations from their expected values, in standard deviations.
+    # Nuisances are deviations from their expected values, in standard deviations. Numbers would be
+    # compiled in, anew for every fit.
+    at_start = jax.tree.map(jnp.asarray, fixed)
     begin = jnp.concatenate(
         [
             jnp.zeros(len(PARAMETERS)),
-            *(jnp.ravel(first_nuisances(g, microscope, fixed)) for g in groups),
+            *(jnp.ravel(first_nuisances(g, microscope, at_start)) for g in groups),
         ]
     )
     priors_held = int(np.sum(prior_weights.any(axis=1)))
