@@ -72,7 +72,7 @@ def poses_at(wall: optics.Sphere, places: pd.DataFrame) -> list[ToolPose]:
 
 
 def bound_of(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Standard deviations of the tip (mm) and the axis (degrees; 0 if it is known), in space."""
+    """Standard deviations of the tip (mm) and the axis (degrees), in space."""
     variances = np.diagonal(covariance, axis1=-2, axis2=-1)
     tip, axis = (np.sqrt(part.sum(axis=-1)) for part in (variances[..., :3], variances[..., 3:]))
     return tip, np.degrees(axis)

@@ -99,7 +99,7 @@ def contour_normals(
     return across / jnp.linalg.norm(across, axis=-1, keepdims=True)
 
 
-@partial(jax.jit, static_argnames=("tool", "axis_known"))
+@partial(jax.jit, static_argnames="tool")
 def tool_pose_bound(
     tool: Tool,
     pose: ToolPose,
@@ -107,27 +107,22 @@ def tool_pose_bound(
     view: optics.Microscope,
     *,
     sigma_px: ScalarLike,
-    axis_known: bool = False,
-) -> Float[Array, "n n"]:
+) -> Float[Array, "5 5"]:
     """Least covariance that any unbiased estimator can have (Cramer 1946, Rao 1945).
 
     Args:
         sigma_px: standard deviation across the contour of each of a spot's 128 points, px.
-        axis_known: estimate only the tip and the roll.
 
     Returns:
-        Covariance of the tip (mm) and of the axis along its two perpendiculars (rad), or only of
-        the tip if `axis_known`.
+        Covariance of the tip (mm) and of the axis along its two perpendiculars (rad).
     """
     across = contour_normals(tool_contours(tool, pose, wall, view))
     slopes = jax.jacfwd(lambda step: tool_contours(tool, moved(pose, step), wall, view))(
         jnp.zeros(6)
     )
     rows = jnp.einsum("cpi,cpij->cpj", across, slopes).reshape(-1, 6) / sigma_px
-    free = [i for i in range(tool.unknowns) if not (axis_known and i in (3, 4))]
-    rows = rows[:, np.array(free)]
-    returned = 3 if axis_known else 5
-    return jnp.linalg.inv(rows.T @ rows)[:returned, :returned]
+    free = rows[:, : tool.unknowns]
+    return jnp.linalg.inv(free.T @ free)[:5, :5]
 
 
 def fit_tool(

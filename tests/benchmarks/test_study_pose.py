@@ -62,13 +62,6 @@ def test_the_bound_of_one_spot_is_the_known_one(incidence, tip_um):
     assert axis < 0.09
 
 
-def test_a_known_axis_leaves_the_known_bound_of_the_tip():
-    known = tool_pose_bound(ONE, pose_at(20.0), WALL, VIEW, sigma_px=SIGMA_PX, axis_known=True)
-    # By an independent computation: 0.6 um.
-    tip, axis = pose.bound_of(np.asarray(known))
-    assert (1e3 * tip, axis) == (pytest.approx(0.6, abs=0.1), 0.0)
-
-
 def test_three_splayed_spots_tell_more_than_three_measurements_of_one():
     for incidence in (10.0, 30.0):
         for one, three in zip(bounds(ONE, incidence), bounds(THREE, incidence), strict=True):
