@@ -67,13 +67,14 @@ def pixels_against_rig(fit: ImageFit, one: RecordedTrial) -> Iterator[Compared]:
     if one.trial.touch != FREE_TOUCH and fit.values.keys() >= {*CONE}:
         values = {**fit.values, **{name: value for name, (value, _) in fit.parameters.items()}}
         yield _of_contact(one, values, [*fit.parameters], fit.covariance)
-    for name, (value, sigma) in fit.parameters.items():
+    for name, found in fit.parameters.items():
+        considered = fit.considered[name]
         if name == "touch":
-            yield _of_touch(one, value, sigma)
+            yield _of_touch(one, *found, considered)
         elif name in ("lean", "lean_sideways"):
-            yield _of_frame(one, value, sigma)
+            yield _of_frame(one, *found, considered)
         elif name in ("boresight", "boresight_sideways"):
-            yield _of_beam(one, value, sigma)
+            yield _of_beam(one, *found, considered)
 
 
 def _of_contact(
@@ -99,19 +100,22 @@ def _of_contact(
     )
 
 
-def _of_touch(one: RecordedTrial, value: float, sigma: float) -> Compared:
+def _of_touch(one: RecordedTrial, value: float, sigma: float, considered: float = 0.0) -> Compared:
     """The distance in the first frame, mm, by the light and as stated."""
     name = f"{one.name}: the distance in the first frame (mm)"
-    return against_prior("touch", name, value, sigma, *one.trial.touch, cause=_OF_TOUCH)
+    numbers = value, sigma, *one.trial.touch
+    return against_prior("touch", name, *numbers, cause=_OF_TOUCH, considered=considered)
 
 
-def _of_frame(one: RecordedTrial, angle: float, sigma: float) -> Compared:
+def _of_frame(one: RecordedTrial, angle: float, sigma: float, considered: float = 0.0) -> Compared:
     """A rotation of the robot's directions against the eye, by the spots' outlines."""
     name = f"{one.name}: a rotation of the robot's directions against the eye (rad)"
-    return against_prior("frame", name, angle, sigma, 0.0, LEAN_SIGMA, cause=_OF_FRAME)
+    numbers = angle, sigma, 0.0, LEAN_SIGMA
+    return against_prior("frame", name, *numbers, cause=_OF_FRAME, considered=considered)
 
 
-def _of_beam(one: RecordedTrial, angle: float, sigma: float) -> Compared:
+def _of_beam(one: RecordedTrial, angle: float, sigma: float, considered: float = 0.0) -> Compared:
     """An angle of the beam from the tool's axis, by the spots' way in the image."""
     name = f"{one.name}: an angle of the beam from the tool's axis (rad)"
-    return against_prior("beam", name, angle, sigma, 0.0, BORESIGHT_SIGMA, cause=_OF_BEAM)
+    numbers = angle, sigma, 0.0, BORESIGHT_SIGMA
+    return against_prior("beam", name, *numbers, cause=_OF_BEAM, considered=considered)

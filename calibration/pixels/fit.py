@@ -36,6 +36,7 @@ class ImageFit:
         parameters: value and standard error by name (see `UNITS`).
         values: values of all parameters, including those that were not fitted.
         priors: of free parameters.
+        considered: part of each standard error by errors of what was taken as stated.
         covariance: covariance of `parameters` in their order, from camera noise, priors and misfit.
         misfit: the light that the model lacks.
         chi_squared: sum of squared residuals over their sigma, priors included.
@@ -60,6 +61,7 @@ class ImageFit:
     parameters: dict[str, tuple[float, float]]
     values: dict[str, float]
     priors: Mapping[str, Prior]
+    considered: Mapping[str, float]
     covariance: Float[np.ndarray, "p p"]
     chi_squared: float
     degrees_of_freedom: int
@@ -545,6 +547,7 @@ def _result(
     covariance[held, held] = 0.0
     sizes = np.diag(fit.sizes)
     covariance = propagated(sizes, covariance + of_considered)
+    stated = (fit.sizes * np.sqrt(np.diag(of_considered))).tolist()
     errors = np.sqrt(np.diag(covariance)).tolist()
     residuals = np.full(fit.of.footage.light.shape, np.nan, np.float32)
     cells = fit.of.cells
@@ -574,6 +577,7 @@ def _result(
         parameters={n: (values[n], error) for n, error in zip(names, errors, strict=True)},
         values=values,
         priors={n: prior for n, prior in {**fit.of.priors, **considered}.items() if n in names},
+        considered=dict(zip(names, stated, strict=True)),
         covariance=covariance,
         chi_squared=fit.chi_squared,
         degrees_of_freedom=degrees,

@@ -113,15 +113,27 @@ def contact(
 
 
 def against_prior(
-    key: str, name: str, value: float, sigma: float, mean: float, prior_sigma: float, *, cause: str
+    key: str,
+    name: str,
+    value: float,
+    sigma: float,
+    mean: float,
+    prior_sigma: float,
+    *,
+    cause: str,
+    considered: float = 0.0,
 ) -> Compared:
     """A fitted value against the prior that took part in the fit.
 
     The difference of the two has the variance of the prior less that of the result. Where the data
     add too little to the prior for that, or a misfit has enlarged the result's error beyond it, the
     whole variance of the prior counts.
+
+    Args:
+        considered: part of `sigma` by errors of what the fit took as stated. It moves the result
+            away from the prior, so its variance adds to that of the difference.
     """
-    added = prior_sigma**2 - sigma**2
+    added = prior_sigma**2 - sigma**2 + 2.0 * considered**2
     if not added > (_LEAST_ADDED * prior_sigma) ** 2:
         added = prior_sigma**2
     says = (

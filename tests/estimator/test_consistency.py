@@ -121,17 +121,26 @@ def test_light_at_the_tip_is_no_wider_than_the_fibre_and_as_wide_as_the_core(
     assert bool(disagreements([found])) == told
 
 
-def test_a_prior_is_contradicted_only_by_data_that_add_to_it():
+@pytest.mark.parametrize("stated_to", [0.0, 0.02])
+def test_a_prior_is_contradicted_by_chance_as_often_as_by_a_normal_number(stated_to):
+    # The data are off by noise, and by the error of something that the fit takes as stated.
     rng, cause = np.random.default_rng(5), "The first frame"
     sigmas = []
     for _ in range(500):
         truth, measured_to = 0.02 * rng.normal(), 0.01
-        measured = truth + measured_to * rng.normal()
+        measured = truth + measured_to * rng.normal() + stated_to * rng.normal()
         weights = np.array([0.02, measured_to]) ** -2.0
-        value, sigma = weights[1] * measured / weights.sum(), weights.sum() ** -0.5
-        sigmas.append(against_prior("touch", "x", value, sigma, 0.0, 0.02, cause=cause).sigmas)
+        share = weights[1] / weights.sum()
+        sigma = math.hypot(weights.sum() ** -0.5, share * stated_to)
+        numbers = share * measured, sigma, 0.0, 0.02
+        given = {"cause": cause, "considered": share * stated_to}
+        sigmas.append(against_prior("touch", "x", *numbers, **given).sigmas)
     # As above: 3.2 % of 500 numbers.
     assert np.std(sigmas) == pytest.approx(1.0, abs=4 * 0.032)
+
+
+def test_a_prior_to_which_the_data_add_nothing_is_compared_as_it_is():
+    cause = "The first frame"
     for sigma in (0.0199, 0.05):  # the data add nothing; a misfit has enlarged the error
         for value in (0.001, 0.1):
             found = against_prior("touch", "x", value, sigma, 0.0, 0.02, cause=cause)
