@@ -60,10 +60,14 @@ class LinearLensLight:
 
     Args:
         names: names of the fit's free parameters.
+
+    Attributes:
+        where: tells the table from every other one.
     """
 
     def __init__(self, footage: Footage, names: tuple[str, ...]) -> None:
         self.footage = footage
+        self.where: tuple[float, ...] = ()
         self.free = tuple(name for name in names if name in LENS)
         # Of a cap whose one part is known, the light is linear in both.
         others = (name for name in CAP if name not in names and set(CAP) & set(names))
@@ -93,12 +97,7 @@ class LinearLensLight:
             self._kept = dict([*self._kept.items()][1 - _KEPT :])
             self._kept[where] = self._computed(values, at, coarse=coarse, finely=finely)
         self._samples, self._table = self._kept[where]
-        self._at, self._coarse = at, coarse
-
-    @property
-    def where(self) -> tuple[float, ...]:
-        """Tells the table from every other one."""
-        return (self._coarse, *self._at.values())
+        self._at, self._coarse, self.where = at, coarse, where
 
     def _computed(
         self, values: Mapping[str, float], at: Mapping[str, float], *, coarse: bool, finely: bool

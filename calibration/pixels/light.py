@@ -21,8 +21,12 @@ from jaxtyping import Array, Bool, Float, Int
 from eyespot import optics
 from eyespot.calibration.pixels.data import CONE, LENS, POSE, Footage
 from eyespot.calibration.pixels.lens_light import LinearLensLight
-from eyespot.calibration.spots.cone_trials import beam_directions, phantom_wall, reading_at
-from eyespot.estimator.distance.withdrawal import DELAYS
+from eyespot.calibration.spots.cone_trials import (
+    beam_directions,
+    phantom_wall,
+    reading_at,
+    undelayed,
+)
 from eyespot.estimator.pixels.beam import blurred, blurred_with_growth
 from eyespot.optics.wall_light.cells import NODES, CellBeam, pixels_see, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
@@ -236,9 +240,7 @@ class Light:
     ) -> list[FrameLight] | None:
         footage, view = self.footage, self.view(values)
         chosen = list(numbers)
-        delayed = footage.delayed
-        if delayed is None:
-            delayed = np.tile(footage.readings[:, None], DELAYS)
+        delayed = undelayed(footage.readings) if footage.delayed is None else footage.delayed
         poses, turns = map(
             np.asarray,
             _poses(

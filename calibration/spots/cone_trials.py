@@ -160,6 +160,11 @@ def reading_at(delayed: Float[Array, "delays"], steps: Float[Array, ""]) -> Floa
     return weights @ jax.lax.dynamic_slice(delayed, (at.astype(int) + first,), (3,)) - smoothed
 
 
+def undelayed(readings: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n delays"]:
+    """Readings by a clock whose offset changes nothing, as `reading_at` takes them."""
+    return np.tile(readings[:, None], DELAYS)
+
+
 def phantom_wall(
     kind: str, *, eye_radius: ScalarLike, tilt: tuple[ScalarLike, ScalarLike] = (0.0, 0.0)
 ) -> optics.Surface:
@@ -231,10 +236,7 @@ class TrialGroup(eqx.Module):
             coverage=stacked([t.coverage for t in trials]),
             readings=stacked([t.readings for t in trials]),
             delayed=stacked(
-                [
-                    np.tile(t.readings[:, None], DELAYS) if t.delayed is None else t.delayed
-                    for t in trials
-                ]
+                [undelayed(t.readings) if t.delayed is None else t.delayed for t in trials]
             ),
             delays_s=jnp.array([t.delay_s for t in trials]),
             motions=jnp.asarray(
