@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.calibration.pixels.data import CONE
-from eyespot.calibration.pixels.fit import ImageFit
+from eyespot.calibration.pixels.fit_result import ImageFit
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_fit import ConeFit
 from eyespot.calibration.spots.cone_trials import LEAN_SIGMA

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from eyespot.calibration.least_squares import accepted_range, slow_waves
-from eyespot.calibration.pixels.fit import Failure
+from eyespot.calibration.pixels.fit_result import Failure
 from eyespot.calibration.pixels.misfit import Misfit
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.formats.calibration import QUANTITIES

@@ -19,7 +19,8 @@ from eyespot.calibration.command.lens_guess import guessed_lenses
 from eyespot.calibration.command.models import cone_from, cone_start, free_core, known_cone
 from eyespot.calibration.least_squares import propagated
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
-from eyespot.calibration.pixels.fit import ImageFit, fit_image
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.calibration.pixels.fit_result import ImageFit
 from eyespot.calibration.pixels.light import VIEW
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_trials import (

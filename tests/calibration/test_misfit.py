@@ -8,7 +8,7 @@ import pytest
 from scipy import ndimage, optimize, stats
 
 from eyespot.calibration.least_squares import accepted_range, excess_variance
-from eyespot.calibration.pixels.fit import covariance_with
+from eyespot.calibration.pixels.fit_result import covariance_with
 from eyespot.calibration.pixels.misfit import Pixels, found_misfit
 from eyespot.calibration.spots.cone_trials import Prior
 

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from eyespot.calibration.command.fit_verdict import Fitted, PixelResiduals, doubts, verdict
-from eyespot.calibration.pixels.fit import ImageFit, fit_image
+from eyespot.calibration.pixels.fit import fit_image
+from eyespot.calibration.pixels.fit_result import ImageFit
 from tests.support.light.photon_frames import footage_of, photographed, widened
 from tests.support.light.photon_stacks import Recording
 from tests.support.light.photons import Drop

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from eyespot.calibration.pixels.fit import ImageFit
+from eyespot.calibration.pixels.fit_result import ImageFit
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
 from eyespot.formats.stack import KINEMATICS
