@@ -7,7 +7,7 @@ from urllib.parse import urlencode
 from cyclopts import Parameter
 from cyclopts.types import Port
 
-from eyespot.estimator.console.command import check_free
+from eyespot.estimator.console.console_command import check_free
 from eyespot.estimator.run.options import RigChanges
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import read_rig

@@ -18,8 +18,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullLocator
 
-from eyespot.formats.page import PALETTE, templates
-from eyespot.formats.page import STYLE as STYLE_OF_FITS
+from eyespot.formats.report_page import PALETTE, templates
+from eyespot.formats.report_page import STYLE as STYLE_OF_FITS
 
 # Style, small multiples and files of figures.
 

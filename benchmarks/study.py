@@ -44,7 +44,7 @@ from eyespot.formats.whole_files import (
     write_text,
 )
 from eyespot.scenes import Scene, SceneError
-from eyespot.scenes.description.settings import OutsideWindow
+from eyespot.scenes.description.scene_keys import OutsideWindow
 from eyespot.scenes.world.true_calibration import true_calibration
 from eyespot.scenes.world.world import World
 

@@ -15,12 +15,12 @@ from eyespot.formats.calibration import (
     Calibration,
     read_calibration,
 )
-from eyespot.formats.camera import CameraSheet
+from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError, Strict
 from eyespot.formats.rig import Rig
 from eyespot.formats.rig_keys import WorkspaceKeys
 from eyespot.scenes import Scene
-from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.description.scene_keys import CameraSettings
 
 USUAL_SCALE_MM_PX = 0.0067
 """Scale of a rig that states none. Without noise no error depends on it."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docs.messages import cell, failures_page
+from docs.failures import cell, failures_page
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
 from eyespot.benchmarks.explore import drawing, state_of

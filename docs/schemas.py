@@ -136,8 +136,8 @@ KINDS = (
         "entry",
         "Entry of a leaderboard (`entry.json`)",
         "What an entrant says of its tracker; `eyespot score --entries` reads it.",
-        models=("eyespot.benchmarks.sets.score.spots:_About",),
-        meanings=("eyespot.benchmarks.sets.score.spots:ScoredEstimator",),
+        models=("eyespot.benchmarks.sets.score.scored_spots:_About",),
+        meanings=("eyespot.benchmarks.sets.score.scored_spots:ScoredEstimator",),
     ),
     FileKind(
         "glue-lens",
@@ -151,14 +151,14 @@ KINDS = (
         "Eye (TOML)",
         "An eye to look into (`viewing.eye`). Those of eyespot lie in `optics/viewing/eyes`. A "
         "value `[a, b]` is a + b times the refraction in dioptres.",
-        models=("eyespot.optics.viewing.eye:EyeFile",),
+        models=("eyespot.optics.viewing.schematic_eye:EyeFile",),
     ),
     FileKind(
         "viewing-lens",
         "Viewing lens (TOML)",
         "A contact lens, or a lens held above the eye (`viewing.lens`). Those of eyespot lie in "
         "`optics/viewing/lenses`.",
-        models=("eyespot.optics.viewing.eye:_ViewingLensFile",),
+        models=("eyespot.optics.viewing.schematic_eye:_ViewingLensFile",),
     ),
 )
 
@@ -256,7 +256,7 @@ def _stack() -> dict[str, Any]:
 
 
 def _plain_spots() -> dict[str, Any]:
-    from eyespot.benchmarks.sets.score import spots as plain_spots
+    from eyespot.benchmarks.sets.score import scored_spots as plain_spots
 
     columns = {name: _or_null(_NUMBER) for name in plain_spots.COLUMNS} | {"file_name": _TEXT}
     return _object(columns, required=iter(["file_name"]))

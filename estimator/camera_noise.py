@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from eyespot.formats.camera import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
+from eyespot.formats.camera_sheet import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
 from eyespot.formats.microscope import MicroscopeFile
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from eyespot.formats.camera import FULL_SCALE
+from eyespot.formats.camera_sheet import FULL_SCALE
 from eyespot.formats.inputs import InputError
 
 _ROWS = 8  # rows that are examined

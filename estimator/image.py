@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera_sheet import LensDistortion, Response
 
 _OUTLINE_POINTS = 180  # 2 px apart at a radius of 60 px
 

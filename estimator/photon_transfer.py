@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from eyespot.formats.camera import CameraSheet
+from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError
 
 _MIDDLE = 0.5  # share of the frame's width and height: the middle is the most even part

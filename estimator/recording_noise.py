@@ -20,7 +20,7 @@ from scipy.optimize import nnls
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.formats.camera import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
+from eyespot.formats.camera_sheet import VIDEO_BLACK, VIDEO_WHITE, CameraSheet, Response
 from eyespot.formats.inputs import InputError
 
 _CELL_PX = 6

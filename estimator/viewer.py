@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from eyespot.estimator.image import outline_px, rgb_8bit
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.inputs import InputError, in_utf8
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
 from eyespot.formats.spots import NoSpot, Spot

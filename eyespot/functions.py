@@ -94,8 +94,8 @@ def track(
         InputError: wrong options or files.
     """
     from eyespot.estimator.recording import Recording
-    from eyespot.estimator.run.command import tracked
     from eyespot.estimator.run.options import Options, prepared
+    from eyespot.estimator.run.track_command import tracked
     from eyespot.formats.spots import spots_table
 
     fps = options.pop("fps", None)

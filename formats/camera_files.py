@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import yaml
 
-from eyespot.formats.camera import LensDistortion
+from eyespot.formats.camera_sheet import LensDistortion
 from eyespot.formats.inputs import InputError, shortened
 from eyespot.formats.whole_files import damage_reported
 

@@ -23,8 +23,8 @@ from pydantic import (
 )
 from pydantic import Strict as StrictType
 
-from eyespot.formats.camera import CameraSheet, LensDistortion, Response
 from eyespot.formats.camera_files import calibration_in, camera_of
+from eyespot.formats.camera_sheet import CameraSheet, LensDistortion, Response
 from eyespot.formats.inputs import (
     InputError,
     Strict,

@@ -22,7 +22,7 @@ from pydantic import (
 )
 from pydantic.json_schema import SkipJsonSchema
 
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.inputs import (
     InputError,
     Strict,

@@ -14,7 +14,7 @@ from pydantic import (
 )
 from pydantic import Strict as StrictType
 
-from eyespot.formats.camera import CameraSheet
+from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import (
     InputError,
     Strict,

@@ -33,7 +33,7 @@ import tomli_w
 from pydantic import ConfigDict, Field, model_validator
 from pydantic import Strict as StrictType
 
-from eyespot.formats.images import read_image
+from eyespot.formats.image_files import read_image
 from eyespot.formats.inputs import (
     InputError,
     Strict,

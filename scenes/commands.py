@@ -83,7 +83,7 @@ def render(
     from eyespot.estimator.viewer import check_recording_path, record_stack
     from eyespot.formats.whole_files import refuse_existing
     from eyespot.scenes.description.scene_file import load_scene
-    from eyespot.scenes.stacks.stack import render_stack, write_preview
+    from eyespot.scenes.stacks.rendered_stack import render_stack, write_preview
     from eyespot.scenes.world.motion import frame_count
 
     settings = load_scene(scene, changes)
@@ -114,7 +114,7 @@ def render(
 def check(scene: SceneFile, /, *, changes: Changes = ()) -> None:
     """Check whether a scene file can be rendered."""
     from eyespot.scenes.description.scene_file import load_scene
-    from eyespot.scenes.stacks.stack import check_scene
+    from eyespot.scenes.stacks.rendered_stack import check_scene
 
     settings = load_scene(scene, changes)
     # Each key may be valid, but the spot may still leave the window.

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
-from eyespot.formats.camera import light_of_srgb, srgb_of_light
+from eyespot.formats.camera_sheet import light_of_srgb, srgb_of_light
 from eyespot.formats.inputs import InputError
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.description.scene_keys import CameraSettings
 
 
 def light_information(

@@ -17,7 +17,7 @@ from eyespot.benchmarks.statistics import rms
 from eyespot.calibration.pixels.data import footage_of
 from eyespot.calibration.pixels.fit import fit_image
 from eyespot.calibration.recorded_trial import recorded_trial
-from eyespot.optics.wall_light.lens import lens_parameters
+from eyespot.optics.wall_light.lens_flux import lens_parameters
 from eyespot.scenes import Scene, render_stack
 
 _CONE = {"half_angle": math.atan(1 / 20), "b": -5.117}

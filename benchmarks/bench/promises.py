@@ -35,7 +35,7 @@ from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack, turned
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord, write_spots
-from eyespot.optics.viewing.eye import load_eye
+from eyespot.optics.viewing.schematic_eye import load_eye
 
 _WIDTH_PX, _HEIGHT_PX = 1280, 960
 _FRAMES, _RATE_HZ, _SPEED_MM_S, _START_S = 24, 2.0, 0.5, 1.0

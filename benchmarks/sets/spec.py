@@ -34,7 +34,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.settings_files import parsed_change, problem_sentence
 from eyespot.scenes import Scene, SceneError, changed
-from eyespot.scenes.description.settings import OutsideWindow
+from eyespot.scenes.description.scene_keys import OutsideWindow
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 

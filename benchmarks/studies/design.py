@@ -34,11 +34,11 @@ from eyespot.benchmarks.study_command import command
 from eyespot.estimator import Frame, Reader
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import Stack
-from eyespot.optics.wall_light.lens import lens_parameters, lens_toml
+from eyespot.optics.wall_light.lens_flux import lens_parameters, lens_toml
 from eyespot.optics.wall_light.unknown_wall import distance_sigmas, lit_radii
 from eyespot.scenes import Scene
 from eyespot.scenes.walls.picture import write_random_wall
-from eyespot.scenes.world.unknown_wall import SpotLight, UnknownWallScene
+from eyespot.scenes.world.unknown_wall_bound import SpotLight, UnknownWallScene
 
 # The question: which drop, within which limits, at which distances.
 

@@ -23,9 +23,9 @@ from eyespot.calibration.spots.cone_trials import (
 )
 from eyespot.formats.inputs import read_toml
 from eyespot.optics.irradiance import in_batches
-from eyespot.optics.viewing.eye import Eye, load_viewing_lens
 from eyespot.optics.viewing.path import viewing_path
 from eyespot.optics.viewing.projection import PathCamera, path_camera
+from eyespot.optics.viewing.schematic_eye import Eye, load_viewing_lens
 from eyespot.optics.viewing.trace import Conic, Element, Medium, Refracting
 
 SCALE_MM_PX = 0.0067

@@ -27,7 +27,7 @@ from eyespot.benchmarks.study_command import command
 from eyespot.estimator import Frame
 from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.overlay import annotated, overlay_writer
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.poses import Pose, PoseTrack
 from eyespot.formats.spots import SpotRecord
 from eyespot.scenes import LiveCamera, Scene, World

@@ -21,9 +21,9 @@ from eyespot.benchmarks.study import Study
 from eyespot.benchmarks.study_command import command
 from eyespot.calibration import fit_lines
 from eyespot.estimator import LiteralSettings
-from eyespot.formats.page import PALETTE
+from eyespot.formats.report_page import PALETTE
 from eyespot.formats.whole_files import write_text
-from eyespot.optics.wall_light.lens import lens_of, lens_parameters, lens_toml
+from eyespot.optics.wall_light.lens_flux import lens_of, lens_parameters, lens_toml
 from eyespot.scenes import Scene
 from eyespot.scenes.world.world import World
 

@@ -16,7 +16,7 @@ from eyespot.formats.inputs import InputError, shortened
 
 if TYPE_CHECKING:
     from eyespot.calibration.spots.cone_trials import Prior
-    from eyespot.calibration.spots.paper import Loss
+    from eyespot.calibration.spots.paper_fits import Loss
     from eyespot.formats.calibration import Calibration
 
 _T = TypeVar("_T")

@@ -22,7 +22,7 @@ from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.estimator import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import BEAM, Calibration
-from eyespot.formats.page import PALETTE
+from eyespot.formats.report_page import PALETTE
 from eyespot.formats.spots import Spot
 
 

@@ -41,14 +41,14 @@ from eyespot.calibration.command.fit_verdict import (
     refusal,
     verdict,
 )
-from eyespot.calibration.command.models import (
+from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
+from eyespot.calibration.command.spot_models import (
     EYE,
     fit_cone_to_spots,
     fit_eye,
     fit_planes,
     fit_sphere,
 )
-from eyespot.calibration.command.pixel_models import DROP, fit_image_of_cone, fit_image_of_lens
 from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS

@@ -15,7 +15,7 @@ from eyespot.calibration.pixels.data import Footage
 from eyespot.calibration.recorded_trial import FREE_TOUCH, RecordedTrial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.formats.inputs import InputError
-from eyespot.optics.wall_light.lens import lens_of
+from eyespot.optics.wall_light.lens_flux import lens_of
 
 _SAGS = (0.02, 0.08, 0.25, 0.5)
 """Heights of the cap over the core's radius: nearly flat to a round drop."""
@@ -54,7 +54,7 @@ def guessed_lenses(
     Args:
         recording: the measured spots.
         footage: the images.
-        kind: `optics.wall_light.lens.PARAMETERS` of a lens of the same fibre, compared too.
+        kind: `optics.wall_light.lens_flux.PARAMETERS` of a lens of the same fibre, compared too.
         priors: of the drop, where it is not known.
 
     Yields:

@@ -16,7 +16,7 @@ from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.comparisons import pixels_against_rig, priors_against_images
 from eyespot.calibration.command.fit_verdict import Fitted, PixelResiduals, bounds_hit
 from eyespot.calibration.command.lens_guess import guessed_lenses
-from eyespot.calibration.command.models import cone_from, cone_start, free_core, known_cone
+from eyespot.calibration.command.spot_models import cone_from, cone_start, free_core, known_cone
 from eyespot.calibration.least_squares import propagated
 from eyespot.calibration.pixels.data import CONE, FREE, LENS, UNITS, Footage, footage_of
 from eyespot.calibration.pixels.fit import fit_image
@@ -40,7 +40,7 @@ from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, OF_MICROSCOPE, Calibration
 from eyespot.formats.inputs import InputError
-from eyespot.optics.wall_light.lens import lens_parameters
+from eyespot.optics.wall_light.lens_flux import lens_parameters
 
 _APERTURE = 0.05  # numerical: start value
 _BLUR_PX = 1.0  # start value: a camera in focus

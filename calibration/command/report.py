@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from eyespot.calibration.command.crossed import Crossed
 from eyespot.calibration.command.fit_verdict import Doubt, Fault, Fitted, PixelResiduals
 from eyespot.calibration.least_squares import SIGNIFICANCE, accepted_range, slow_waves
-from eyespot.formats.page import PALETTE, STYLE, in_figure, templates
+from eyespot.formats.report_page import PALETTE, STYLE, in_figure, templates
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 _STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale

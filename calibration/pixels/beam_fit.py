@@ -32,7 +32,7 @@ from eyespot.calibration.pixels.lens_light import NEAREST_MM, Coordinates, Linea
 from eyespot.calibration.pixels.light import SHIFT, STATES, TIP, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior, Prior, prior_terms
 from eyespot.formats.inputs import InputError
-from eyespot.optics.wall_light.lens import TABLE_ERROR
+from eyespot.optics.wall_light.lens_flux import TABLE_ERROR
 
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""

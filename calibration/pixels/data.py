@@ -19,7 +19,7 @@ from eyespot.estimator.recording import Recording
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.optics.instrument import BareFibre
-from eyespot.optics.wall_light.lens import PARAMETERS as LENS
+from eyespot.optics.wall_light.lens_flux import PARAMETERS as LENS
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from eyespot.calibration.least_squares import NormalEquations
 from eyespot.calibration.pixels.data import LENS, Footage
-from eyespot.optics.wall_light.lens import (
+from eyespot.optics.wall_light.lens_flux import (
     FLATTEST,
     LensSamples,
     LensTable,

@@ -27,7 +27,7 @@ from eyespot.calibration.spots.cone_trials import (
     reading_at,
     undelayed,
 )
-from eyespot.estimator.pixels.beam import blurred, blurred_with_growth
+from eyespot.estimator.pixels.beam_on_cells import blurred, blurred_with_growth
 from eyespot.optics.wall_light.cells import NODES, CellBeam, pixels_see, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.pose_light import (

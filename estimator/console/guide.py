@@ -17,7 +17,7 @@ from typing import IO
 import numpy as np
 
 from eyespot.estimator.console.session import CoursePoint, Session
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import NoSpot, Spot

@@ -22,7 +22,7 @@ from eyespot.estimator.run.overlay import RIG_RATE_HZ
 from eyespot.estimator.run.reader import Reader, Reading
 from eyespot.estimator.sources.ros import write_bag
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.poses import Pose, PoseTrack

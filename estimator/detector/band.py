@@ -12,7 +12,7 @@ from statistics import NormalDist
 import cv2
 import numpy as np
 
-from eyespot.estimator.detector.ellipse import (
+from eyespot.estimator.detector.ellipse_rays import (
     DESIGN,
     AffineEllipse,
     Patch,

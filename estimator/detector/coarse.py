@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse
 from eyespot.estimator.detector.tuning import Channel, Search, Small, Verdict
 from eyespot.estimator.frame_window import Window
-from eyespot.formats.camera import GREY, GREY_WEIGHTS
+from eyespot.formats.camera_sheet import GREY, GREY_WEIGHTS
 
 
 def channel_for(

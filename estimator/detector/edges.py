@@ -14,7 +14,7 @@ import numpy as np
 
 from eyespot.estimator.detector.band import Band, Refined, refine_sharp
 from eyespot.estimator.detector.coarse import Coarse
-from eyespot.estimator.detector.ellipse import (
+from eyespot.estimator.detector.ellipse_rays import (
     DESIGN,
     AffineEllipse,
     Patch,

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.coarse import Coarse
-from eyespot.estimator.detector.ellipse import DESIGN, AffineEllipse, Patch
+from eyespot.estimator.detector.ellipse_rays import DESIGN, AffineEllipse, Patch
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, Sharp, WideView
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)

@@ -31,7 +31,7 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
 

@@ -22,9 +22,8 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.coarse import Coarse, bright_regions
-from eyespot.estimator.detector.contour import Region, contour_of, patch_round
 from eyespot.estimator.detector.edges import EdgeFit, fit_edge
-from eyespot.estimator.detector.ellipse import (
+from eyespot.estimator.detector.ellipse_rays import (
     AffineEllipse,
     Patch,
     contour_points,
@@ -34,6 +33,7 @@ from eyespot.estimator.detector.ellipse import (
 )
 from eyespot.estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from eyespot.estimator.detector.pixel_fit import SmallSpot, fit_to_pixels
+from eyespot.estimator.detector.spot_contour import Region, contour_of, patch_round
 from eyespot.estimator.detector.tuning import (
     RAYS,
     Motion,
@@ -44,7 +44,7 @@ from eyespot.estimator.detector.tuning import (
     Verdict,
 )
 from eyespot.estimator.frame_window import Window
-from eyespot.formats.camera import GREY, LensDistortion
+from eyespot.formats.camera_sheet import GREY, LensDistortion
 from eyespot.formats.spots import NoSpot, Reason
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)

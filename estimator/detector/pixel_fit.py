@@ -26,7 +26,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 from scipy.special import i1e
 
-from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse
 from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
 from eyespot.estimator.information import Information

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import Levels
 from eyespot.estimator.detector.tuning import RAYS, Saturated
 from eyespot.estimator.information import Information

@@ -8,12 +8,13 @@ blur. The wall's reflectance is removed as far as the frame shows it.
 Colour frames are measured on their grey mean (the weights of cv2's RGB2GRAY), which has the least
 noise. If one channel is clearly brighter in the spot, texture is weaker there, and that channel is
 used (on a retina red, which hardly shows vessels). If a channel is saturated, the least saturated
-one is used. Texture that differs between colours is removed from broad edges first (`contour.py`).
+one is used. Texture that differs between colours is removed from broad edges first
+(`spot_contour.py`).
 """
 
 from dataclasses import dataclass, field
 
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.inputs import InputError
 
 

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import RAYS, SpotProfile
 from eyespot.estimator.frame_window import Window, checked_frame
-from eyespot.formats.camera import GREY, LensDistortion, Response
+from eyespot.formats.camera_sheet import GREY, LensDistortion, Response
 from eyespot.formats.spots import Spot
 
 LEVELS = SpotProfile.LEVELS

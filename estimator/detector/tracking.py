@@ -15,19 +15,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from eyespot.estimator.detector.coarse import is_of_lattice
-from eyespot.estimator.detector.contour import (
+from eyespot.estimator.detector.edges import EdgeFit
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse
+from eyespot.estimator.detector.levels import dark_radius
+from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
+from eyespot.estimator.detector.measuring import rim_on
+from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.spot_contour import (
     Region,
     contour_of,
     region_at,
     regions_in,
     small_regions_in,
 )
-from eyespot.estimator.detector.edges import EdgeFit
-from eyespot.estimator.detector.ellipse import AffineEllipse
-from eyespot.estimator.detector.levels import dark_radius
-from eyespot.estimator.detector.literal import LiteralSettings, measure_literal
-from eyespot.estimator.detector.measuring import rim_on
-from eyespot.estimator.detector.settings import SubpixelSettings
 from eyespot.estimator.detector.tuning import Faint, Refine, Small, Verdict
 from eyespot.estimator.detector.verdict import (
     Sighting,

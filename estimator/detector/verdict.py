@@ -9,9 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from eyespot.estimator.detector.contour import Region
 from eyespot.estimator.detector.edges import EdgeFit
-from eyespot.estimator.detector.ellipse import (
+from eyespot.estimator.detector.ellipse_rays import (
     AffineEllipse,
     contour_points,
     covariance_of_axes,
@@ -28,6 +27,7 @@ from eyespot.estimator.detector.measuring import (
 )
 from eyespot.estimator.detector.pixel_fit import SmallSpot
 from eyespot.estimator.detector.settings import SubpixelSettings
+from eyespot.estimator.detector.spot_contour import Region
 from eyespot.estimator.detector.tuning import (
     RAYS,
     FieldStop,

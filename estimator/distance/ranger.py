@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eyespot.estimator.detector.ellipse import AffineEllipse
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse
 from eyespot.estimator.detector.shape import spot_shape
 from eyespot.estimator.distance.cone_range import (
     UNKNOWN_SIGMA_PX,

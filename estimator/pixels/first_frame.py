@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.pixels.beam import BeamLight, Sweep
+from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep
 from eyespot.estimator.pixels.frame_cells import COUNT, STILL, CellWindow, WallMotion
 from eyespot.estimator.pixels.frame_fit import (
     STEPS,

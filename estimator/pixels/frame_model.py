@@ -22,7 +22,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from eyespot.estimator.pixels.beam import BeamLight, Sweep, blurred
+from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep, blurred
 from eyespot.estimator.pixels.frame_cells import COUNT, SHADES, CellLight, CellWindow, rolled
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE, BeamFrame

@@ -31,7 +31,7 @@ from eyespot.estimator.pixels.frame_cells import (
     WallMotion,
 )
 from eyespot.estimator.pixels.pose_solver import PoseSolution
-from eyespot.formats.camera import GREY_WEIGHTS
+from eyespot.formats.camera_sheet import GREY_WEIGHTS
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Outline
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from eyespot.estimator.pixels.beam import Sweep
+from eyespot.estimator.pixels.beam_on_cells import Sweep
 from eyespot.estimator.pixels.first_frame import (
     MOVES_ON_PX,
     REACH,

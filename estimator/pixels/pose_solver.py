@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
 from eyespot.estimator.information import Information
-from eyespot.estimator.pixels.beam import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
+from eyespot.estimator.pixels.beam_on_cells import LEAST_KURTOSIS, MOST_KURTOSIS, BeamLight
 from eyespot.estimator.pixels.frame_cells import COUNT, CellWindow
 from eyespot.estimator.pixels.frame_model import (
     AMBIENT,

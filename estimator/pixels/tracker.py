@@ -18,7 +18,7 @@ from eyespot.estimator.distance.cone_range import calibrated_view
 from eyespot.estimator.distance.range import Range, WallMemory
 from eyespot.estimator.ghost import FRAMES_TO_DENY
 from eyespot.estimator.pixels.acceptance import flag_of, ghost_pull, range_of, shake_covariance
-from eyespot.estimator.pixels.beam import BeamLight, Sweep
+from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep
 from eyespot.estimator.pixels.first_frame import (
     Hypothesis,
     Observation,
@@ -37,7 +37,7 @@ from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.spots import Outline, Reason
 from eyespot.formats.stated import USUAL_SHAKE_PX
 from eyespot.optics.wall_light.cone import UniformCone
-from eyespot.optics.wall_light.lens import (
+from eyespot.optics.wall_light.lens_flux import (
     FLATTEST,
     PARAMETERS,
     TABLE_CODE,

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from eyespot.estimator.distance.range import TipPose
-from eyespot.estimator.rig.rig import RigOutput
+from eyespot.estimator.rig.rig_reader import RigOutput
 from eyespot.formats.poses import Pose
 
 PERIOD_S = 1.0  # how often a node should look

@@ -20,7 +20,7 @@ from eyespot.estimator.rig.messages import (
     messages_of,
     status_message,
 )
-from eyespot.estimator.rig.rig import ImageReader, Parameters, opened_rig
+from eyespot.estimator.rig.rig_reader import ImageReader, Parameters, opened_rig
 from eyespot.estimator.rig.ros1 import Ros1
 from eyespot.estimator.rig.ros2 import Ros2
 from eyespot.formats.inputs import InputError

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from typing import Any, Self
 
 from eyespot.estimator.rig.messages import PERIOD_S
-from eyespot.estimator.rig.rig import POSES_KEPT, Parameters
+from eyespot.estimator.rig.rig_reader import POSES_KEPT, Parameters
 from eyespot.formats.inputs import InputError
 
 _DEBIAN_PACKAGES = "/usr/lib/python3/dist-packages"  # rospy, outside of environments

@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Self
 
 from eyespot.estimator.rig.messages import PERIOD_S
-from eyespot.estimator.rig.rig import POSES_KEPT, Parameters
+from eyespot.estimator.rig.rig_reader import POSES_KEPT, Parameters
 from eyespot.formats.inputs import InputError
 from eyespot.formats.ros_bags import stamp_s
 

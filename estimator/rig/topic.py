@@ -7,7 +7,7 @@ from typing import Any
 
 from eyespot.estimator.rig.messages import PERIOD_S, Silence, image_type
 from eyespot.estimator.rig.node import ros_here
-from eyespot.estimator.rig.rig import RecentPoses
+from eyespot.estimator.rig.rig_reader import RecentPoses
 from eyespot.estimator.sources.ros import decoded_frame
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.inputs import InputError

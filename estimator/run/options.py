@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from eyespot.estimator.recording import Recording
     from eyespot.estimator.run.reader import Reader
     from eyespot.formats.calibration import Calibration
-    from eyespot.formats.camera import Response
+    from eyespot.formats.camera_sheet import Response
     from eyespot.formats.microscope import MicroscopeFile
     from eyespot.formats.rig import Rig
 

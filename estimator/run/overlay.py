@@ -13,7 +13,7 @@ import numpy as np
 
 from eyespot.estimator.image import outline_px, rgb_8bit
 from eyespot.estimator.sources.source import Frame
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, SpotRecord
 from eyespot.formats.whole_files import errors_named, written_whole

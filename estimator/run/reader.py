@@ -307,7 +307,7 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
             self._ranger.forget()
 
     def _distance(self, result: Spot | NoSpot, frame: Frame, poses: PoseTrack) -> Found:
-        from eyespot.estimator.pixels.beam import NODES, Sweep
+        from eyespot.estimator.pixels.beam_on_cells import NODES, Sweep
         from eyespot.estimator.pixels.frame_model import Direction, RobotPose
 
         direction = sweep = robot = None

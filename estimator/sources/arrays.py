@@ -10,7 +10,7 @@ import numpy as np
 
 from eyespot.estimator.frame_window import checked_frame
 from eyespot.estimator.sources.source import AGAIN, Frame, Source
-from eyespot.formats.images import check_pixels
+from eyespot.formats.image_files import check_pixels
 from eyespot.formats.inputs import InputError, in_utf8
 from eyespot.formats.whole_files import damage_reported
 

@@ -17,7 +17,7 @@ from eyespot.estimator.sources.edit_list import shown_share
 from eyespot.estimator.sources.source import AGAIN, Frame, Source, note_of_turn, notes_of_aspect
 from eyespot.estimator.sources.times import times_of
 from eyespot.formats.foreign import what_it_is
-from eyespot.formats.images import (
+from eyespot.formats.image_files import (
     check_pixels,
     image_of_page,
     opened_tiff,

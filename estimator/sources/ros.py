@@ -21,7 +21,7 @@ import numpy as np
 
 from eyespot.estimator.frame_window import checked_frame
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.images import decoded_image
+from eyespot.formats.image_files import decoded_image
 from eyespot.formats.inputs import InputError, in_file, shortened
 from eyespot.formats.poses import POSE_MESSAGES, POSE_TOPIC, Pose
 from eyespot.formats.ros_bags import messages_of, opened_bag, stamp_s, topic_in

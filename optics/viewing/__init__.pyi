@@ -1,7 +1,3 @@
-from .eye import Eye as Eye
-from .eye import eye_names as eye_names
-from .eye import load_eye as load_eye
-from .eye import load_viewing_lens as load_viewing_lens
 from .path import DILATED_MM as DILATED_MM
 from .path import FORMS as FORMS
 from .path import LinesOfSight as LinesOfSight
@@ -21,6 +17,10 @@ from .projection import side_camera as side_camera
 from .projection import wall_point as wall_point
 from .reflex import Reflex as Reflex
 from .reflex import reflexes as reflexes
+from .schematic_eye import Eye as Eye
+from .schematic_eye import eye_names as eye_names
+from .schematic_eye import load_eye as load_eye
+from .schematic_eye import load_viewing_lens as load_viewing_lens
 from .trace import MISSED as MISSED
 from .trace import REFLECTED as REFLECTED
 from .trace import SEEN as SEEN

@@ -13,7 +13,7 @@ import optimistix as optx
 from jaxtyping import Array, Float, Int, ScalarLike
 
 from eyespot.formats.inputs import InputError
-from eyespot.optics.viewing.eye import Eye
+from eyespot.optics.viewing.schematic_eye import Eye
 from eyespot.optics.viewing.trace import Conic, Element, Iris, Medium, Refracting, TracedRays, trace
 
 SERIES_TERMS = 28  # powers of the squared distance t² from the axis, up to the widest t

@@ -10,7 +10,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from eyespot.scenes.description.settings import SceneTable, Seed
+from eyespot.scenes.description.scene_keys import SceneTable, Seed
 
 _Part = Annotated[float, Field(ge=0, le=0.2)]
 _Length = Annotated[float, Field(ge=0, le=50)]

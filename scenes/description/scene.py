@@ -14,7 +14,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from eyespot.formats.inputs import InputError
 from eyespot.scenes.description.rig_errors import RigErrors
-from eyespot.scenes.description.settings import (
+from eyespot.scenes.description.scene_keys import (
     CONE_AT_THE_TIP,
     REAL_PINHOLE_HEIGHT_MM,
     CameraSettings,

@@ -24,7 +24,7 @@ from eyespot.formats.settings_files import (
     table_lines,
 )
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import (
+from eyespot.scenes.description.scene_keys import (
     CONE_AT_THE_TIP,
     MOTIONS,
     OF_THE_RETINA,

@@ -19,7 +19,7 @@ from eyespot import optics
 from eyespot.formats.inputs import InputError
 from eyespot.optics.viewing.projection import PathCamera, coaxial_falloff
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import GAUGE_DIAMETER_MM, Phantom
+from eyespot.scenes.description.scene_keys import GAUGE_DIAMETER_MM, Phantom
 from eyespot.scenes.rendering.loaded_scene import rigid_transform
 from eyespot.scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
 from eyespot.scenes.world.world import World

@@ -25,7 +25,7 @@ from scipy.stats import qmc
 from eyespot import optics
 from eyespot.formats.inputs import InputError
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.description.scene_keys import SceneError
 from eyespot.scenes.rendering import build
 from eyespot.scenes.world.world import World
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.description.scene_keys import SceneError
 from eyespot.scenes.machine.variant import load_mitsuba
 from eyespot.scenes.world.exposure import uniform_irradiance
 from eyespot.scenes.world.world import Moment, World

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from eyespot import optics
-from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.description.scene_keys import SceneError
 from eyespot.scenes.rendering.render import Exposed, FineWall, ImageWindow, Renderer
 from eyespot.scenes.sensor import light_information
 from eyespot.scenes.world.world import World

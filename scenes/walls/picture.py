@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from eyespot.formats.camera import light_of_srgb, srgb_of_light
-from eyespot.formats.images import read_image
+from eyespot.formats.camera_sheet import light_of_srgb, srgb_of_light
+from eyespot.formats.image_files import read_image
 from eyespot.formats.inputs import InputError, shortened
 from eyespot.optics.wall_light.unknown_wall import texture
-from eyespot.scenes.description.settings import Phantom, SceneError
+from eyespot.scenes.description.scene_keys import Phantom, SceneError
 from eyespot.scenes.walls.fundus import fundus
 
 

@@ -5,8 +5,8 @@ import math
 import numpy as np
 
 from eyespot import optics
-from eyespot.formats.camera import GREY_WEIGHTS
-from eyespot.scenes.description.settings import SceneError
+from eyespot.formats.camera_sheet import GREY_WEIGHTS
+from eyespot.scenes.description.scene_keys import SceneError
 from eyespot.scenes.world.motion import longest_exposure
 from eyespot.scenes.world.world import World
 

@@ -11,13 +11,13 @@ from scipy.optimize import brentq
 
 from eyespot import optics
 from eyespot.optics.lines import directions_across, generator_angles
-from eyespot.optics.viewing.eye import load_eye, load_viewing_lens
 from eyespot.optics.viewing.path import ViewingPath, viewing_path
 from eyespot.optics.viewing.pencil import Pencils, focal_depth, pencils
 from eyespot.optics.viewing.projection import PathCamera, path_camera
 from eyespot.optics.viewing.reflex import Reflex, reflexes
+from eyespot.optics.viewing.schematic_eye import load_eye, load_viewing_lens
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import SceneError
+from eyespot.scenes.description.scene_keys import SceneError
 
 _PLACES = 400
 

@@ -12,7 +12,7 @@ from eyespot import optics
 from eyespot.formats.inputs import in_file
 from eyespot.formats.poses import read_poses
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import (
+from eyespot.scenes.description.scene_keys import (
     MOST_FRAMES,
     Hand,
     Recorded,

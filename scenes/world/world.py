@@ -13,7 +13,7 @@ from eyespot import optics
 from eyespot.formats.kept_arrays import kept_arrays
 from eyespot.optics.viewing.projection import PathCamera
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.description.settings import OutsideWindow, SceneError
+from eyespot.scenes.description.scene_keys import OutsideWindow, SceneError
 from eyespot.scenes.walls.picture import wall_colour, wall_spread
 from eyespot.scenes.world.geometry import (
     SceneGeometry,

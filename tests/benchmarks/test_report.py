@@ -37,7 +37,7 @@ from eyespot.benchmarks.studies.validate import ValidateFindings, claims, report
 from eyespot.benchmarks.study import Study
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.formats.stack import FrameLabels
-from eyespot.scenes.description.settings import Withdrawal
+from eyespot.scenes.description.scene_keys import Withdrawal
 from tests.support.drawn.drawn_sets import labels_of
 
 K, B, SCALE = 19.7, -5.1, 0.0067

@@ -21,7 +21,7 @@ from eyespot.benchmarks.rivals.pupil import why_unavailable
 from eyespot.benchmarks.rivals.running import read_constants, run, tune
 from eyespot.benchmarks.sets.read import plain_spot, stacks_of
 from eyespot.benchmarks.sets.score.judging import images_of
-from eyespot.benchmarks.sets.score.spots import read_set_spots
+from eyespot.benchmarks.sets.score.scored_spots import read_set_spots
 from eyespot.benchmarks.sets.spec import load_spec, named_specs, plan
 from eyespot.estimator import Frame
 from eyespot.formats.inputs import InputError

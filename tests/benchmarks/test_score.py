@@ -16,11 +16,11 @@ import pytest
 
 from eyespot.benchmarks.reporting import Picture, rows_of, where
 from eyespot.benchmarks.sets.read import stacks_of
-from eyespot.benchmarks.sets.score import spots as spots_of_set
+from eyespot.benchmarks.sets.score import scored_spots as spots_of_set
 from eyespot.benchmarks.sets.score.judging import Score, images_of, score, with_derived
 from eyespot.benchmarks.sets.score.leaderboard_page import leaderboard
 from eyespot.benchmarks.sets.score.score_command import tables
-from eyespot.benchmarks.sets.score.spots import ScoredEstimator, read_set_spots
+from eyespot.benchmarks.sets.score.scored_spots import ScoredEstimator, read_set_spots
 from eyespot.estimator import Source, track_whole_source
 from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
 from tests.support.command_line import call, printed

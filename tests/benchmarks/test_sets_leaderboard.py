@@ -13,7 +13,7 @@ import pytest
 from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.sets.read import stacks_of
 from eyespot.benchmarks.sets.score.judging import ALL, Outcome, images_of, standings, with_derived
-from eyespot.benchmarks.sets.score.spots import entries_in, read_any_spots
+from eyespot.benchmarks.sets.score.scored_spots import entries_in, read_any_spots
 from eyespot.formats.inputs import InputError
 from tests.support.command_line import call, printed
 from tests.support.drawn.drawn_sets import image_row, labels_of

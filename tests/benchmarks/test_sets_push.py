@@ -14,7 +14,7 @@ import pytest
 
 from eyespot.benchmarks.sets.make import push
 from eyespot.benchmarks.sets.read import SetError, verify_set
-from eyespot.benchmarks.sets.score.spots import sample_folder
+from eyespot.benchmarks.sets.score.scored_spots import sample_folder
 from eyespot.formats.inputs import InputError
 from tests.support.command_line import printed
 

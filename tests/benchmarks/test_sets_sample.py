@@ -11,7 +11,7 @@ import pytest
 
 from eyespot.benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from eyespot.benchmarks.sets.score.judging import images_of
-from eyespot.benchmarks.sets.score.spots import NAME, sample_folder
+from eyespot.benchmarks.sets.score.scored_spots import NAME, sample_folder
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from tests.support.command_line import call, printed
 

@@ -11,7 +11,7 @@ from eyespot.benchmarks.studies.design import LIMITS, DropSearch, limits_in
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.unknown_wall import lit_radii, texture
 from eyespot.scenes.walls.picture import wall_picture, write_random_wall
-from eyespot.scenes.world.unknown_wall import UnknownWallScene
+from eyespot.scenes.world.unknown_wall_bound import UnknownWallScene
 
 DISTANCES = [1.0, 3.0]
 SCENE = scenes.load_scene(None, ("source.medium=vitreous",))

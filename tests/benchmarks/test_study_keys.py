@@ -14,7 +14,7 @@ from eyespot.benchmarks.studies.pose import VARIED as VARIED_BY_POSE
 from eyespot.benchmarks.studies.table_one import VARIED as VARIED_BY_TABLE_ONE
 from eyespot.scenes import Scene
 from eyespot.scenes.description import scene_file
-from eyespot.scenes.description.settings import SceneTable
+from eyespot.scenes.description.scene_keys import SceneTable
 
 IDLE = (
     *("phantom.reflectance", "seed", "schema", "second_tool.*", "viewing.*", "unrest.*"),

@@ -10,7 +10,7 @@ from eyespot.benchmarks.workspace import scene_of_rig, workspace_of_scene
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import Rig
 from eyespot.scenes import Scene
-from eyespot.scenes.description.settings import OutsideWindow
+from eyespot.scenes.description.scene_keys import OutsideWindow
 from eyespot.scenes.world.world import World
 
 NUMBERS = {

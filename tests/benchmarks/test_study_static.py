@@ -21,8 +21,8 @@ from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.studies import static, table_one
 from eyespot.benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane
 from eyespot.benchmarks.studies.table_one import best_choice, lens_values
-from eyespot.calibration.spots.paper import fit_lines
-from eyespot.optics.wall_light.lens import lens_of
+from eyespot.calibration.spots.paper_fits import fit_lines
+from eyespot.optics.wall_light.lens_flux import lens_of
 from eyespot.scenes.world.exposure import peak_irradiance
 from eyespot.scenes.world.world import World
 

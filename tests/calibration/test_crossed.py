@@ -16,7 +16,7 @@ from eyespot.calibration.command.comparisons import cone_against_rig, priors_aga
 from eyespot.calibration.command.crossed import as_stated, crossed, read_by_cone
 from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.fitting import without_foreign
-from eyespot.calibration.command.models import fit_cone_to_spots
+from eyespot.calibration.command.spot_models import fit_cone_to_spots
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.calibration.tolerances import PriorOutcome

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.models import fit_eye
+from eyespot.calibration.command.spot_models import fit_eye
 from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.inputs import InputError
 from tests.support.command_line import call, printed

@@ -18,7 +18,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.microscope import read_microscope
-from eyespot.optics.wall_light.lens import lens_parameters
+from eyespot.optics.wall_light.lens_flux import lens_parameters
 from tests.support.command_line import printed
 from tests.support.drawn.made_up import DOME, a_spot
 from tests.support.drawn.scene_tables import scene_of

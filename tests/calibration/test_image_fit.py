@@ -22,19 +22,19 @@ from eyespot.calibration.pixels.light import STATES, Cells, FrameLight, Light
 from eyespot.calibration.spots.cone_trials import JointPrior
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.distance.withdrawal import DELAYS, withdrawal_of
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
-from eyespot.optics.wall_light.lens import (
+from eyespot.optics.wall_light.lens_flux import (
     lens_of,
     lens_parameters,
     lens_samples,
 )
 from eyespot.scenes import Renderer, Scene, render_stack
-from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.description.scene_keys import CameraSettings
 from eyespot.scenes.sensor import expose
 from eyespot.scenes.world.world import World
 from tests.support.drawn.drawn_sets import with_false_labels

@@ -15,7 +15,7 @@ from eyespot.calibration.pixels.lens_light import cap_of, cap_shape, cap_slopes
 from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.estimator.recording import Recording
-from eyespot.optics.wall_light.lens import lens_parameters
+from eyespot.optics.wall_light.lens_flux import lens_parameters
 from tests.support.drawn.drawn_sets import with_false_labels
 from tests.support.drawn.scene_tables import scene_of
 

@@ -5,7 +5,7 @@ import pytest
 
 from eyespot import optics
 from eyespot.calibration import Prior, fit_plane
-from eyespot.calibration.spots.paper import PlaneTrial, fit_plane_trials
+from eyespot.calibration.spots.paper_fits import PlaneTrial, fit_plane_trials
 from tests.support.drawn.exact_spots import exact_spots
 
 DELTA_K, B = 0.134, -5.117

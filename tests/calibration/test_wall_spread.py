@@ -15,7 +15,7 @@ from eyespot.calibration.pixels.data import POSE
 from eyespot.calibration.pixels.light import Cells, Light
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.formats.stack import Stack
-from eyespot.optics.wall_light.lens import Grid, LensTable
+from eyespot.optics.wall_light.lens_flux import Grid, LensTable
 from eyespot.scenes import Scene, render_stack
 from tests.support.drawn.made_up import a_footage, a_lens_table, a_microscope
 from tests.support.drawn.scene_tables import scene_of

@@ -8,14 +8,14 @@ import pytest
 
 from eyespot.estimator import Frame, LiteralSettings, SubpixelSettings, TrackState, measure
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import Levels
 from eyespot.estimator.detector.saturated_flank import hidden_edge
 from eyespot.estimator.detector.tuning import RAYS
 from eyespot.estimator.photon_transfer import measured_noise
 from eyespot.estimator.pixels.frame_pixels import FramePixels
 from eyespot.estimator.run.options import Options
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, any_truth, any_wall, erf_edge, frame_of

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import Frame, Source
-from eyespot.estimator.console.command import check_free
+from eyespot.estimator.console.console_command import check_free
 from eyespot.estimator.console.guide import Guide, Stage, exposure_advice
 from eyespot.estimator.console.session import Session, View, svg_of
 from eyespot.estimator.distance.range import Range, TipPose
@@ -24,7 +24,7 @@ from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.reader import Reading
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.calibration import read_calibration
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack, read_poses

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eyespot.estimator.detector.ellipse import (
+from eyespot.estimator.detector.ellipse_rays import (
     AffineEllipse,
     covariance_of_axes,
     offset_design,

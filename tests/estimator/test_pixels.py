@@ -22,7 +22,7 @@ from eyespot.benchmarks.sets.read import true_beam
 from eyespot.estimator import Frame, SubpixelSettings, TrackState, measure
 from eyespot.estimator.distance.range import WallMemory
 from eyespot.estimator.pixels import tracker
-from eyespot.estimator.pixels.beam import BeamLight
+from eyespot.estimator.pixels.beam_on_cells import BeamLight
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.opening import open_source

@@ -10,7 +10,7 @@ from scipy.special import k1
 from scipy.stats import norm
 
 from eyespot import optics
-from eyespot.estimator.pixels.beam import BeamLight, blurred, blurred_with_growth
+from eyespot.estimator.pixels.beam_on_cells import BeamLight, blurred, blurred_with_growth
 from eyespot.estimator.pixels.frame_cells import COUNT, STILL, CellLight, CellWindow, rolled
 from eyespot.estimator.pixels.frame_fit import registered
 from eyespot.estimator.pixels.frame_model import (

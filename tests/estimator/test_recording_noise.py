@@ -6,9 +6,9 @@ import pytest
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.recording_noise import noise_of_frames
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.inputs import InputError
-from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.description.scene_keys import CameraSettings
 from eyespot.scenes.sensor import after_jpeg, expose
 
 SHAPE = 360, 480

@@ -31,7 +31,7 @@ from eyespot.estimator import LiteralSettings
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.estimator.rig import node as rig_node
 from eyespot.estimator.rig.messages import Silence
-from eyespot.estimator.rig.rig import WAY_FRAMES, ImageReader, Parameters
+from eyespot.estimator.rig.rig_reader import WAY_FRAMES, ImageReader, Parameters
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope

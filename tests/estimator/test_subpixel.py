@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.measure import EllipseModel, find_contours
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from eyespot.formats.camera import Response
+from eyespot.formats.camera_sheet import Response
 from eyespot.formats.spots import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import (
     SHAPE,

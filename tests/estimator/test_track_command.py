@@ -21,7 +21,7 @@ from eyespot.estimator.run.overlay import annotated, overlay_writer
 from eyespot.estimator.sources.ros import write_bag
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.calibration import read_calibration, write_calibration
-from eyespot.formats.camera import LensDistortion, Response
+from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack
 from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots

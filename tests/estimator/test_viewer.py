@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from eyespot.estimator.rig.rig import Parameters, opened_rig
+from eyespot.estimator.rig.rig_reader import Parameters, opened_rig
 from eyespot.estimator.viewer import check_recording_path, record_stack
 from eyespot.formats.spots import Spot, read_spots
 from eyespot.formats.stack import read_stack

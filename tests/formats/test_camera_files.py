@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure
-from eyespot.formats.camera import LensDistortion
+from eyespot.formats.camera_sheet import LensDistortion
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spots import Spot

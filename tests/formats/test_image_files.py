@@ -19,8 +19,8 @@ from tifffile import TiffWriter
 from eyespot.estimator import SubpixelSettings, track
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame
-from eyespot.formats.camera import Response
-from eyespot.formats.images import decoded_image
+from eyespot.formats.camera_sheet import Response
+from eyespot.formats.image_files import decoded_image
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Spot
 from tests.support.drawn.drawn_recording import write_video

@@ -10,7 +10,7 @@ import pytest
 
 from eyespot import optics
 from eyespot.formats.kept_arrays import kept_arrays
-from eyespot.optics.wall_light.lens import TABLE_CODE
+from eyespot.optics.wall_light.lens_flux import TABLE_CODE
 
 
 def saved(**arrays: Any) -> bytes:

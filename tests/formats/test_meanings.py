@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eyespot.benchmarks.sets.read import SetError, check_unchanged, stacks_of
-from eyespot.benchmarks.sets.score.spots import entry_of, read_any_spots, sample_folder
+from eyespot.benchmarks.sets.score.scored_spots import entry_of, read_any_spots, sample_folder
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Spot, read_spots
 from eyespot.formats.stack import read_stack

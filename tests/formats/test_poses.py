@@ -8,7 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from eyespot.estimator.distance.withdrawal import withdrawal_of
-from eyespot.estimator.rig.rig import RecentPoses
+from eyespot.estimator.rig.rig_reader import RecentPoses
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack, RobotKeys, poses_of_table, read_poses
 

@@ -12,7 +12,7 @@ from eyespot.estimator import Recording
 from eyespot.estimator.run.option_names import MOVED
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.rig_check import checked
-from eyespot.formats.camera import CameraSheet
+from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack
 from eyespot.formats.rig import Rig, read_rig, rig_in, rig_template

@@ -25,7 +25,7 @@ from eyespot.formats.rig import read_rig
 from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.optics import load_lens
-from eyespot.optics.viewing import eye
+from eyespot.optics.viewing import schematic_eye as eye
 from eyespot.scenes import Scene
 from eyespot.scenes.description.scene_file import load_scene, scene_toml
 from tests.house.test_bad_input import RIG

@@ -38,8 +38,8 @@ from eyespot.formats.rig import Rig, read_rig
 from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.optics import glue_lens, load_lens
-from eyespot.optics.viewing import eye
-from eyespot.optics.viewing.eye import load_eye
+from eyespot.optics.viewing import schematic_eye as eye
+from eyespot.optics.viewing.schematic_eye import load_eye
 from eyespot.scenes.description.scene_file import load_scene, scene_toml
 from eyespot.scenes.walls.picture import wall_image
 from eyespot.scenes.world.motion import frame_count, kinematics

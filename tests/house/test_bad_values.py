@@ -10,7 +10,7 @@ import pytest
 
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.calibration import read_calibration
-from eyespot.formats.images import MOST_PIXELS, decoded_image
+from eyespot.formats.image_files import MOST_PIXELS, decoded_image
 from eyespot.formats.inputs import InputError, read_data
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import read_poses

@@ -4,7 +4,7 @@ import ast
 import functools
 import subprocess
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
 from graphlib import TopologicalSorter
 from pathlib import Path
 from typing import NamedTuple
@@ -277,6 +277,17 @@ def test_every_import_is_declared_and_every_dependency_is_used():
         [sys.executable, "-m", "deptry", "."], cwd=HOME, capture_output=True, text=True, check=False
     )
     assert found.returncode == 0, found.stderr
+
+
+def test_a_file_has_a_name_of_its_own():
+    """A study has its command's name, and its subject may have a file elsewhere."""
+    files = [
+        file.name
+        for package in PACKAGES
+        for file in (HOME / package).rglob("*.py")
+        if not file.name.startswith("__") and file.parent.name != "studies"
+    ]
+    assert [name for name, count in Counter(files).items() if count > 1] == []
 
 
 def test_a_class_name_has_one_meaning():

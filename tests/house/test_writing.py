@@ -16,7 +16,7 @@ from eyespot.benchmarks.sets.formats.export import export
 from eyespot.benchmarks.sets.score.score_command import score
 from eyespot.benchmarks.study import Study
 from eyespot.calibration.command.choices import Choices
-from eyespot.calibration.command.command import fit
+from eyespot.calibration.command.fit_command import fit
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import StackWriter, read_stack
 from eyespot.formats.whole_files import BeingWrittenError, written_whole

@@ -10,7 +10,7 @@ from scipy import integrate, stats
 
 from eyespot import optics
 from eyespot.optics.wall_light.cells import lattice_irradiance, square_lattice
-from eyespot.optics.wall_light.lens import (
+from eyespot.optics.wall_light.lens_flux import (
     TABLE_ERROR,
     Grid,
     LensSamples,

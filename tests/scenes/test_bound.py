@@ -8,7 +8,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from eyespot import scenes
-from eyespot.scenes.description.settings import CameraSettings, SceneError
+from eyespot.scenes.description.scene_keys import CameraSettings, SceneError
 from eyespot.scenes.sensor import light_information
 from eyespot.scenes.stacks.bound import Affine, ellipse_information, ellipse_motion
 from eyespot.scenes.world.world import World

@@ -7,7 +7,7 @@ import pytest
 from pydantic import ValidationError
 from scipy.stats import poisson
 
-from eyespot.scenes.description.settings import CameraSettings
+from eyespot.scenes.description.scene_keys import CameraSettings
 from eyespot.scenes.sensor import (
     after_jpeg,
     demosaiced,

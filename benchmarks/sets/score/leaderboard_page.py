@@ -14,8 +14,8 @@ from eyespot.benchmarks.reporting import rows_of, where
 from eyespot.benchmarks.sets.read import SetStack
 from eyespot.benchmarks.sets.score import judging
 from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Score
-from eyespot.benchmarks.sets.score.spots import ScoredEstimator
-from eyespot.formats.page import in_figure
+from eyespot.benchmarks.sets.score.scored_spots import ScoredEstimator
+from eyespot.formats.report_page import in_figure
 
 _WITHIN_1_SIGMA, _WITHIN_196_SIGMA = 0.683, 0.950  # Parts of normal errors.
 

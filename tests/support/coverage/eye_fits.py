@@ -19,7 +19,7 @@ from eyespot import optics
 from eyespot.benchmarks.studies.eye_paths import cameras, drawn
 from eyespot.calibration.command.choices import Choices
 from eyespot.calibration.command.fit_verdict import Fitted
-from eyespot.calibration.command.models import fit_eye
+from eyespot.calibration.command.spot_models import fit_eye
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
 from eyespot.estimator.distance.ranger import Ranger

@@ -12,7 +12,7 @@ import numpy as np
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.formats.calibration import Calibration
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.spots import Spot
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from eyespot.calibration.pixels.data import Footage
     from eyespot.optics import GlueLens
-    from eyespot.optics.wall_light.lens import Grid, LensTable
+    from eyespot.optics.wall_light.lens_flux import Grid, LensTable
 
 CONE = {"k": 20.0, "b": -5.117}
 """The cone that default scenes have."""
@@ -115,7 +115,7 @@ def a_lens_table(values: ArrayLike, grid: Grid) -> LensTable:
     """Of a lens without parameters: rows of its light."""
     import jax.numpy as jnp  # late, as it loads JAX
 
-    from eyespot.optics.wall_light.lens import LensTable
+    from eyespot.optics.wall_light.lens_flux import LensTable
 
     return LensTable(jnp.asarray(values)[None], jnp.ones(1), jnp.zeros(0), grid)
 

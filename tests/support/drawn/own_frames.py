@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
-from eyespot.scenes.description.settings import Phantom
+from eyespot.scenes.description.scene_keys import Phantom
 from eyespot.scenes.drawn import SHAPE, Drawing, Truth, light_of
 from eyespot.scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
 

@@ -19,7 +19,7 @@ from eyespot.formats.rig import Rig
 from eyespot.formats.spots import Spot, SpotRecord
 from eyespot.formats.stack import FrameLabels, Stack
 from eyespot.optics.refraction import MEDIA
-from eyespot.optics.viewing.eye import Eye
+from eyespot.optics.viewing.schematic_eye import Eye
 from eyespot.scenes import Scene
 
 WIDEST_MM = 1000.0

@@ -19,7 +19,7 @@ from scipy import ndimage
 
 from eyespot.calibration.pixels.data import BareFibre, Footage
 from eyespot.estimator.camera_noise import CameraNoise
-from eyespot.formats.camera import CameraSheet, Response
+from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.stack import StackWriter
 from eyespot.scenes import load_scene
 from tests.support.drawn.drawn_sets import labels_of

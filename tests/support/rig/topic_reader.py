@@ -9,7 +9,7 @@ import os
 import sys
 from pathlib import Path
 
-from eyespot.estimator.rig.rig import RecentPoses
+from eyespot.estimator.rig.rig_reader import RecentPoses
 from eyespot.estimator.rig.topic import open_topic
 from eyespot.formats.inputs import InputError
 

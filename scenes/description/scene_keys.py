@@ -315,7 +315,7 @@ def retina_of(content: dict[str, Any]) -> dict[str, Any]:
     Raises:
         InputError: no such eye, or a wrong eye file.
     """
-    from eyespot.optics.viewing.eye import load_eye
+    from eyespot.optics.viewing.schematic_eye import load_eye
 
     given = {key: content.get(key, Viewing.model_fields[key].default) for key in _OF_THE_EYE}
     green = given["wavelengths_nm"][1]

@@ -31,7 +31,7 @@ from eyespot.estimator.detector.coarse import (
     channel_for,
 )
 from eyespot.estimator.detector.edges import EdgeFit, fit_edge
-from eyespot.estimator.detector.ellipse import AffineEllipse, Patch
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse, Patch
 from eyespot.estimator.detector.levels import dark_radius
 from eyespot.estimator.detector.settings import SubpixelSettings
 from eyespot.estimator.detector.tuning import (
@@ -47,7 +47,7 @@ from eyespot.estimator.detector.tuning import (
     Texture,
 )
 from eyespot.estimator.frame_window import Window
-from eyespot.formats.camera import GREY
+from eyespot.formats.camera_sheet import GREY
 from eyespot.formats.spots import NoSpot, Reason
 
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from eyespot import optics
-from eyespot.formats.camera import CameraSheet
+from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import fingerprint
 from eyespot.formats.stack import FrameLabels, Stack, StackWriter, read_stack

@@ -12,7 +12,7 @@ import numpy as np
 from eyespot import optics
 from eyespot.optics.wall_light.cells import CellBeam
 from eyespot.optics.wall_light.cone import UniformCone
-from eyespot.optics.wall_light.lens import lens_samples
+from eyespot.optics.wall_light.lens_flux import lens_samples
 from eyespot.optics.wall_light.unknown_wall import SpotCells, distance_sigmas, spot_cells
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.world.world import World
@@ -72,7 +72,7 @@ class UnknownWallScene:
         """Light of a glue lens.
 
         Args:
-            values: `optics.wall_light.lens.PARAMETERS`.
+            values: `optics.wall_light.lens_flux.PARAMETERS`.
             distances: d, mm, within 0.25 to 8.
             free: parameters by which the light is differentiated.
             coarse: for a search; errors of a hundredth of the peak.

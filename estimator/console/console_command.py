@@ -56,7 +56,7 @@ def console(
     track: "Callable[[], PoseTrack] | None"
     rig = options.own_rig()
     if source.startswith(_TOPIC):
-        from eyespot.estimator.rig.rig import RecentPoses
+        from eyespot.estimator.rig.rig_reader import RecentPoses
         from eyespot.estimator.rig.topic import open_topic
 
         if recorded.poses is not None:

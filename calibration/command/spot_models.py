@@ -25,7 +25,7 @@ from eyespot.calibration.spots.cone_trials import (
     Prior,
     phantom_wall,
 )
-from eyespot.calibration.spots.paper import (
+from eyespot.calibration.spots.paper_fits import (
     Loss,
     PlaneFit,
     PlaneTrial,
