@@ -231,7 +231,8 @@ def padded(values: Float[ArrayLike, "n ..."], length: int) -> Float[np.ndarray, 
 _TUNING = 1.345
 """In standard deviations; 95 % as efficient as least squares for normal noise (Huber 1981)."""
 _MAD_OF_NORMAL = 0.6745
-_OUTLIER = 3.5  # modified z-score from which Iglewicz and Hoaglin (1993) call a value an outlier
+_OUTLIER_SCORE = 3.5
+"""Modified z-score from which Iglewicz and Hoaglin (1993) call a value an outlier."""
 
 
 def huber(
@@ -292,7 +293,7 @@ def huber(
         residuals=left,
         converged=(found.result == optx.RESULTS.successful) & plain.converged,
     )
-    return solution, (jnp.abs(left) > _OUTLIER * spread) & (spread > 0)
+    return solution, (jnp.abs(left) > _OUTLIER_SCORE * spread) & (spread > 0)
 
 
 def chance_alike(
@@ -322,8 +323,9 @@ def chance_alike(
     return float(stats.f.sf((lower / count) / (left / degrees), count, degrees))
 
 
-_PART = 0.1  # least component of a unit direction at which a parameter counts as part of it
-_ALIKE = 0.2  # largest difference of two relative changes that count as equal
+_MIN_COMPONENT = 0.1
+"""Least component of a unit direction at which a parameter counts as part of it."""
+_ALIKE_TOLERANCE = 0.2  # largest difference of two relative changes that count as equal
 _LOST = 0.5
 """Information below which a direction counts as undetermined, in units of the parameter's size (or
 of a nuisance's prior). Below it, the standard error exceeds the parameter itself."""
@@ -363,7 +365,7 @@ def covariance_and_lost(
     sentences = tuple(_sentence(direction, names, signs) for direction in directions.T[lost])
     inverse = np.where(lost, 0.0, 1.0 / np.where(lost, 1.0, strength))
     covariance = (directions * inverse) @ directions.T
-    hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _PART
+    hidden = np.abs(directions[:, lost]).max(axis=1, initial=0.0) > _MIN_COMPONENT
     covariance[hidden, :] = covariance[:, hidden] = np.inf
     return covariance, sentences
 
@@ -383,15 +385,15 @@ def _sentence(
     direction: Float[np.ndarray, "p"], names: Sequence[str], signs: Float[np.ndarray, "p"]
 ) -> str:
     # If only equal relative growth of two is undetermined, the data determine their ratio.
-    parts = np.flatnonzero(np.abs(direction) > _PART).tolist()
+    parts = np.flatnonzero(np.abs(direction) > _MIN_COMPONENT).tolist()
     called = list(dict.fromkeys(names[i] for i in parts))
     both = " and ".join(called)
     growth = (direction * signs)[parts]
     if len(called) == 1:
         known = f"{both} is not determined"
-    elif len(parts) == 2 and abs(growth[0] - growth[1]) < _ALIKE:
+    elif len(parts) == 2 and abs(growth[0] - growth[1]) < _ALIKE_TOLERANCE:
         known = f"only the ratio of {both} is determined"
-    elif len(parts) == 2 and abs(growth[0] + growth[1]) < _ALIKE:
+    elif len(parts) == 2 and abs(growth[0] + growth[1]) < _ALIKE_TOLERANCE:
         known = f"only the product of {both} is determined"
     else:
         known = f"only a combination of {both} is determined"

@@ -10,9 +10,10 @@ import numpy as np
 from eyespot.formats.camera_sheet import FULL_SCALE
 from eyespot.formats.inputs import InputError
 
-_ROWS = 8  # rows that are examined
-_CHANGES = 64  # changes of value in these rows; all are at even places by chance in 2^-64 of frames
-_MOST_REPEATS = 8  # largest factor of a digital zoom that repeats pixels
+_EXAMINED_ROWS = 8  # rows that are examined
+_MIN_CHANGES = 64
+"""Changes of value in these rows; all are at even places by chance in 2^-64 of frames."""
+_MAX_REPEATS = 8  # largest factor of a digital zoom that repeats pixels
 
 
 def checked_frame(frame: np.ndarray) -> np.ndarray:
@@ -67,13 +68,13 @@ def without_repeats(frame: np.ndarray) -> np.ndarray:
 def _repeats(frame: np.ndarray) -> int:
     """How often each pixel of a row is repeated; 1 if not, or if too little is in the frame."""
     # One row usually suffices.
-    for rows in frame[len(frame) // 2 :][:1], frame[:: max(len(frame) // _ROWS, 1)]:
+    for rows in frame[len(frame) // 2 :][:1], frame[:: max(len(frame) // _EXAMINED_ROWS, 1)]:
         changes = rows[:, 1:] != rows[:, :-1]
         places = np.flatnonzero(changes.any(axis=0))
         steps = int(np.gcd.reduce(places - places[:1], initial=0))
         if steps == 1:
             return 1
-    return steps if steps <= _MOST_REPEATS and np.count_nonzero(changes) >= _CHANGES else 1
+    return steps if steps <= _MAX_REPEATS and np.count_nonzero(changes) >= _MIN_CHANGES else 1
 
 
 @dataclass(frozen=True)

@@ -144,11 +144,11 @@ _SURE_SIGMAS, _LEAST_SHARE = 13.0, 0.03
 twice as much. The light within a spot and beside it is only even to some percent: in rendered
 stacks without a ghost, sets had shares of up to 0.04 with 9 standard deviations, where the shaft is
 near a small spot. A share of 0.03 moves the edge by 0.02 px."""
-_EVEN = 0.01  # standard deviation of the logarithm of such light that nothing undercuts
+_EVEN_SIGMA = 0.01  # standard deviation of the logarithm of such light that nothing undercuts
 _FLOOR = 0.05
 """Light that counts as ambient beside that outside of the spot, over that within: where it is dark,
 the logarithm of noise would outweigh everything."""
-_HIDDEN = 5.0  # standard deviations below the others: a tool, or its shadow
+_HIDDEN_SIGMAS = 5.0  # standard deviations below the others: a tool, or its shadow
 
 
 class GhostWatch:
@@ -241,12 +241,14 @@ def _disc(
     total = light + floor
     residual = np.log(np.maximum(seen - ambient + floor, 0.2 * floor) / total)
     spread = 1.4826 * np.median(np.abs(residual - np.median(residual[usable]))[usable])
-    usable &= residual > np.median(residual[usable]) - _HIDDEN * max(spread, 2.0 * _EVEN)
+    usable &= residual > np.median(residual[usable]) - _HIDDEN_SIGMAS * max(
+        spread, 2.0 * _EVEN_SIGMA
+    )
     slopes = [within, within * major, within * minor, within * major**2, within * major * minor]
     slopes += [within * minor**2, beside, beside * major, beside * minor]
     return (
         np.where(usable, residual, 0.0).ravel(),
-        usable.ravel() / _EVEN**2,
+        usable.ravel() / _EVEN_SIGMA**2,
         light,
         total,
         np.stack([1.0 * slope.ravel() for slope in slopes]),

@@ -13,11 +13,12 @@ from jaxtyping import Float
 from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError
 
-_MIDDLE = 0.5  # share of the frame's width and height: the middle is the most even part
-_LIGHT_IS_ON = 0.1  # share of full scale; a pair with the light off lies below
-_UNCLIPPED = 0.9  # share of full scale; above, noise is clipped
-_SPREAD = 3.0  # least ratio of the brightest and the darkest pair with light
-_STRAIGHT = 0.05  # largest deviation of a pair's variance from the line, relative, without scatter
+_MIDDLE_SHARE = 0.5  # share of the frame's width and height: the middle is the most even part
+_LIT_SHARE = 0.1  # share of full scale; a pair with the light off lies below
+_UNCLIPPED_SHARE = 0.9  # share of full scale; above, noise is clipped
+_MIN_LEVELS = 3.0  # least ratio of the brightest and the darkest pair with light
+_MAX_CURVATURE = 0.05
+"""Largest deviation of a pair's variance from the line, relative, without scatter."""
 _ROUNDING = 1.0 / 12.0  # DN², variance of rounding to whole numbers
 _SMOOTH_PX = 7  # side of the box that takes the wall's shading out of the fixed pattern
 
@@ -63,7 +64,7 @@ def measured_noise(
     usable = [
         pair
         for pair in pairs
-        if np.mean(pair) < _LIGHT_IS_ON * full_scale or not any(map(_is_clipped, pair))
+        if np.mean(pair) < _LIT_SHARE * full_scale or not any(map(_is_clipped, pair))
     ]
     if not usable:
         raise InputError(
@@ -72,18 +73,18 @@ def measured_noise(
         )
     # Sorted by the mean.
     mean, noise, pattern, pixels = np.array(sorted(_pair(*pair) for pair in usable)).T
-    dark, lit = mean < _LIGHT_IS_ON * full_scale, mean < _UNCLIPPED * full_scale
+    dark, lit = mean < _LIT_SHARE * full_scale, mean < _UNCLIPPED_SHARE * full_scale
     lit &= ~dark
     if not dark.any():
         raise InputError(
             f"the darkest pair has a mean of {mean[0]:.1f} DN of {full_scale}; a pair with "
-            f"the light off must lie below {_LIGHT_IS_ON * full_scale:.0f} DN. Add one."
+            f"the light off must lie below {_LIT_SHARE * full_scale:.0f} DN. Add one."
         )
-    if lit.sum() < 3 or mean[lit][-1] < _SPREAD * mean[lit][0]:
+    if lit.sum() < 3 or mean[lit][-1] < _MIN_LEVELS * mean[lit][0]:
         raise InputError(
-            f"{lit.sum()} pairs lie between {_LIGHT_IS_ON * full_scale:.0f} and "
-            f"{_UNCLIPPED * full_scale:.0f} DN; at least three are needed, the brightest "
-            f"{_SPREAD:g} times as bright as the darkest. Change the exposure or the light."
+            f"{lit.sum()} pairs lie between {_LIT_SHARE * full_scale:.0f} and "
+            f"{_UNCLIPPED_SHARE * full_scale:.0f} DN; at least three are needed, the brightest "
+            f"{_MIN_LEVELS:g} times as bright as the darkest. Change the exposure or the light."
         )
     black = float(mean[dark].mean())
     light, variance = mean[lit] - black, noise[lit]
@@ -94,9 +95,9 @@ def measured_noise(
     (gain, floor), covariance = np.polyfit(light, variance, 1, w=1 / scatter, cov="unscaled")
     off = np.abs(variance - floor - gain * light)
     # A curve looks straight from a third of its length on, but then misses the dark pair.
-    bent = floor - noise[0] - _ROUNDING > _STRAIGHT * variance.max()
+    bent = floor - noise[0] - _ROUNDING > _MAX_CURVATURE * variance.max()
     worst = float(np.max(off / variance))
-    if not gain > 0 or bent or np.any(off > _STRAIGHT * variance + 4.0 * scatter):
+    if not gain > 0 or bent or np.any(off > _MAX_CURVATURE * variance + 4.0 * scatter):
         raise InputError(
             f"the noise's variance is off a straight line in the light by {100 * worst:.0f} %. "
             "Switch automatic exposure, gain and gamma off, let nothing move within a pair, and "
@@ -143,5 +144,8 @@ def _pair(first: np.ndarray, second: np.ndarray) -> tuple[float, float, float, f
 
 def _middle(frame: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "rows columns 3"]:
     height, width = frame.shape[:2]
-    rows, columns = round(0.5 * (1 - _MIDDLE) * height), round(0.5 * (1 - _MIDDLE) * width)
+    rows, columns = (
+        round(0.5 * (1 - _MIDDLE_SHARE) * height),
+        round(0.5 * (1 - _MIDDLE_SHARE) * width),
+    )
     return frame[rows : height - rows, columns : width - columns]

@@ -161,9 +161,9 @@ HISTORY = {
     "far the parameters follow what a rig stated",
 }
 
-_LARGEST = 1e24  # largest covariance, in the square of a parameter's unit
+_MAX_COVARIANCE = 1e24  # largest covariance, in the square of a parameter's unit
 
-_SAME = 1e-6  # relative; sigma and covariance are one number written twice
+_SIGMA_TOLERANCE = 1e-6  # relative; sigma and covariance are one number written twice
 
 
 class CalibratedMedium(Strict):
@@ -216,7 +216,7 @@ class Calibration(Strict):
     sigma_inflation: float = Field(
         1.0,
         ge=1,
-        le=_LARGEST,
+        le=_MAX_COVARIANCE,
         description="Largest factor by which the standard errors exceed those from noise alone, "
         "because the model misses part of the light; 1 for a good fit.",
     )
@@ -226,7 +226,9 @@ class Calibration(Strict):
         description="Name of the microscope and zoom to which scale and pinhole among the "
         "parameters belong; empty: they count for all images.",
     )
-    stated_: dict[str, list[list[Annotated[float, Field(ge=-_LARGEST, le=_LARGEST)]]]] = Field(
+    stated_: dict[
+        str, list[list[Annotated[float, Field(ge=-_MAX_COVARIANCE, le=_MAX_COVARIANCE)]]]
+    ] = Field(
         {},
         alias="stated",
         description="By what a rig states (`robot_scale`, `touch`, ...), how far the parameters "
@@ -316,7 +318,7 @@ class Calibration(Strict):
             )
         for name, entry in self.parameters.items():
             expected = self.sigma(name)
-            if not math.isclose(entry.sigma, expected, rel_tol=_SAME, abs_tol=1e-300):
+            if not math.isclose(entry.sigma, expected, rel_tol=_SIGMA_TOLERANCE, abs_tol=1e-300):
                 raise InputError(
                     f"sigma of {name} is {entry.sigma:g}, but the covariance says {expected:g}. "
                     "Change both"
@@ -427,7 +429,7 @@ def _check_together(calibration: "Calibration") -> None:
     """Refuse values of a file that are possible each by itself, but not together."""
     values = calibration.values
     for small, large in _NO_LARGER:
-        if small in values and values[small] > values[large] * (1 + _SAME):
+        if small in values and values[small] > values[large] * (1 + _SIGMA_TOLERANCE):
             raise InputError(
                 f"parameters.{small} must be at most parameters.{large}; got {values[small]:g} and "
                 f"{values[large]:g}. Fit again, or restore the value."
@@ -448,7 +450,7 @@ def _check_together(calibration: "Calibration") -> None:
         )
 
 
-def check_covariance(matrix: np.ndarray, *, most: float = _LARGEST) -> None:
+def check_covariance(matrix: np.ndarray, *, most: float = _MAX_COVARIANCE) -> None:
     """Refuse a matrix, (n, n), that is no covariance of errors.
 
     Args:
@@ -464,10 +466,10 @@ def check_covariance(matrix: np.ndarray, *, most: float = _LARGEST) -> None:
         )
     deviation = np.sqrt(np.maximum(np.diag(matrix), 0.0))
     scale = np.outer(deviation, deviation)
-    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > _SAME * scale).any():
+    if (np.diag(matrix) < 0).any() or (np.abs(matrix - matrix.T) > _SIGMA_TOLERANCE * scale).any():
         raise InputError("covariance must be symmetric with no negative variance")
     fixed = deviation == 0
     # Values differ in scale, so the correlations are what must be definite.
     correlation = matrix / np.where(scale > 0, scale, 1.0)
-    if matrix[fixed].any() or np.linalg.eigvalsh(correlation).min() < -_SAME:
+    if matrix[fixed].any() or np.linalg.eigvalsh(correlation).min() < -_SIGMA_TOLERANCE:
         raise InputError("covariance must be positive semi-definite: no correlation may exceed 1")

@@ -31,8 +31,8 @@ _COEFFICIENTS = {
     "equidistant": (4,),
     "fisheye": (4,),  # what OpenCV calls equidistant
 }
-_MOST = 2**20  # px, and largest binning
-_DEEPEST = 10  # levels of lists and maps
+_MAX_COUNT = 2**20  # px, and largest binning
+_MAX_NESTING = 10  # levels of lists and maps
 
 
 def calibration_in(text: str) -> dict[str, Any]:
@@ -165,9 +165,9 @@ def _first(content: dict[str, Any], name: str) -> Any:
 
 def _count(value: object, name: str) -> int:
     found = _array(value, name)
-    if found.size != 1 or not 0 <= found <= _MOST or not found == np.floor(found):
+    if found.size != 1 or not 0 <= found <= _MAX_COUNT or not found == np.floor(found):
         raise InputError(
-            f"{name} must be one whole number, at most {_MOST:,}; got {shortened(value)}."
+            f"{name} must be one whole number, at most {_MAX_COUNT:,}; got {shortened(value)}."
         )
     return int(found.item())
 
@@ -214,8 +214,8 @@ def _checked(text: str) -> str:
     for event in yaml.parse(text, Loader=yaml.CSafeLoader):
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST or isinstance(event, yaml.AliasEvent):
-            raise InputError(f"more than {_DEEPEST} levels, or a reference (*) to another part")
+        if depth > _MAX_NESTING or isinstance(event, yaml.AliasEvent):
+            raise InputError(f"more than {_MAX_NESTING} levels, or a reference (*) to another part")
     return text
 
 

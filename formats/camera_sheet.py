@@ -22,7 +22,7 @@ GREY_WEIGHTS = (0.299, 0.587, 0.114)
 
 VIDEO_BLACK, VIDEO_WHITE = 16 / 255, 235 / 255
 """Black and white of video, as fractions of full scale (ITU-R BT.601)."""
-_BRIGHTEST = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
+_MAX_LIGHT = 1e6  # light over full scale; the squares of brighter light are no float32 numbers
 
 
 def light_of_srgb(value: np.ndarray) -> np.ndarray:
@@ -119,7 +119,7 @@ class Response:
             return fraction
         # Floats may exceed full scale, but not grow without limit.
         exponent = self.gamma if self.curve == "gamma" else 2.4
-        fraction = np.clip(fraction, np.float32(0), np.float32(_BRIGHTEST ** (1 / exponent)))
+        fraction = np.clip(fraction, np.float32(0), np.float32(_MAX_LIGHT ** (1 / exponent)))
         return fraction**exponent if self.curve == "gamma" else light_of_srgb(fraction)
 
     def channel(self, values: np.ndarray, channel: int, full_scale: float) -> np.ndarray:

@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-_MOST_LINES = 3  # lines of a message that are shown
+_MAX_LINES_IN_MESSAGE = 3  # lines of a message that are shown
 
 
 class InputError(ValueError):
@@ -45,19 +45,21 @@ def _cut(text: str, longest: int = 300) -> str:
 
 def at_most_three(problems: list[str]) -> str:
     """A message of at most three lines from any number of problems, one in a line."""
-    more = len(problems) - _MOST_LINES
+    more = len(problems) - _MAX_LINES_IN_MESSAGE
     if more <= 0:
         return "\n".join(problems)
-    return "\n".join([*problems[: _MOST_LINES - 1], f"and {more + 1} more problems like these."])
+    return "\n".join(
+        [*problems[: _MAX_LINES_IN_MESSAGE - 1], f"and {more + 1} more problems like these."]
+    )
 
 
 MOST_BYTES = 2**26
 """Largest text file unless its reader says otherwise, 64 MiB: set.json of 100,000 stacks."""
 
-_MOST_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
-_MOST_DOTS = 100  # dots in a line of TOML that is read
-_DEEPEST = 16  # levels of lists and tables; our formats have eight at most
-_LARGEST = 2**63  # TOML's whole numbers, those of NumPy and of HDF5 have 64 bits
+_MAX_TOML_BYTES = 2**20  # our largest, a set's spec, has a few kB
+_MAX_DOTS_IN_LINE = 100  # dots in a line of TOML that is read
+_MAX_NESTING = 16  # levels of lists and tables; our formats have eight at most
+_MAX_WHOLE_NUMBER = 2**63  # TOML's whole numbers, those of NumPy and of HDF5 have 64 bits
 _SURROGATE = re.compile("[\ud800-\udfff]")  # alone it cannot be written
 
 
@@ -131,7 +133,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         InputError: as `read_text` and `toml_in`.
         OSError: the file cannot be read.
     """
-    return toml_in(read_text(path, most_bytes=_MOST_TOML_BYTES))
+    return toml_in(read_text(path, most_bytes=_MAX_TOML_BYTES))
 
 
 def toml_in(text: str) -> dict[str, Any]:
@@ -141,8 +143,10 @@ def toml_in(text: str) -> dict[str, Any]:
         InputError: not TOML, or as `check_values`.
     """
     # Python's parser takes the square of a key's parts: a minute for 50,000 of them.
-    if any(line.count(".") > _MOST_DOTS for line in text.split("\n")):
-        raise InputError(f"not a TOML file: a line has more than {_MOST_DOTS} dots. Break it up.")
+    if any(line.count(".") > _MAX_DOTS_IN_LINE for line in text.split("\n")):
+        raise InputError(
+            f"not a TOML file: a line has more than {_MAX_DOTS_IN_LINE} dots. Break it up."
+        )
     try:
         content = tomllib.loads(text)
     except RecursionError as fault:
@@ -196,7 +200,7 @@ def check_values(content: object) -> None:
             written again: with a NUL or a lone surrogate.
     """
     layer = [content]
-    for _ in range(_DEEPEST + 1):
+    for _ in range(_MAX_NESTING + 1):
         below: list[object] = []
         for value in layer:
             if isinstance(value, Mapping):
@@ -208,14 +212,14 @@ def check_values(content: object) -> None:
                     f"text must be Unicode without NUL; got {shortened(value)}. Remove the "
                     "character."
                 )
-            elif isinstance(value, int) and not -_LARGEST <= value < _LARGEST:
+            elif isinstance(value, int) and not -_MAX_WHOLE_NUMBER <= value < _MAX_WHOLE_NUMBER:
                 raise InputError(
                     f"a whole number must have at most 64 bits; got {shortened(value)}."
                 )
         if not below:
             return
         layer = below
-    raise InputError(f"nested more than {_DEEPEST} levels deep.")
+    raise InputError(f"nested more than {_MAX_NESTING} levels deep.")
 
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -370,7 +374,7 @@ def number_in(cell: str, name: str) -> float:
 FOLDER_NAME = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,79}$"
 """Pattern of a name that becomes a folder: no separator, and no dot in front."""
 
-_LONGEST_NAME = 100  # characters; a name in a tar file may not have more
+_MAX_NAME_LENGTH = 100  # characters; a name in a tar file may not have more
 
 
 def inside(folder: Path, name: str) -> Path:
@@ -388,7 +392,7 @@ def inside(folder: Path, name: str) -> Path:
     """
     parts = name.split("/")
     wrong = any(part in ("", ".", "..") for part in parts) or re.search(r"[\\\0]", name)
-    if wrong or len(name) > _LONGEST_NAME:
+    if wrong or len(name) > _MAX_NAME_LENGTH:
         raise InputError(
             f"a name of a file must stay within its folder: relative, without `..` and backslash; "
             f"got {shortened(name)}. Do not use files from this sender unseen."

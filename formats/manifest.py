@@ -23,7 +23,7 @@ from eyespot.formats.whole_files import write_text
 MANIFEST = "manifest.json"
 HISTORY = {1: "the format of eyespot 0.1"}
 
-_MOST_BYTES = 2**29  # the manifest of a set of 10,000 stacks has 100 MB
+_MAX_MANIFEST_BYTES = 2**29  # the manifest of a set of 10,000 stacks has 100 MB
 
 Fingerprint = dict[str, Any]
 """Size and checksum of a file."""
@@ -66,7 +66,7 @@ def read_manifest(folder: Path, *, remedy: str) -> dict[str, Fingerprint]:
     """
     path = folder / MANIFEST
     with in_file(path):
-        content = object_in(read_text(path, most_bytes=_MOST_BYTES))
+        content = object_in(read_text(path, most_bytes=_MAX_MANIFEST_BYTES))
         check_schema(content.get("schema"), HISTORY, remedy=remedy)
         found = validated(_Manifest, content, remedy=remedy)
     return {name: known.model_dump() for name, known in found.files.items()}

@@ -45,23 +45,24 @@ if TYPE_CHECKING:
 SCHEMA = 1
 HISTORY = {1: "the format of eyespot 0.1"}
 
-_BYTE = 8  # bits of most files; with more, they leave open where the camera's values end
-_MOST_PX = 2**20  # sides of a frame, and the place of its principal point
+_BITS_OF_MOST_FILES = 8
+"""Bits of most files; with more, they leave open where the camera's values end."""
+_MAX_FRAME_PX = 2**20  # sides of a frame, and the place of its principal point
 _MOST_BYTES = 2**20
-_SAME = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
-_UNIT = 1e-3  # deviation of a normal's length from 1 that comes from rounding
-_SQUARE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
+_AGREEMENT_TOLERANCE = 1e-6  # relative; numbers that a file contains twice agree to JSON's digits
+_UNIT_LENGTH_TOLERANCE = 1e-3  # deviation of a normal's length from 1 that comes from rounding
+_SKEW_TOLERANCE = 1e-3  # relative; half of it in the spot's radius is 6 um at d - b = 11 mm
 
 _Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 _Positive = Annotated[float, Field(gt=0, le=1e12)]
 _Series = Annotated[tuple[_Number, ...], StrictType(False), Field(min_length=1, max_length=1000)]
 _Vector = Annotated[tuple[_Number, _Number, _Number], StrictType(False)]
 _Matrix = Annotated[tuple[_Vector, _Vector, _Vector], StrictType(False)]
-_Place = Annotated[float, Field(ge=-_MOST_PX, le=_MOST_PX)]
+_Place = Annotated[float, Field(ge=-_MAX_FRAME_PX, le=_MAX_FRAME_PX)]
 _Pixels = Annotated[
     int,
     BeforeValidator(lambda n: int(n) if isinstance(n, float) and n.is_integer() else n),
-    Field(ge=1, le=_MOST_PX),
+    Field(ge=1, le=_MAX_FRAME_PX),
 ]
 Length = Annotated[float, Field(gt=0, le=1e6)]
 """A positive number of mm."""
@@ -234,7 +235,7 @@ class MicroscopeFile(Strict):
                 f"{self.eye_radius_mm}. It counts from the eyeball's centre, up"
             )
         normal = self.plane_normal or (0.0, 0.0, 1.0)
-        if not (abs(math.hypot(*normal) - 1) < _UNIT and normal[2] > 0):
+        if not (abs(math.hypot(*normal) - 1) < _UNIT_LENGTH_TOLERANCE and normal[2] > 0):
             raise InputError(
                 f"plane_normal must be a unit vector towards the microscope (z > 0); got {normal}. "
                 "A plane square to the microscope's axis has (0, 0, 1)"
@@ -391,7 +392,11 @@ def microscope_in(content: dict[str, Any]) -> MicroscopeFile:
     check_schema(content.get("schema"), HISTORY, remedy="Restore the file, or render again.")
     found = validated(MicroscopeFile, content, remedy="Restore the key.")
     _check_agreement(found)
-    if found.full_scale is None and found.noise is not None and found.noise.bit_depth > _BYTE:
+    if (
+        found.full_scale is None
+        and found.noise is not None
+        and found.noise.bit_depth > _BITS_OF_MOST_FILES
+    ):
         return found.changed(full_scale=found.noise.full_scale)
     return found
 
@@ -411,7 +416,7 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
         focal = 1.0 / (microscope.inverse_working_distance * microscope.scale_mm_px)
         said = (matrix[0][0], matrix[1][1], matrix[0][2], matrix[1][2])
         implied = (focal, focal, *microscope.principal_point_px)
-        if not np.allclose(said, implied, rtol=_SAME, atol=1e-6):
+        if not np.allclose(said, implied, rtol=_AGREEMENT_TOLERANCE, atol=1e-6):
             listed = [", ".join(f"{value:.6g}" for value in four) for four in (said, implied)]
             raise InputError(
                 f"camera_matrix has (fx, fy, cx, cy) = {listed[0]} px, but (pinhole_height_mm + "
@@ -425,7 +430,9 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
                 f"got {list(microscope.distortion)}. Undistort the images first."
             )
         own, of_path = microscope.inverse_working_distance, path.inverse_working_distance
-        if not math.isclose(own, of_path, rel_tol=_SAME, abs_tol=_SAME):
+        if not math.isclose(
+            own, of_path, rel_tol=_AGREEMENT_TOLERANCE, abs_tol=_AGREEMENT_TOLERANCE
+        ):
             raise InputError(
                 f"pinhole_height_mm and eye_radius_mm say 1/(z_F + r) = {own:.6g}/mm, but "
                 f"viewing_path says {of_path:.6g}/mm on the axis. Change both alike."
@@ -435,7 +442,9 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
             f"plane_normal {microscope.plane_normal} and retina_semi_axes_mm "
             f"{list(retina)} describe two walls. Remove one."
         )
-    if retina and not math.isclose(retina[2], microscope.eye_radius_mm, rel_tol=_SAME):
+    if retina and not math.isclose(
+        retina[2], microscope.eye_radius_mm, rel_tol=_AGREEMENT_TOLERANCE
+    ):
         raise InputError(
             f"eye_radius_mm must be the semi-axis along z of retina_semi_axes_mm, "
             f"{retina[2]:g} mm; got {microscope.eye_radius_mm:g} mm. Change both "
@@ -457,10 +466,10 @@ def _from_calibration(
             )
     height, radius = (value or 0.0 for value in given.values())
     (fx, skew, u), (_, fy, v), _ = camera.matrix.tolist()
-    if abs(fx - fy) > _SQUARE * fx or abs(skew) > _SQUARE * fx:
+    if abs(fx - fy) > _SKEW_TOLERANCE * fx or abs(skew) > _SKEW_TOLERANCE * fx:
         raise InputError(
-            f"camera_matrix must have square pixels without skew to {_SQUARE:g} of fx; got fx = "
-            f"{fx:g} px, fy = {fy:g} px, skew = {skew:g} px. Calibrate with "
+            f"camera_matrix must have square pixels without skew to {_SKEW_TOLERANCE:g} of fx; got "
+            f"fx = {fx:g} px, fy = {fy:g} px, skew = {skew:g} px. Calibrate with "
             "cv2.CALIB_FIX_ASPECT_RATIO."
         )
     values = {

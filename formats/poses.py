@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     import pandas as pd
     from jaxtyping import Float
 
-_UNIT = 0.01  # tolerance of a unit length: files round
+_UNIT_LENGTH_TOLERANCE = 0.01  # tolerance of a unit length: files round
 _UNIT_AXIS = "A pose's axis must be a unit vector"
 _UNIT_QUATERNION = "A rotation must be a unit quaternion (x, y, z, w)"
-_FAR_MM = 1e5  # a robot and its eye are in one hall
+_LIMIT_MM = 1e5  # a robot and its eye are in one hall
 _LARGEST_TURN = 1.01 * math.tau
 """Longest rotation vector, rad; controllers report up to a whole turn."""
 
@@ -63,10 +63,12 @@ class Pose:
 
     def __post_init__(self) -> None:
         """Refuse invalid poses, and normalise the quaternion."""
-        if not (abs(self.time_s) <= LATEST_S and all(abs(x) <= _FAR_MM for x in self.position_mm)):
+        if not (
+            abs(self.time_s) <= LATEST_S and all(abs(x) <= _LIMIT_MM for x in self.position_mm)
+        ):
             raise InputError(
                 "Pose(time_s=..., position_mm=...) must be finite, within"
-                f" {LATEST_S:g} s and {_FAR_MM:g} mm; got {self.time_s} s, {self.position_mm} mm."
+                f" {LATEST_S:g} s and {_LIMIT_MM:g} mm; got {self.time_s} s, {self.position_mm} mm."
             )
         object.__setattr__(self, "rotation", unit_quaternion(self.rotation))
 
@@ -95,7 +97,7 @@ def unit_quaternion(rotation: Quaternion) -> Quaternion:
 
 def _of_unit_length(parts: tuple[float, ...], rule: str) -> Iterator[float]:
     length = math.hypot(*parts)
-    if not abs(length - 1) <= _UNIT:
+    if not abs(length - 1) <= _UNIT_LENGTH_TOLERANCE:
         raise InputError(f"{rule}; got {parts}, of length {length:.3g}.")
     return (part / length for part in parts)
 
@@ -450,9 +452,9 @@ def _from_table(table: "pd.DataFrame", robot: RobotKeys, *, where: str, place: P
         positions = values(POSITION)
     else:
         positions = -values(["travel"]) * np.array(robot.travel_axis)
-    for row in np.flatnonzero(~(np.abs(positions) <= _FAR_MM).all(axis=1))[:1]:
+    for row in np.flatnonzero(~(np.abs(positions) <= _LIMIT_MM).all(axis=1))[:1]:
         raise InputError(
-            f"{place(row)}: a position must be within {_FAR_MM:g} mm; got {positions[row]} mm. "
+            f"{place(row)}: a position must be within {_LIMIT_MM:g} mm; got {positions[row]} mm. "
             "Correct robot.unit or robot.columns."
         )
     return PoseTrack.of_arrays(times_s, positions, rotations).of_light(robot)
@@ -494,7 +496,7 @@ def _rotations(
             )
         return np.hstack([np.sinc(sizes / math.tau) / 2 * directions, np.cos(sizes / 2)])
     rule = _UNIT_AXIS if parts == AXIS else _UNIT_QUATERNION
-    for row in np.flatnonzero(~(np.abs(sizes - 1) <= _UNIT))[:1]:
+    for row in np.flatnonzero(~(np.abs(sizes - 1) <= _UNIT_LENGTH_TOLERANCE))[:1]:
         with in_file(place(row)):
             list(_of_unit_length(tuple(directions[row].tolist()), rule))
     return _turns_of_axes(directions / sizes) if parts == AXIS else directions / sizes

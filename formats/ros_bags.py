@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
 
 
-_MOST_YAML_BYTES = 2**16  # largest metadata.yaml; that of a bag of fifty topics has 40 kB
+_MAX_YAML_BYTES = 2**16  # largest metadata.yaml; that of a bag of fifty topics has 40 kB
 _REMEDY = "Repair a truncated bag with `rosbag reindex`, `ros2 bag reindex` or `mcap recover`."
 
 
@@ -42,7 +42,7 @@ def opened_bag(path: Path) -> Iterator["AnyReader"]:
     with in_file(path):
         files = [inside(path, file.name) for file in path.iterdir()] if path.is_dir() else [path]
     for file in files:
-        most = _MOST_YAML_BYTES if file.suffix == ".yaml" else None
+        most = _MAX_YAML_BYTES if file.suffix == ".yaml" else None
         with in_file(file):
             check_regular(file, most_bytes=most, remedy=_REMEDY)
     with _damage_reported(f"{path}"):

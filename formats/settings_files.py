@@ -15,7 +15,7 @@ from pydantic import Strict as StrictType
 
 from eyespot.formats.inputs import InputError, at_most_three, shortened, toml_in
 
-_LONGEST_KEY = 100  # characters; ours have 40 at most
+_MAX_KEY_LENGTH = 100  # characters; ours have 40 at most
 
 SigmaKey = Annotated[float, Field(ge=0, le=1e6)]
 ShareKey = Annotated[float, Field(ge=0, lt=1)]
@@ -42,7 +42,7 @@ def parsed_change(change: str) -> dict[str, Any]:
         InputError: the change is not "key=value".
     """
     key, equals, text = (part.strip() for part in change.partition("="))
-    if not (key and equals) or len(key) > _LONGEST_KEY:
+    if not (key and equals) or len(key) > _MAX_KEY_LENGTH:
         raise InputError(
             f"a change must have the form table.key=value; got {shortened(change)}. Name a key of "
             "the file."
@@ -143,7 +143,7 @@ def problem_sentence(
     """
     where = shortened(".".join(str(part) for part in path))[1:-1]
     if problem["type"] == "extra_forbidden":
-        key = str(path[-1])[:_LONGEST_KEY]  # a comparison takes the product of the lengths
+        key = str(path[-1])[:_MAX_KEY_LENGTH]  # a comparison takes the product of the lengths
         near = difflib.get_close_matches(key, siblings(), n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         return f"unknown key {where!r}{hint}"

@@ -208,7 +208,7 @@ _MOST_FRAMES = 2**31
 _LARGEST_PX = 1e6
 _ROUNDING = 1e-6
 """Relative: how far two values of one fact may differ."""
-_UNIT = 1e-3
+_UNIT_LENGTH_TOLERANCE = 1e-3
 """Of a unit vector's length, as people round it."""
 
 _UPPER = np.triu_indices(5)
@@ -613,7 +613,7 @@ def _record(row: dict[str, str]) -> SpotRecord:
     pose = None
     if not math.isnan(cells.tip_x_mm):
         place = np.array([getattr(cells, name) for name in _POSE])
-        if not abs(np.linalg.norm(place[3:]) - 1) < _UNIT:
+        if not abs(np.linalg.norm(place[3:]) - 1) < _UNIT_LENGTH_TOLERANCE:
             raise InputError(f"axis must be a unit vector; got {place[3:].tolist()}.")
         covariance = _covariance(cells, _POSE_COVARIANCES)
         pose = RecordedPose(place[:3], place[3:], covariance, cells.chi_squared)

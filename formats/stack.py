@@ -70,8 +70,8 @@ HISTORY = {1: "the format of eyespot 0.1"}
 KINEMATICS = ("time_s", "x_mm", "y_mm", "z_mm", "axis_x", "axis_y", "axis_z")
 """Columns of kinematics.csv."""
 
-_MOST_LABEL_BYTES = 2**28  # largest metadata.jsonl: 250,000 images
-_LARGEST = 1e12  # largest label; times in s since 1970 have ten digits
+_MAX_LABEL_BYTES = 2**28  # largest metadata.jsonl: 250,000 images
+_MAX_LABEL = 1e12  # largest label; times in s since 1970 have ten digits
 _AGAIN = "Render the stack again."
 _Kind = TypeVar("_Kind")
 
@@ -108,7 +108,7 @@ _BOUND = (
 _ELLIPSES = ("cone", "half_max", "spread_cone", "spread_half_max")
 _ROUNDING = 1e-6
 """Relative, and in mm: how far two labels of one fact may differ."""
-_UNIT = 1e-3
+_UNIT_LENGTH_TOLERANCE = 1e-3
 """Of a unit vector's length, as people round it."""
 _LARGEST_PX = 1e5
 """Semi-axis of a spot; our largest window has 8,192 px."""
@@ -116,7 +116,7 @@ _LARGEST_MM = 1e4
 _RIGHT = math.pi / 2 + 1e-9
 _LIMITS: dict[str, tuple[float, float]] = {
     **dict.fromkeys(("d_mm", "nearest_mm", "c_mm", "surface_mm"), (0.0, _LARGEST_MM)),
-    **dict.fromkeys(("exposure_s", "speed_mm_s", "relative_power"), (0.0, _LARGEST)),
+    **dict.fromkeys(("exposure_s", "speed_mm_s", "relative_power"), (0.0, _MAX_LABEL)),
     **dict.fromkeys(("visible_fraction", "saturated_fraction"), (0.0, 1.0)),
     **dict.fromkeys(("azimuth_rad", "incidence_azimuth_rad"), (-2 * math.pi, 2 * math.pi)),
     "phi_rad": (0.0, math.pi),
@@ -124,10 +124,10 @@ _LIMITS: dict[str, tuple[float, float]] = {
     **{f"{kind}_semi_major_px": (1e-6, _LARGEST_PX) for kind in _ELLIPSES},
     **{f"{kind}_semi_minor_px": (1e-6, _LARGEST_PX) for kind in _ELLIPSES},
     **{f"{kind}_angle_rad": (-_RIGHT, _RIGHT) for kind in _ELLIPSES},
-    **{f"bound_{name}_px": (0.0, _LARGEST) for name in ("x", "y", "semi_major", "semi_minor")},
-    "bound_d_mm": (0.0, _LARGEST),
+    **{f"bound_{name}_px": (0.0, _MAX_LABEL) for name in ("x", "y", "semi_major", "semi_minor")},
+    "bound_d_mm": (0.0, _MAX_LABEL),
 }
-"""Least and largest value of labels; others lie within `_LARGEST`."""
+"""Least and largest value of labels; others lie within `_MAX_LABEL`."""
 
 
 class FrameLabels(Strict):
@@ -206,7 +206,7 @@ class FrameLabels(Strict):
     def _is_possible(self) -> Self:
         """Refuse what no image can have; what is unknown is NaN or infinite."""
         for name, value in self:
-            low, high = _LIMITS.get(name, (-_LARGEST, _LARGEST))
+            low, high = _LIMITS.get(name, (-_MAX_LABEL, _MAX_LABEL))
             known = isinstance(value, float) and (name == "time_s" or math.isfinite(value))
             if known and not low <= value <= high:
                 raise InputError(f"{name} must lie from {low:g} to {high:g}; got {value:g}")
@@ -217,7 +217,7 @@ class FrameLabels(Strict):
                     f"{kind}_semi_minor_px must not exceed {kind}_semi_major_px; got {minor:g} and "
                     f"{major:g} px"
                 )
-        if not abs(math.hypot(*self.axis) - 1) <= _UNIT:  # NaN is none, either
+        if not abs(math.hypot(*self.axis) - 1) <= _UNIT_LENGTH_TOLERANCE:  # NaN is none, either
             raise InputError(f"axis must be a unit vector; got {list(self.axis)}")
         if self.nearest_mm > self.d_mm * (1 + _ROUNDING) + _ROUNDING:
             raise InputError(
@@ -367,7 +367,7 @@ def read_stack(folder: str | Path) -> Stack:
             description = read_toml(folder / "stack.toml")
             check_schema(description.get("schema"), HISTORY, remedy=_AGAIN)
         with in_file(folder / "metadata.jsonl"):
-            text = read_text(folder / "metadata.jsonl", most_bytes=_MOST_LABEL_BYTES)
+            text = read_text(folder / "metadata.jsonl", most_bytes=_MAX_LABEL_BYTES)
     except FileNotFoundError as error:
         raise InputError(
             f"{folder} is not a stack: {Path(error.filename).name} is missing."

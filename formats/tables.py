@@ -117,7 +117,7 @@ def lines_of(path: Path) -> Place:
     return place
 
 
-_LARGEST = 1e300  # a larger one is infinite in other units
+_MAX_NUMBER = 1e300  # a larger one is infinite in other units
 
 
 def numbers(column: "pd.Series[Any]", place: Place) -> "Float[np.ndarray, 'n']":
@@ -129,7 +129,7 @@ def numbers(column: "pd.Series[Any]", place: Place) -> "Float[np.ndarray, 'n']":
     import pandas as pd
 
     values = np.asarray(pd.to_numeric(column, errors="coerce"), dtype=float)
-    for row in np.flatnonzero(~(np.abs(values) < _LARGEST))[:1]:
+    for row in np.flatnonzero(~(np.abs(values) < _MAX_NUMBER))[:1]:
         cell = shortened(column.iloc[row])
         raise InputError(f"{place(row)}: {column.name} must be a finite number; got {cell}.")
     return values

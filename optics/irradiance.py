@@ -38,14 +38,14 @@ from eyespot.optics.irradiance_edges import (
 from eyespot.optics.lens import GlueLens
 
 _MERIDIAN = 160  # cells of the scan along the meridian
-_ZOOM = 16  # cells of the second scan, for a lit part smaller than a cell
+_ZOOMED_CELLS = 16  # cells of the second scan, for a lit part smaller than a cell
 _EXTREMES = 3  # extremes of the excess along the meridian that may cross zero between two samples
 _PINCHES = 2  # pinches of the lit part across the meridian
 _CROSSINGS = 8  # crossings of the meridian and the lit part's edge, for a disc and a ring
 _COARSE, _COARSE_TURNS = 33, 11  # samples of the scan of whole rings
 _MARGIN_SAMPLES = 2  # the lit part may reach so far beyond the outermost lit sample
-_SAME = 1e-6  # distance over the aperture below which two candidates are one turn
-_BREAKS = 11  # kept of all candidates; more do not occur together
+_EQUAL_TURNS = 1e-6  # distance over the aperture below which two candidates are one turn
+_MAX_BREAKS = 11  # kept of all candidates; more do not occur together
 
 
 class Breaks(NamedTuple):
@@ -91,7 +91,7 @@ def ring_breaks(rays: RingRays) -> Breaks:
     x, values = approach_extremes(searched, even, searched(even), count=_EXTREMES)
     cell = (still_whole.high - still_whole.low) / _MERIDIAN
     near = still_whole.angle(x[jnp.argmin(values)])
-    zoomed = still_whole.place(near + cell * np.linspace(-1.0, 1.0, _ZOOM + 1))
+    zoomed = still_whole.place(near + cell * np.linspace(-1.0, 1.0, _ZOOMED_CELLS + 1))
     resolved = jnp.any(values < 0.0)
     found, lit, dark = (
         jnp.where(resolved, coarse, fine)
@@ -126,9 +126,9 @@ def ring_breaks(rays: RingRays) -> Breaks:
     bounds = jnp.stack([first, last])
     found = jnp.concatenate([found, is_turn, (bounds > 0.0) & (bounds < aperture), is_pinch])
     breaks = jnp.concatenate([crossing, turn, bounds, jnp.abs(pinch)])
-    same = jnp.abs(breaks[:, None] - breaks) < _SAME * aperture
+    same = jnp.abs(breaks[:, None] - breaks) < _EQUAL_TURNS * aperture
     found &= ~jnp.any(np.tri(found.size, k=-1, dtype=bool) & same & found, axis=1)
-    chosen = jnp.argsort(~found)[:_BREAKS]
+    chosen = jnp.argsort(~found)[:_MAX_BREAKS]
     used = found[chosen]
     ends = angle(bounds)
     divided = _divided(jnp.where(used, angle(breaks[chosen]), ends[0]), used, ends)
@@ -154,9 +154,9 @@ def _divided(breaks: Float[Array, "breaks"], used: Bool[Array, "breaks"], ends: 
         # Of two halves the outer one is divided first, whatever rounding makes of their widths.
         widest = jnp.argmax(width * (1.0 + 1e-3 * every))
         middle = every[widest] + 0.5 * width[widest]
-        return jnp.where((np.arange(_BREAKS) == number) & ~used, middle, breaks)
+        return jnp.where((np.arange(_MAX_BREAKS) == number) & ~used, middle, breaks)
 
-    return lax.fori_loop(0, _BREAKS, halve, breaks)
+    return lax.fori_loop(0, _MAX_BREAKS, halve, breaks)
 
 
 def _lit_rings(
@@ -187,7 +187,7 @@ def _lit_rings(
 _RINGS = 6  # Gauss-Legendre nodes between two breaks
 _CELLS = 9  # cells of the scan along half a ring, in each of three stretches
 _ARC = 5  # Gauss-Legendre nodes on an arc
-_BATCH = 64  # wall points per call, few enough to stay in the cache
+_POINTS_PER_CALL = 64  # wall points per call, few enough to stay in the cache
 
 
 def vector_irradiance(
@@ -216,7 +216,7 @@ def vector_irradiance(
     wall = jnp.stack([radius.ravel(), distance.ravel()])
     leaves = jax.tree.leaves((lens, medium_index, wall))
     if any(isinstance(leaf, jax.core.Tracer) for leaf in leaves):
-        width = min(size, _BATCH)
+        width = min(size, _POINTS_PER_CALL)
         filled = jnp.pad(wall, ((0, 0), (0, -size % width)), mode="edge")
         batches = filled.reshape(2, -1, width).transpose(1, 0, 2)
         field = lax.map(lambda batch: _batch_field(lens, medium_index, *batch), batches)
@@ -251,7 +251,7 @@ def values_at(
     evaluate: Callable[..., np.ndarray | Array], points: Float[np.ndarray, "2 n"]
 ) -> Float[np.ndarray, "k n"]:
     """Values of a compiled function at points, k x n; whole batches for any number of them."""
-    return in_batches(lambda batch: evaluate(*batch.T).T, points.T, size=_BATCH).T
+    return in_batches(lambda batch: evaluate(*batch.T).T, points.T, size=_POINTS_PER_CALL).T
 
 
 @jax.jit

@@ -198,8 +198,8 @@ class BackwardRays(NamedTuple):
 _RINGS, _TURNS = 16, 10  # cells of the search for turns of the edge
 _STARTS = 4  # starts of the search for each kind of turn
 _NEWTON_STEPS, _LONGEST = 7, 0.25  # Newton steps towards a turn, and their bound
-_AROUND = 0.5  # part of the lit range that is added to it, because its bounds are estimates
-_CLOSE = 1e-6  # residual of a turn
+_SCAN_MARGIN = 0.5  # part of the lit range that is added to it, because its bounds are estimates
+_TURN_TOLERANCE = 1e-6  # residual of a turn
 
 # A turn is a zero of one limit and of its slope along the ring (touches), or of two limits.
 # Limits: 0 cone, 1 face, 2 drop.
@@ -384,7 +384,9 @@ def find_turns(
         correction = jnp.stack([b_tau * a - a_tau * b, a_ring * b - b_ring * a])
         correction /= _nonzero(a_ring * b_tau - a_tau * b_ring)
         ring, tau = place - jnp.clip(correction, -_LONGEST, _LONGEST)
-        return jnp.stack([jnp.clip(ring, -_AROUND, 1.0 + _AROUND), jnp.clip(tau, 0.0, 1.0)])
+        return jnp.stack(
+            [jnp.clip(ring, -_SCAN_MARGIN, 1.0 + _SCAN_MARGIN), jnp.clip(tau, 0.0, 1.0)]
+        )
 
     def step(_, state):
         place = state[0]
@@ -394,7 +396,7 @@ def find_turns(
             return jax.jvp(lambda place: values(place, *still), (place,), (move,))
 
         (both, excess), (slopes, _) = jax.vmap(along, out_axes=(None, 0))(jnp.eye(2))
-        is_turn = jnp.maximum(jnp.max(jnp.abs(both), axis=0), excess) < _CLOSE
+        is_turn = jnp.maximum(jnp.max(jnp.abs(both), axis=0), excess) < _TURN_TOLERANCE
         return moved(place, both, slopes), place, slopes, is_turn
 
     place = lax.stop_gradient(place)

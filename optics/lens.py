@@ -24,7 +24,7 @@ LIGHT_CODE = tuple(
 )
 """The source files on which the light of a lens depends. What is kept of it holds for these."""
 
-_LARGEST_MM = 10.0  # largest length of a lens; a fibre has 0.1 to 1 mm
+_LIMIT_MM = 10.0  # largest length of a lens; a fibre has 0.1 to 1 mm
 
 
 class GlueLens(eqx.Module):
@@ -159,15 +159,15 @@ def glue_lens(
     core_radius, glue_length, aperture_radius, sag, glue_index, numerical_aperture = known
     rules = (
         (
-            0.0 < core_radius <= _LARGEST_MM,
+            0.0 < core_radius <= _LIMIT_MM,
             "core_radius",
-            f"must lie in (0, {_LARGEST_MM:g}] mm; got {core_radius:g} mm. Give the radius of the "
+            f"must lie in (0, {_LIMIT_MM:g}] mm; got {core_radius:g} mm. Give the radius of the "
             "fibre's core",
         ),
         (
-            core_radius <= aperture_radius <= _LARGEST_MM,
+            core_radius <= aperture_radius <= _LIMIT_MM,
             "aperture_radius",
-            f"must be at least the core's radius and at most {_LARGEST_MM:g} mm; got "
+            f"must be at least the core's radius and at most {_LIMIT_MM:g} mm; got "
             f"aperture_radius={aperture_radius:g} mm, core_radius={core_radius:g} mm. "
             "Raise aperture_radius or lower core_radius",
         ),
@@ -178,10 +178,10 @@ def glue_lens(
             f"aperture_radius={aperture_radius:g} mm. Lower sag or raise aperture_radius",
         ),
         (
-            sag <= glue_length <= _LARGEST_MM,
+            sag <= glue_length <= _LIMIT_MM,
             "glue_length",
             f"must be at least the sag (the core's face is below the cap's rim) and at most "
-            f"{_LARGEST_MM:g} mm; got "
+            f"{_LIMIT_MM:g} mm; got "
             f"glue_length={glue_length:g} mm, sag={sag:g} mm. Raise glue_length or lower sag",
         ),
         (
@@ -196,9 +196,9 @@ def glue_lens(
             f"glue_index={glue_index:g}. Lower numerical_aperture",
         ),
         (
-            lens.launch_radius is None or 0.0 < lens.launch_radius <= _LARGEST_MM,
+            lens.launch_radius is None or 0.0 < lens.launch_radius <= _LIMIT_MM,
             "launch_radius",
-            f"must lie in (0, {_LARGEST_MM:g}] mm; got {lens.launch_radius} mm. Leave it out for a "
+            f"must lie in (0, {_LIMIT_MM:g}] mm; got {lens.launch_radius} mm. Leave it out for a "
             "uniform core",
         ),
         (

@@ -151,7 +151,8 @@ _ROWS, _COLUMNS = 96, 96
 from row to row, and a look-up between two rows blurs it: with half the rows, images near a focus
 missed up to 0.26 % of their peak, with these 0.08 %."""
 _DOUBLINGS = 4
-_TOLERANCE = 3e-4  # interpolation error over the row's peak above which a point is refined
+_INTERPOLATION_TOLERANCE = 3e-4
+"""Interpolation error over the row's peak above which a point is refined."""
 _BESIDE = 1e-9
 """Cells before a sample at which the next cell begins. Many points lie on a sample, and XLA may
 compute their place twice with different rounding, so rounding must not decide on the cell there."""
@@ -267,7 +268,7 @@ def irradiance_table(lens: GlueLens, *, medium_index: ArrayLike) -> IrradianceTa
         computed = np.stack(light, axis=-1) * np.square(envelope[row])[:, None]
         error = np.max(np.abs(computed - values[row, column]), axis=-1)
         values[row, column] = computed
-        wanted[row, column] = error > _TOLERANCE * np.max(values[..., 1], axis=1)[row]
+        wanted[row, column] = error > _INTERPOLATION_TOLERANCE * np.max(values[..., 1], axis=1)[row]
     return IrradianceTable(
         values=jnp.asarray(values),
         medium_index=jnp.asarray(medium_index, dtype=float),

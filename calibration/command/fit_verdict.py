@@ -142,14 +142,14 @@ MOST_CHI_SQUARED = 2.0
 MOST_MISFIT = 0.02
 """Largest misfit of a fit to pixels, as a part of the light. With more, a parameter's bias can be
 several times its enlarged standard error (docs/fitting.md has departures of both kinds)."""
-_FELT = 1.2  # enlargement of the standard errors by a misfit that is worth a word
+_NOTED_ENLARGEMENT = 1.2  # enlargement of the standard errors by a misfit that is worth a word
 _KNOWN_VARIANCE = 0.1
 """Relative accuracy of a camera's data sheet. Residuals that are smaller by less say nothing."""
 MOST_MOVED = 5.0
 """Standard errors by which structure of residuals may move the parameters. Below it, errors grow
 instead; the wall's texture moves those of 60 spots by 3."""
 
-_SHOWN = 2  # reasons in an error message; the report lists all
+_MAX_REASONS_IN_ERROR = 2  # reasons in an error message; the report lists all
 
 
 class Fault(Enum):
@@ -278,7 +278,7 @@ def of_structure(
     structured = {
         name: math.sqrt(power)
         for name, power, _, found in slow_waves(residuals)
-        if found and power > _FELT**2
+        if found and power > _NOTED_ENLARGEMENT**2
     }
     if not structured:
         return []
@@ -313,7 +313,7 @@ def of_chi_squared(value: float, degrees: int, misfit: Misfit | None) -> list[Do
     why += f"; {misfit.where}" if misfit.where else "; the residuals have no structure"
     if misfit.share > MOST_MISFIT:
         return [Doubt(Fault.MISFIT, f"{why}; the limit is {100 * MOST_MISFIT:g} %")]
-    if not misfit.structured or misfit.inflation < _FELT:
+    if not misfit.structured or misfit.inflation < _NOTED_ENLARGEMENT:
         return []
     why += f"; the standard errors are enlarged up to {misfit.inflation:.3g} times"
     return [Doubt(Fault.STATED_MISFIT, why)]
@@ -332,13 +332,17 @@ def verdict(found: Sequence[Doubt]) -> str:
 def refusal(found: Sequence[Doubt], *, model: str, report: Path | None = None) -> str:
     """The error message: what is wrong, what to try, and where the details are."""
     reasons = [doubt.reason for doubt in found]
-    more = f"; and {len(reasons) - _SHOWN} more" if len(reasons) > _SHOWN else ""
+    more = (
+        f"; and {len(reasons) - _MAX_REASONS_IN_ERROR} more"
+        if len(reasons) > _MAX_REASONS_IN_ERROR
+        else ""
+    )
     remedies = (remedy(doubt.fault, model=model) for doubt in found if not doubt.fault.harmless)
-    shown = list(dict.fromkeys(filter(None, remedies)))[:_SHOWN]
+    shown = list(dict.fromkeys(filter(None, remedies)))[:_MAX_REASONS_IN_ERROR]
     if shown and _LENS in shown[0]:  # one remedy of two faults is named once
         shown[1:] = [text.removeprefix(f"{_LENS}, or ") for text in shown[1:]]
     tries = "; ".join(shown)
-    said = f"not a good fit: {'; '.join(reasons[:_SHOWN])}{more}."
+    said = f"not a good fit: {'; '.join(reasons[:_MAX_REASONS_IN_ERROR])}{more}."
     said += f"\nTry {tries}." if tries else ""
     details = f"\nNo calibration was written; {report} shows the residuals."
     return said if report is None else said + details

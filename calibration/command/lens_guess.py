@@ -25,7 +25,7 @@ _TOUCHES = (0.1, 0.4, 1.0, 2.0, 4.0)
 """Distances in the first frame, mm, where none is stated."""
 _REFINEMENTS = 6  # steps of a guess
 _STARTS = 3  # lenses to start from
-_SPOTS = 6  # that are compared
+_COMPARED_SPOTS = 6  # that are compared
 _NEAREST_MM = 0.05  # distance of a spot that is compared
 _RINGS = np.linspace(0.05, 2.0, 32)
 """Radii of the rings over the spot's own, whole batches of quadrature. Behind a high drop the light
@@ -66,7 +66,7 @@ def guessed_lenses(
     """
     trial = recording.trial
     distances = np.maximum(trial.readings + trial.touch.mean, _NEAREST_MM)
-    evenly = np.geomspace(distances.min(), distances.max(), _SPOTS)
+    evenly = np.geomspace(distances.min(), distances.max(), _COMPARED_SPOTS)
     spots = np.unique(np.abs(distances - evenly[:, None]).argmin(axis=1))
     seen = np.array([_rings(recording, footage, spot) for spot in spots])
     known = np.isfinite(seen)

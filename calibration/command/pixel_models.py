@@ -42,9 +42,9 @@ from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, OF_MICROSCOPE, Ca
 from eyespot.formats.inputs import InputError
 from eyespot.optics.wall_light.lens_flux import lens_parameters
 
-_APERTURE = 0.05  # numerical: start value
-_BLUR_PX = 1.0  # start value: a camera in focus
-_SPREAD_MM = 0.03  # start value: about that of paper
+_START_APERTURE = 0.05  # numerical: start value
+_START_BLUR_PX = 1.0  # start value: a camera in focus
+_START_SPREAD_MM = 0.03  # start value: about that of paper
 _BEAM = ("boresight", "boresight_sideways")
 _SECONDS = {"cone": (10.0, 3e-6), "lens": (60.0, 5e-7)}
 """Time of a fit on two cores, and its increase per pixel and frame, to a factor of two."""
@@ -83,7 +83,7 @@ def fit_image_of_cone(recordings: Sequence[RecordedTrial], choices: Choices) -> 
     if core:
         start["touch"] = start["b"] - line["b"]
     if "blur" in choices.names:
-        start["blur"] = _BLUR_PX
+        start["blur"] = _START_BLUR_PX
     return _fitted(recording, footage, choices, "cone", [start], joint_prior=own)
 
 
@@ -123,7 +123,7 @@ def fit_image_of_lens(recordings: Sequence[RecordedTrial], choices: Choices) -> 
             "rim_height": Prior(0.0, tip.rim_height_sigma_mm),
             "glue_index": Prior(tip.glue_index, tip.glue_index_sigma),
         }
-        kind["numerical_aperture"] = _APERTURE
+        kind["numerical_aperture"] = _START_APERTURE
         glue = {name: prior for name, prior in of_glue.items() if prior.sigma > 0}
     starts = guessed_lenses(recording, footage, kind, drop)
     more = {} if choices.names else drop | glue
@@ -214,7 +214,7 @@ def _fitted(
     microscope = microscope_of([recording])
     in_file = {*choices.names, *shared, *(OF_MICROSCOPE if microscope else ())}
     if "spread" in choices.names:
-        known["spread"] = _SPREAD_MM
+        known["spread"] = _START_SPREAD_MM
     begins = (known | start for start in starts)
     least, per_pixel = _SECONDS[source]
     minutes = (least + footage.light.size * per_pixel) / 60

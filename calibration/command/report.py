@@ -18,7 +18,7 @@ from eyespot.calibration.least_squares import SIGNIFICANCE, accepted_range, slow
 from eyespot.formats.report_page import PALETTE, STYLE, in_figure, templates
 
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-_STRONG = 4.0  # standard deviations at both ends of the residuals' colour scale
+_COLOUR_SCALE_SIGMAS = 4.0  # standard deviations at both ends of the residuals' colour scale
 
 
 def render(
@@ -103,7 +103,11 @@ def _pixels(pixels: PixelResiduals) -> Figure:
         axes.set_axis_off()
     for axes, smooth, (begin, end) in zip(grid.flat, pixels.maps, pixels.groups, strict=False):
         shown = axes.imshow(
-            smooth, cmap="RdBu_r", vmin=-_STRONG, vmax=_STRONG, interpolation="nearest"
+            smooth,
+            cmap="RdBu_r",
+            vmin=-_COLOUR_SCALE_SIGMAS,
+            vmax=_COLOUR_SCALE_SIGMAS,
+            interpolation="nearest",
         )
         axes.set(xlim=(first - 1, last + 1), ylim=(bottom + 1, top - 1), facecolor="#E4E4E4")
         axes.set_title(f"frame {begin}" if begin == end else f"frames {begin} to {end}")

@@ -37,11 +37,11 @@ from eyespot.optics.wall_light.lens_flux import TABLE_ERROR
 _UNITS = np.array([0.02, 0.02, 0.003, 0.003, 0.003, 0.1, 0.1])
 """Standard deviations of the states before they are learnt."""
 _LEAST, _MOST = _UNITS / 3000.0, _UNITS * 30.0
-_FEW = 2  # frames
-_FREE = 1.0  # tau of a wall with texture: nothing is known
+_MIN_FRAMES = 2  # frames
+_FREE_TAU = 1.0  # tau of a wall with texture: nothing is known
 EVEN = 1e-9  # tau of an even wall
-_LIT = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
-_RING = {True: 4, False: 2}  # cells around these; more while the beam is a guess
+_LIT_SHARE = 1e-3  # part of a frame's peak above which a cell counts as lit by the beam
+_RING_CELLS = {True: 4, False: 2}  # cells around these; more while the beam is a guess
 _MARGIN_PX = {True: 10.0, False: 3.0}  # around the instrument; larger while its pose is a guess
 _GUESSED = 0.01
 """Error of the model in the first fit, relative to a frame's brightest cell."""
@@ -50,9 +50,9 @@ _OF_TABLE = 0.25 * TABLE_ERROR
 sample of the table."""
 _NEAREST_CONE_MM = 0.03  # from the tip's plane; nearer, the rim touches the wall
 _TOUCH_MM = 0.1  # size of steps of the first distance where nobody states it
-_FAR = 4.0  # standard deviations from the model beyond which a cell loses weight
+_FAR_SIGMAS = 4.0  # standard deviations from the model beyond which a cell loses weight
 _VARIANCE_ROUNDS = 30  # the variances are learnt with the model as it is
-_SURE = 5.0  # standard deviations of chi squared beyond which a wall is not even
+_UNEVEN_SIGMAS = 5.0  # standard deviations of chi squared beyond which a wall is not even
 _TEXTURED = 1.5
 """Mean square of a cell's texture over its variance, above which the wall is surely not even."""
 
@@ -200,7 +200,7 @@ class BeamFit:
             sizes=sizes,
             coordinates=Coordinates.sized(names, sizes, point.values),
             # In one or two frames nothing tells a wall from a beam, so the wall counts as even.
-            tau=_FREE if len(numbers) > _FEW else EVEN,
+            tau=_FREE_TAU if len(numbers) > _MIN_FRAMES else EVEN,
             error=0.0,
             spread=np.ones(len(STATES)),
             trust=np.ones(of.seen.shape),
@@ -240,7 +240,7 @@ class BeamFit:
         reached = shown = 0
         for k, own in enumerate(found or ()):
             at = own.cells
-            usable = (own.along > nearest) & self._reached(own, _RING[guess])
+            usable = (own.along > nearest) & self._reached(own, _RING_CELLS[guess])
             reached += int(usable.sum())
             if footage.in_view:
                 usable &= ~footage.instrument.hides(
@@ -276,7 +276,7 @@ class BeamFit:
         """Cells that the beam reaches, and a ring around them."""
         count = self.of.cells.along
         lit = np.zeros(count**2, bool)
-        lit[own.cells] = own.direct > _LIT * own.direct.max()
+        lit[own.cells] = own.direct > _LIT_SHARE * own.direct.max()
         near = binary_dilation(lit.reshape(count, count), np.ones((3, 3)), iterations=ring)
         return np.asarray(near.ravel()[own.cells])
 
@@ -498,12 +498,12 @@ class BeamFit:
 
         def excess(error: float) -> float:
             far = square / (noise + error**2 * signal)
-            return float(np.sum(np.minimum(far, _FAR**2))) - degrees
+            return float(np.sum(np.minimum(far, _FAR_SIGMAS**2))) - degrees
 
         error = 0.0 if excess(0.0) <= 0 else brentq(excess, 0.0, 1.0) if excess(1.0) < 0 else 1.0
         far = np.abs(rest) / np.sqrt(self.variance + (float(error) * self.of.seen) ** 2)
         # The weight of Geman and McClure, as in the estimator.
-        trust = (_FAR / np.maximum(far, _FAR)) ** 4
+        trust = (_FAR_SIGMAS / np.maximum(far, _FAR_SIGMAS)) ** 4
         chi_squared = float(np.sum(square / noise))
         return replace(self, error=float(error), trust=trust, chi_squared=chi_squared)._reweighed()
 
@@ -515,9 +515,9 @@ class BeamFit:
 
     @property
     def misfit(self) -> float:
-        """Mean square of the residuals, in variances; cells that are far off count as `_FAR`."""
+        """Mean square of the residuals, in variances; far ones count as `_FAR_SIGMAS`."""
         squares = (
-            np.minimum(self.weight[k, own.cells] * np.square(rest), _FAR**2).sum()
+            np.minimum(self.weight[k, own.cells] * np.square(rest), _FAR_SIGMAS**2).sum()
             for k, (own, rest) in enumerate(zip(self.now.frames, self.now.rest, strict=True))
         )
         return float(sum(squares)) / self.data
@@ -526,7 +526,9 @@ class BeamFit:
         """With an even wall, unless that explains the frames worse than chance allows."""
         cells = float(np.sum(1.0 - self.tau**-2.0 / self.now.information))
         even, _ = replace(self, tau=EVEN).minimised(1.0, follow=False)
-        if even.equations.cost - self.equations.cost > cells + _SURE * math.sqrt(2.0 * cells):
+        if even.equations.cost - self.equations.cost > cells + _UNEVEN_SIGMAS * math.sqrt(
+            2.0 * cells
+        ):
             return self
         # Weights by a map that the frames' noise has shaped prefer the cells that it darkened.
         even, _ = even.chosen(guess=False).minimised(1.0, follow=False)
@@ -535,7 +537,7 @@ class BeamFit:
     @property
     def textured(self) -> bool:
         """Whether the wall is not even."""
-        return self.tau == _FREE
+        return self.tau == _FREE_TAU
 
     @property
     def states(self) -> dict[str, float]:

@@ -82,10 +82,10 @@ def footage_of(source: Any) -> Footage:
             f"{recording.source.name}: a fit of pixels needs the microscope and wall.medium. Give "
             "--rig FILE; `eyespot rig init` writes one."
         )
-    if view.distortion_model != "brown" or len(view.distortion) > _COEFFICIENTS:
+    if view.distortion_model != "brown" or len(view.distortion) > _DISTORTION_COEFFICIENTS:
         raise InputError(
             f"{recording.source.name}: a fit of pixels takes out a distortion of OpenCV's first "
-            f"{_COEFFICIENTS} coefficients; this lens has {len(view.distortion)} "
+            f"{_DISTORTION_COEFFICIENTS} coefficients; this lens has {len(view.distortion)} "
             f"({view.distortion_model}). Undistort the images first, or fit the spots (--model "
             "cone)."
         )
@@ -121,7 +121,7 @@ def footage_of(source: Any) -> Footage:
     )
 
 
-_COEFFICIENTS = 5  # k1, k2, p1, p2, k3: what the model of the light has
+_DISTORTION_COEFFICIENTS = 5  # k1, k2, p1, p2, k3: what the model of the light has
 _SHOWN = 6.0
 """Noise of a pixel below which the background does not show how long a frame was exposed."""
 
@@ -197,11 +197,11 @@ DEFAULTS = {"reflectance": 0.5, "power": 1.0, "sensitivity": 1.0, "robot_scale":
 DEFAULTS |= {"clock_offset": 0.0}
 _MAY_BE_NEGATIVE = {"b", "illumination", "touch", "u", "v", *_ANGLES, "rim_height", "sag"}
 _MAY_BE_NEGATIVE |= {"clock_offset", "inverse_working_distance"}
-_HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
+_MAX_HOLLOW = 0.01  # depth of a hollow end over its radius up to which the light is linear in it
 _SUNK = 0.2
 """Depth of a rim below the core's face over its radius, to which noise may move a rim of height 0.
 The light is linear in it."""
-_CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
+_MAX_RIM_CUT = 0.01  # by how much a rim may seem narrower than the core, relative: linear as well
 
 
 def known_names(source: str) -> tuple[str, ...]:
@@ -238,8 +238,8 @@ def possible(values: Mapping[str, float]) -> bool:
     """
     positive = all(value > 0 for name, value in values.items() if name not in _MAY_BE_NEGATIVE)
     lens = "sag" not in values or (
-        -_HOLLOW * values["aperture_radius"] <= values["sag"] <= values["aperture_radius"]
-        and values["aperture_radius"] >= (1.0 - _CUT) * values["core_radius"]
+        -_MAX_HOLLOW * values["aperture_radius"] <= values["sag"] <= values["aperture_radius"]
+        and values["aperture_radius"] >= (1.0 - _MAX_RIM_CUT) * values["core_radius"]
         and values["rim_height"] >= -_SUNK * values["aperture_radius"]
     )
     return positive and lens and values["reflectance"] < 1

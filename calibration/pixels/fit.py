@@ -24,7 +24,7 @@ _CELL, _SPREAD_CELL, _COARSE_CELL = 1 / 8, 1 / 16, 1 / 2.2
 """Sides of cells over the spot's radius: of a fit, of one whose light spreads from cell to cell,
 and of a first fit. Means over wide cells change smoothly even where a sharp edge moves, so a start
 that is far off still leads to the minimum."""
-_WIDEST_PX = {False: 8, True: 24}  # cells of a fit and of a first fit
+_MAX_CELL_PX = {False: 8, True: 24}  # cells of a fit and of a first fit
 _SOME = {False: 24, True: 16}
 """Frames of the first rounds, evenly over the withdrawal: in small and in large cells."""
 _TOLERANCE = {True: 0.5, False: 0.04}
@@ -72,7 +72,7 @@ _FINE_NODES = 12
 """On each side of a cell, at the end of a fit along a valley. By four, derivatives of a light with
 sharp edges are 2 % off, by these 0.3 %."""
 _HOLD_SIGMAS = 1e-3  # stated standard deviations to which a considered parameter is held
-_NAMED = 10  # frames that an error message names
+_MAX_FRAMES_IN_MESSAGE = 10  # frames that an error message names
 
 
 def fit_image(
@@ -156,7 +156,7 @@ def fit_image(
         """The fit of some or all frames from a point, in cells of a first fit or small ones."""
         spreads = "blur" in point.values or "spread" in point.values
         share = _COARSE_CELL if first else _SPREAD_CELL if spreads else _CELL
-        side = int(np.clip(round(share * radius), 1, _WIDEST_PX[first]))
+        side = int(np.clip(round(share * radius), 1, _MAX_CELL_PX[first]))
         # A table is not valid near the tip, and a beam whose tip is behind the wall lights nothing.
         nearest = 0.5 * NEAREST_MM if lens else 0.0
         usable = np.flatnonzero(footage.readings + point.values["touch"] > nearest)
@@ -222,7 +222,7 @@ def bright_spot(footage: Footage) -> tuple[Float[np.ndarray, "2"], float]:
     # A frame that the instrument hides may show none.
     shown = peak.ravel() > 4 * np.sqrt(footage.noise.variance(dark.min()))
     if np.mean(shown) < 0.5:
-        frames = ", ".join(map(str, np.flatnonzero(~shown)[:_NAMED]))
+        frames = ", ".join(map(str, np.flatnonzero(~shown)[:_MAX_FRAMES_IN_MESSAGE]))
         raise InputError(
             f"{np.count_nonzero(~shown)} of {shown.size} frames show no spot, such as {frames}. "
             "Leave them out of the image fit."

@@ -47,7 +47,7 @@ off."""
 _KEPT = 4
 """Tables that are kept: a fit goes back to one after a step that went too far, or from a start that
 is no better."""
-_FLAT_MM = 1e-5  # least sag of a table
+_MIN_SAG_MM = 1e-5  # least sag of a table
 ENCLOSED = 1.0 + 1e-4  # least rim of a cap over its core
 CLEAR = 1.003
 """Rim over the core from which on the light's derivatives are those of a rim that cuts off nothing.
@@ -90,7 +90,7 @@ class LinearLensLight:
                 its derivatives have a peak, which wide cells place badly.
         """
         at = {name: values[name] for name in (*LENS, "touch")}
-        at["sag"], at["rim_height"] = max(at["sag"], _FLAT_MM), max(at["rim_height"], 0.0)
+        at["sag"], at["rim_height"] = max(at["sag"], _MIN_SAG_MM), max(at["rim_height"], 0.0)
         at["aperture_radius"] = max(at["aperture_radius"], ENCLOSED * at["core_radius"])
         where = (coarse, finely, *at.values())
         if where not in self._kept:

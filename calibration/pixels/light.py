@@ -42,7 +42,8 @@ STATES = ("power", "exposure", "x", "y", "z", "right", "down")
 """What each frame has of its own: logarithms of the source's power and of the exposure over what
 is reported, the tip's place less the robot's, mm, and the shift of the image, px."""
 TIP, SHIFT = slice(2, 5), slice(5, 7)
-_AHEAD_MM = 0.3  # farther along the beam than the axis meets the wall: an oblique wall is lit there
+_OBLIQUE_MARGIN_MM = 0.3
+"""Farther along the beam than the axis meets the wall: an oblique wall is lit there."""
 VIEW = ("scale", "eye_radius", "inverse_working_distance")
 """Parameters of how the microscope sees the wall."""
 _STEP = 1e-6
@@ -329,7 +330,7 @@ class Light:
     ) -> tuple[Int[np.ndarray, "n"], Float[np.ndarray, "k n"]]:
         """Irradiance per unit power, 1/mm², by five changes of the pose and by the beam's own."""
         at_px = np.asarray(view.camera.project(beam.spot))
-        distance = float(beam.distance) + _AHEAD_MM
+        distance = float(beam.distance) + _OBLIQUE_MARGIN_MM
         if self.lens is None:
             reach = math.tan(values["half_angle"]) * (distance - values["b"])
         else:

@@ -43,7 +43,7 @@ LEAN_SIGMA = math.radians(1.0)
 _POINTS = 32
 _LEAST_PRIOR = 1e-6
 """Least standard deviation of a joint prior, relative: 1e-5 mm of a distance of 10 mm."""
-_PADDING = 16  # frames: trials of nearly equal length share one compilation, which takes 15 s
+_PADDED_FRAMES = 16  # frames: trials of nearly equal length share one compilation, which takes 15 s
 
 
 class Prior(NamedTuple):
@@ -217,7 +217,7 @@ class TrialGroup(eqx.Module):
     ) -> "TrialGroup":
         """The trials, which are on one kind of wall."""
         longest = max(trial.readings.size for trial in trials)
-        longest += -longest % _PADDING
+        longest += -longest % _PADDED_FRAMES
 
         def stacked(arrays: Sequence[ArrayLike]) -> Array:
             # The padding has weight 0.

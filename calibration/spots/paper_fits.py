@@ -36,13 +36,13 @@ from eyespot.formats.inputs import InputError
 Loss = Literal["squares", "huber"]
 """Least squares, or Huber's loss, which finds outliers."""
 
-_PADDING = 64  # spots: withdrawals of nearly equal length share one compilation
+_PADDED_SPOTS = 64  # spots: withdrawals of nearly equal length share one compilation
 
 
 def _padded(sizes: ArrayLike, readings: ArrayLike) -> tuple[Array, Array, Array]:
     """Both padded to a multiple of 64 rows, and the weights (1, or 0 for padding)."""
     count = len(np.asarray(readings))
-    length = count + -count % _PADDING
+    length = count + -count % _PADDED_SPOTS
     weight = jnp.where(jnp.arange(length) < count, 1.0, 0.0)
     return jnp.asarray(padded(sizes, length)), jnp.asarray(padded(readings, length)), weight
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 
 from eyespot import optics
 
-_POINTS = 32  # per contour; its ellipse is then accurate to 1e-7 px
+_CONTOUR_POINTS = 32  # per contour; its ellipse is then accurate to 1e-7 px
 
 
 class Tool(NamedTuple):
@@ -167,7 +167,7 @@ def _linear(tool, step, start, ellipses, whitening, wall, view, prior):
 
     def residual(step):
         pose = moved(start, step)
-        seen = tool_contours(tool, pose, wall, view, points=_POINTS)
+        seen = tool_contours(tool, pose, wall, view, points=_CONTOUR_POINTS)
         off = jax.vmap(optics.ellipse_mismatch)(seen, ellipses)
         of_prior = jnp.cross(pose.axis, prior.axis) / prior.sigma
         # A single spot does not determine the roll, which keeps its start value.

@@ -23,7 +23,8 @@ from eyespot.formats.rig import Rig
 from eyespot.formats.spots import NoSpot, Spot
 from eyespot.formats.whole_files import write_text
 
-_SATURATED = 0.01  # part of the spot below which saturated pixels are hot ones and reflections
+_SATURATED_SHARE = 0.01
+"""Part of the spot below which saturated pixels are hot ones and reflections."""
 # Shares of full scale; at a quarter, noise of the edge has four times its least.
 _DIM_PEAK, _GOOD_PEAK = 0.25, 0.8
 
@@ -32,7 +33,7 @@ def exposure_advice(result: Spot | NoSpot, frame: np.ndarray, response: Response
     """One sentence about the exposure; empty if it is right."""
     if isinstance(result, NoSpot):
         return ""
-    if result.saturated > _SATURATED:
+    if result.saturated > _SATURATED_SHARE:
         # How far the light exceeds full scale is not in the image, so: halve it, and look again.
         return f"{result.saturated:.0%} of the spot is saturated: halve the exposure."
     # The brightest channel of the square in the spot's ellipse.

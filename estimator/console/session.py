@@ -34,7 +34,7 @@ Write = Callable[[Frame, Reading, float, PoseTrack], None]
 _BEFORE_S = 0.1  # a velocity needs poses before the frame
 _AFTER_S = 0.01  # a pose after the last frame; less than the time between two frames
 _LATER_S = 1.0  # by so much a clock that begins at 0 is set forward: ROS reads 0 as no time
-_MOST_WAITING = 100  # frames; 90 MB of 640x480 RGB, ten seconds of the rig's camera
+_MAX_WAITING_FRAMES = 100  # frames; 90 MB of 640x480 RGB, ten seconds of the rig's camera
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def recorder(path: Path) -> Iterator[Write]:
 def _bag_stream(path: Path) -> Iterator[Write]:
     """Writes each frame between the poses before and after it, in the order of time."""
     refuse_existing(path)
-    waiting: Queue[list[Frame | Pose] | None] = Queue(_MOST_WAITING)
+    waiting: Queue[list[Frame | Pose] | None] = Queue(_MAX_WAITING_FRAMES)
     faults: list[InputError | OSError] = []
     written_s = offset_s = math.nan
 
@@ -109,7 +109,7 @@ def _bag_stream(path: Path) -> Iterator[Write]:
 COURSE_S = 30.0
 """How much of the past the session remembers, s."""
 
-_AGAIN_S = 1.0  # after a live source was lost
+_RETRY_S = 1.0  # after a live source was lost
 _JPEG_QUALITY = 85
 
 
@@ -274,7 +274,7 @@ class Session:
                 self.fault = f"{error}"
             with self._wake:
                 if self.source.live:
-                    self._wake.wait(_AGAIN_S)
+                    self._wake.wait(_RETRY_S)
                 else:
                     self.paused = self.at_end = True
                     self._wake.wait_for(lambda: self._ended or self._seek is not None)

@@ -302,8 +302,10 @@ def _rings(radii: np.ndarray) -> np.ndarray:
 
 _NUMBER = round(Small.REACH / Small.RING)
 _RADII = np.linspace(0.0, Small.REACH, 20 * _NUMBER + 1)
-_TURN = np.exp(2j * np.pi * np.arange(16) / 16)
-_ON_RAYS = np.stack([part[:, None] * _RADII for part in (_TURN.real, _TURN.imag)]).reshape(2, -1)
+_CIRCLE_16 = np.exp(2j * np.pi * np.arange(16) / 16)
+_ON_RAYS = np.stack(
+    [part[:, None] * _RADII for part in (_CIRCLE_16.real, _CIRCLE_16.imag)]
+).reshape(2, -1)
 
 _HALF = 0.5 / math.sqrt(3)
 _QUADRATURE = np.array([(x, y) for x in (-_HALF, _HALF) for y in (-_HALF, _HALF)])

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
     from eyespot import optics
 
 
-_OTHER = 1.5  # ratio of scales that no fit corrects: zooms differ by more, and rulers by less
+_OTHER_SCALE_RATIO = 1.5
+"""Ratio of scales that no fit corrects: zooms differ by more, and rulers by less."""
 
 
 def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> MicroscopeFile:
@@ -35,7 +36,7 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
         InputError: the calibrated scale is another microscope's, or another zoom's.
     """
     scale = float(values.get("scale", microscope.scale_mm_px))
-    if not 1 / _OTHER < scale / microscope.scale_mm_px < _OTHER:
+    if not 1 / _OTHER_SCALE_RATIO < scale / microscope.scale_mm_px < _OTHER_SCALE_RATIO:
         raise InputError(
             f"the calibration has a scale of {scale:g} mm/px, the microscope file one of "
             f"{microscope.scale_mm_px:g} mm/px: it is of another microscope, or of another zoom. "
@@ -90,7 +91,7 @@ def unblurred(spot: Spot) -> Spot:
     return replace(spot, semi_major_px=major, semi_minor_px=minor, covariance=covariance)
 
 
-_RELATIVE_STEP = 1e-6  # of one-sided differences
+_DIFFERENCE_STEP = 1e-6  # of one-sided differences
 
 
 class AreaDistances:
@@ -111,7 +112,9 @@ class AreaDistances:
         across = np.linalg.svd(axis[None])[2][1:]
         ellipse, turns, values = spot.ellipse[:4], (0.0, 0.0), self._calibration.values.values()
         given = np.array([*ellipse, *turns, *values])
-        steps = _RELATIVE_STEP * np.maximum(np.abs(given), np.repeat([1.0, 1e-3], [6, len(values)]))
+        steps = _DIFFERENCE_STEP * np.maximum(
+            np.abs(given), np.repeat([1.0, 1e-3], [6, len(values)])
+        )
         distance, *varied = (
             self._distance(row[:4], axis + row[4:6] @ across, row[6:].tolist())
             for row in given + np.vstack([np.zeros(given.size), np.diag(steps)])
@@ -149,7 +152,7 @@ UNKNOWN_SIGMA_PX = 0.5
 _NO_WEIGHT_RAD = 1e6  # standard deviation of an unknown axis
 _EXACT_RAD = 1e-3
 """Least standard deviation of an axis: without any doubt of it the search misses the ellipse."""
-_CIRCLE = 1e-9  # difference of the axes, relative, below which an ellipse has no angle
+_CIRCLE_TOLERANCE = 1e-9  # difference of the axes, relative, below which an ellipse has no angle
 _SAME_COST = 9.0  # difference of cost of two poses that three standard deviations do not separate
 
 
@@ -182,7 +185,9 @@ class ConePoses:
         known = bool(np.isfinite(spot.covariance).all())
         covariance = spot.covariance
         if not known:  # the angle may move the contour as far as the centre and the axes do
-            elongation = max(spot.semi_major_px - spot.semi_minor_px, _CIRCLE * spot.semi_major_px)
+            elongation = max(
+                spot.semi_major_px - spot.semi_minor_px, _CIRCLE_TOLERANCE * spot.semi_major_px
+            )
             covariance = UNKNOWN_SIGMA_PX**2 * np.diag([1.0, 1.0, 1.0, 1.0, elongation**-2])
         axis_sigma_rad = max(axis_sigma_rad, _EXACT_RAD)
         found = self._estimate(np.array(spot.ellipse), covariance, axis, axis_sigma_rad)

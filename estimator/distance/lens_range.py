@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _RADIUS_ERROR = 0.003  # relative: projection to first order, interpolation between incidences
 _SHAPE_ERROR = 0.02  # relative, of a ratio of axes: tilt 0.01, fine texture and blur
 _BRIGHTNESS_ERROR = 0.1  # relative: the wall's reflectance differs from place to place
-_DECIDED = 9.0  # difference of -2 log likelihood: three standard deviations
+_DECIDING_DIFFERENCE = 9.0  # difference of -2 log likelihood: three standard deviations
 _OTHER_BEAM_CHI2 = 25.0
 """Chi squared of the best distance above which only the size counts: a spot that is five standard
 deviations off in shape is not of this lens alone."""
@@ -103,7 +103,7 @@ def distance_from_lens(
 
     variance = relative_sigma**2 + _RADIUS_ERROR**2 + over_grid(curve.relative_error) ** 2
     by_size = np.log(over_grid(radii[:, 1]) / radius_mm) ** 2 / variance
-    if not by_size.min() < _DECIDED:
+    if not by_size.min() < _DECIDING_DIFFERENCE:
         return nowhere
     cost = by_size
     if shape is not None:
@@ -122,7 +122,7 @@ def distance_from_lens(
     best = int(np.argmin(cost))
     excess = cost - cost[best]
     # Each interval of distances that cannot be excluded counts as one answer.
-    possible = np.ma.clump_masked(np.ma.masked_less(excess, _DECIDED))
+    possible = np.ma.clump_masked(np.ma.masked_less(excess, _DECIDING_DIFFERENCE))
     others = tuple(
         float(grid[part][np.argmin(excess[part])])
         for part in possible

@@ -26,8 +26,8 @@ from eyespot.formats.spots import Spot
 
 Numbers = float | np.ndarray
 
-_APART = 3.0  # standard deviations between two distances that count as two
-_RELATIVE_STEP = 1e-6  # of central differences
+_TWO_DISTANCES_SIGMAS = 3.0  # standard deviations between two distances that count as two
+_DIFFERENCE_STEP = 1e-6  # of central differences
 _UNIT_TOLERANCE = 1e-3  # robots round the length of a unit vector
 
 
@@ -164,7 +164,7 @@ class Ranger:
 
         names, values = zip(*self.calibration.values.items(), strict=True)
         base = np.array([spot.x_px, spot.y_px, spot.semi_minor_px, *values])
-        steps = np.diag(_RELATIVE_STEP * np.maximum(np.abs(base), 1.0))
+        steps = np.diag(_DIFFERENCE_STEP * np.maximum(np.abs(base), 1.0))
         # The first column is the spot itself; then each quantity a step up, and each a step down.
         varied = base[:, None] + np.hstack([np.zeros((base.size, 1)), steps, -steps])
         x, y, semi_minor, *calibrated = varied
@@ -252,7 +252,7 @@ class Ranger:
         poses, alike, of_image = self._poses.of(spot, axis=axis, axis_sigma_rad=axis_sigma_rad)
         distance, other = (pose.distance_mm for pose in poses)
         sigma = math.hypot(of_image, square.sigma_mm)
-        apart = abs(other - distance) > _APART * sigma
+        apart = abs(other - distance) > _TWO_DISTANCES_SIGMAS * sigma
         return Range(
             distance_mm=distance,
             sigma_mm=sigma,

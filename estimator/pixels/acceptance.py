@@ -71,10 +71,10 @@ def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
 
 
-_SMALL = 0.01
+_NEGLIGIBLE_SHARE = 0.01
 """Standard deviation of the distance over it, or of a turn, below which nothing bends: a spot's
 edge moves by 1e-4 of its radius then."""
-_FOURTH = 3.0  # mean of the fourth power of a normal number
+_FOURTH_MOMENT = 3.0  # mean of the fourth power of a normal number
 
 
 def bend_covariance(
@@ -90,13 +90,13 @@ def bend_covariance(
     sizes = np.array([0.0, 0.0, sigmas[2] / frame.pose.distance, *sigmas[3:]])
     earlier = [np.zeros(COUNT**2)] * (len(solution.frames) - 1)
     found = np.zeros((POSE, POSE))
-    for k in np.flatnonzero(sizes > _SMALL):
+    for k in np.flatnonzero(sizes > _NEGLIGIBLE_SHARE):
         evenly = _even_part(solution, covariance[:, k] / sigmas[k])
         bend = solution.answer([*earlier, evenly])
         bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
         # Where the light says too little, the second order says nothing.
         bend = np.clip(bend, -sigmas, sigmas)
-        found += _FOURTH * np.outer(bend, bend)
+        found += _FOURTH_MOMENT * np.outer(bend, bend)
     return found
 
 
@@ -137,7 +137,7 @@ _PULL_SHARE = 0.3
 """Error of the pull, over its size: it is a linear forecast. On rendered drifts of up to 1.3 mm
 shifts and turns were within 10 to 30 % of it, mostly."""
 _TURN_PER_MM = 0.3  # most turn by a drift, rad/mm; the wall's slope changes by 0.09
-_PER_DRIFT = 0.03  # error of the distance's pull, over the drift
+_PULL_ERROR_PER_DRIFT = 0.03  # error of the distance's pull, over the drift
 
 
 def drift_covariance(
@@ -175,7 +175,7 @@ def drift_covariance(
     pull[2] = np.clip(pull[2], -shift, shift)
     pull[3:] *= min(1.0, _TURN_PER_MM * shift / max(float(np.linalg.norm(pull[3:])), 1e-12))
     turn = np.linalg.norm(pull[3:])
-    distance = np.hypot(pull[2], _PER_DRIFT / _PULL_SHARE * shift)
+    distance = np.hypot(pull[2], _PULL_ERROR_PER_DRIFT / _PULL_SHARE * shift)
     return (
         np.outer(pull, pull) + np.diag([shift, shift, distance, turn, turn]) ** 2 * _PULL_SHARE**2
     )
@@ -191,7 +191,7 @@ def shake_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     return np.sum(shaken, axis=0)
 
 
-_WIDE_PX2 = 0.5  # variance of a blur, below which its errors do not matter
+_WIDE_BLUR_PX2 = 0.5  # variance of a blur, below which its errors do not matter
 _SHIFT_SHARE = 2.0
 """Error of the shift, over the shift. On rendered cones out of focus by 2 and 3 mm at NA 0.04 the
 distance was off by up to 0.5 of what the whole shift makes of it in first frames, by up to 1.1 on
@@ -204,7 +204,7 @@ along one direction, by seven pixels during the exposure; more is defocus, which
 def edge_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What such errors may have done to the newest pose, in the terms of `POSE`."""
     newest = solution.newest
-    if newest.blur_px2 < _WIDE_PX2 and not newest.saturated:
+    if newest.blur_px2 < _WIDE_BLUR_PX2 and not newest.saturated:
         return np.zeros((POSE, POSE))
     shifts = np.array([_changes(solution, k) for k in range(len(solution.frames))])
     # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
@@ -241,7 +241,7 @@ def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     return np.concatenate([outwards * shifts, along_one * by_blur * oval])
 
 
-_MISFIT = 4.0  # chi squared per cell above which the light is not the beam's on this wall
+_MAX_CHI_SQUARED = 4.0  # chi squared per cell above which the light is not the beam's on this wall
 _SIZE = (1.5, 1.1)
 """Ratio of the spot's area to that of the fitted light, above which the light is another one, for
 light without and with a sharp edge. The contour of a bell on a textured wall leaves 10 to 20 %,
@@ -254,7 +254,7 @@ edge; whether it tells the distance, the stated error says (`_VAGUE`)."""
 _HALO = 1.06
 """Light beside a saturated spot over that farther away, from which it is a lamp's reflection: that
 of spots on drawn walls was 0.97 to 1.03, that of lamps 1.1 to 1.6."""
-_FAINTEST = 0.03  # least light of the beam over the ambient one, where it is brightest
+_MIN_CONTRAST = 0.03  # least light of the beam over the ambient one, where it is brightest
 _VAGUE = (0.5, 0.02)
 """Standard deviation of a distance over that from where the light widens, above which a frame shows
 too little of it, for light without and with a sharp edge; what is not known of the beam does not
@@ -287,10 +287,10 @@ def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     size = float(np.count_nonzero(spot)) * window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
     most = _SIZE[sharp] if outline.measured else _BRIGHT_SIZE
-    explained = best.chi_squared < _MISFIT and 1.0 / most < size / seen < most
+    explained = best.chi_squared < _MAX_CHI_SQUARED and 1.0 / most < size / seen < most
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
     explained &= 4.0 * math.pi * newest.blur_px2 < size
-    explained &= contrast(by_beam, newest) > _FAINTEST
+    explained &= contrast(by_beam, newest) > _MIN_CONTRAST
     light, usable = (part.ravel() for part in newest.cells.means(window))
     if newest.saturated:
         explained &= halo(light, spot) < _HALO

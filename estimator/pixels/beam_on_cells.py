@@ -113,7 +113,7 @@ _SOFT = 0.13
 least: edges at random places and angles, sampled by a Bayer filter."""
 _LEAST_BLUR_PX2 = 0.25
 """Below it the light of a sharp edge changes as a parabola, and that of a lens in proportion."""
-_MORE = 1.2  # factor on the variance, for the second point of the finite difference
+_VARIANCE_FACTOR = 1.2  # factor on the variance, for the second point of the finite difference
 _NO_BLUR_PX2 = 0.05  # below it a lens's light may as well spread from cell to cell, in less time
 _PARTS = 2
 """Parts of a cell's side, between which the light of a sharp edge spreads."""
@@ -125,8 +125,8 @@ _TOOL = BareFibre(fibre_radius=0.25, fibre_length=6.0)
 _SPARSE, _BESIDE_TOOL_PX = 4, 6.0
 """Pixels between those of which it is asked whether the instrument hides them, and a margin about
 it: as many, and the error of a tip where a fit starts."""
-_LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
-_WIDENS = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
+_MAX_LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
+_WIDENING = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
 class Sweep(NamedTuple):
@@ -185,7 +185,7 @@ class BeamLight:
         noise = camera_noise(microscope)
         cut = noise.cut if noise else USUAL_CUT
         self.cut = cut if sharp else _SOFT * cut
-        self.lattice = functools.lru_cache(maxsize=_LATTICES)(self._lattice)
+        self.lattice = functools.lru_cache(maxsize=_MAX_LATTICES)(self._lattice)
         self.camera = microscope.ideal_microscope()
         self.wall = microscope.wall()
         self.scale_mm_px = microscope.scale_mm_px
@@ -275,7 +275,11 @@ class BeamLight:
 
             all_, share = change(at_least), blur_px2 / at_least
             # A sharp edge loses less by a blur, the wider it is already.
-            last = (change(_MORE * at_least) - all_) / (_MORE - 1.0) if self.sharp else all_
+            last = (
+                (change(_VARIANCE_FACTOR * at_least) - all_) / (_VARIANCE_FACTOR - 1.0)
+                if self.sharp
+                else all_
+            )
             straight, curved = 2.0 * all_ - last, last - all_
             seen = value + share * (straight + share * curved)
             bend = (straight + 2.0 * share * curved) / at_least
@@ -340,7 +344,7 @@ class BeamLight:
         """Way of the light along steps of the spot, px."""
         along = steps @ pose.axis
         across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)
-        return float(np.sum(across + _WIDENS * np.abs(along))) / self.scale_mm_px
+        return float(np.sum(across + _WIDENING * np.abs(along))) / self.scale_mm_px
 
     def irradiance_alone(
         self,

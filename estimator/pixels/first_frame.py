@@ -71,9 +71,9 @@ def without_tool(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> Fram
     return replace(picture, usable=picture.usable & ~beam.hidden(pose))
 
 
-_UNDECIDED = 16.0
+_UNDECIDED_DIFFERENCE = 16.0
 """Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
-_SAME = 3.0  # standard deviations within which two poses are one
+_ONE_POSE_SIGMAS = 3.0  # standard deviations within which two poses are one
 _SHAKE_DECAY = 0.9  # the share of the shake that is expected to last until the next frame
 MOVES_ON_PX = 4.0
 """Motion of the wall from frame to frame above which it moves on; a microscope shakes by 1 or 2."""
@@ -161,7 +161,7 @@ class Hypothesis:
         turned = mine.axis - its.axis
         change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
         sigmas = np.sqrt(np.diag(other.solution.newest_covariance))[2:]
-        return bool((np.abs(change) > _SAME * sigmas).any())
+        return bool((np.abs(change) > _ONE_POSE_SIGMAS * sigmas).any())
 
 
 def lit_px2(solution: PoseSolution) -> float:
@@ -177,19 +177,19 @@ def distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     best, *others = sorted(hypotheses, key=lambda one: one.solution.deviance)
     kept = [best]
     for hypothesis in others:
-        near = hypothesis.solution.deviance - best.solution.deviance < _UNDECIDED
+        near = hypothesis.solution.deviance - best.solution.deviance < _UNDECIDED_DIFFERENCE
         if near and all(hypothesis.differs(other) for other in kept):
             kept.append(hypothesis)
     return kept
 
 
 _DISTANCES_MM = np.geomspace(0.4, 7.0, 20)
-_ROUND = 1.02  # ratio of the axes below which a spot shows no tilt
-_MOST = 3  # starts that are fitted
+_ROUND_SPOT_RATIO = 1.02  # ratio of the axes below which a spot shows no tilt
+_MAX_STARTS = 3  # starts that are fitted
 _SIZE, _TINY = (0.2, 0.05), 1e-6
 """Standard deviation of the logarithm of the spot's area, for light without and with a sharp edge:
 the contour of a bell follows the texture, and cells are counted."""
-_STEEPEST = 60.0  # incidence, degrees
+_MAX_INCIDENCE_DEG = 60.0  # incidence, degrees
 _BLURRED_PX = 1.5  # width of an edge, above which its blur has a shape
 _SHAPES = ((-1.0, 2.0 / np.pi), (0.0, 1.0), (2.0, 6.0 / np.pi))
 """Kurtosis of a blur, and its variance over the square of the edge width (`Spot.edge_width_px`),
@@ -223,7 +223,7 @@ def scanned_starts(
             if costs[k] <= min(costs[k - 1], costs[k + 1]):
                 found.append((costs[k], state))
     found.sort(key=lambda one: one[0])
-    return [state for _, state in found[:_MOST]]
+    return [state for _, state in found[:_MAX_STARTS]]
 
 
 def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> FrameState | None:
@@ -248,24 +248,27 @@ def likely_axes(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
     normal = normals[0]
     yield -normal
     ratio = spot.semi_major_px / spot.semi_minor_px
-    if ratio > _ROUND:
+    if ratio > _ROUND_SPOT_RATIO:
         along_wall = points[1] - points[0]
         along_wall -= (along_wall @ normal) * normal
         along_wall /= np.linalg.norm(along_wall)
-        tilt = min(np.arccos(1.0 / ratio), np.radians(_STEEPEST))
+        tilt = min(np.arccos(1.0 / ratio), np.radians(_MAX_INCIDENCE_DEG))
         for side in (-1.0, 1.0):
             yield -np.cos(tilt) * normal + side * np.sin(tilt) * along_wall
 
 
 _STEPS_FIRST = 14
-_FEWEST = 30  # cells of a first frame; it has sixteen states
-_AMBIENT = (-4.0, 3.0)  # log of ambient light over the beam's power: nearly nothing is known
-_CLEAR = 3.0
+_MIN_CELLS = 30  # cells of a first frame; it has sixteen states
+_LOG_AMBIENT_RANGE = (
+    -4.0,
+    3.0,
+)  # log of ambient light over the beam's power: nearly nothing is known
+_CLEAR_SIGMAS = 3.0
 """Least light of the beam over the ambient one, from which the mixture of colours is chosen. Where
 a lamp's reflection is as bright, the mixture that is even may lack the beam's colour."""
 _OTHER_WALL = 1.5
 """Mean square of a first frame's residuals, above which its wall is not that of the reference."""
-_AGAINST = 5.0  # standard deviations from the robot's axis that no pose has
+_MAX_AXIS_SIGMAS = 5.0  # standard deviations from the robot's axis that no pose has
 
 
 def explained_alone(
@@ -295,7 +298,7 @@ def explained_alone(
     own = np.zeros(beam.spread.shape[1])
     starts = scanned_starts(
         solver,
-        lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _AMBIENT, sweep, robot),
+        lambda pose: FrameState(cells, pose, 0.0, 0.0, direction, _LOG_AMBIENT_RANGE, sweep, robot),
         spot,
         own,
         likely_axes(beam, spot) if direction is None else [direction.axis],
@@ -316,7 +319,7 @@ def explained_alone(
     picture = replace(picture, usable=usable)
     if not beam.sharp:
         picture = without_tool(picture, beam, best.newest.pose)
-    clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR
+    clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR_SIGMAS
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
     cells = picture.cells(mix)
@@ -324,12 +327,12 @@ def explained_alone(
         solver.solve([], replace(one.frames[0], cells=cells), own, steps=STEPS) for one in found
     ]
     best = min(found, key=lambda one: one.deviance)
-    if np.count_nonzero(best.linear[0].weight) < _FEWEST:
+    if np.count_nonzero(best.linear[0].weight) < _MIN_CELLS:
         return [], mix
     solver = solver_for(mix, learnt_texture(best))
     again = [robust_fit(solver, [], one.frames[0], own) for one in found]
     # A pose may explain the light by chance, but not against the robot.
-    consistent = [one for one in again if one[0].frames[0].axis_off < _AGAINST]
+    consistent = [one for one in again if one[0].frames[0].axis_off < _MAX_AXIS_SIGMAS]
     hypotheses = [
         Hypothesis(
             kept=[(one.frames[0], one.linear[0])],

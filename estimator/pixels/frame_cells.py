@@ -88,8 +88,9 @@ SIDES = np.stack([np.tile(_ALONG, COUNT), np.repeat(_ALONG, COUNT)])
 SHADES = np.stack([*SIDES, SIDES[0] ** 2, SIDES[0] * SIDES[1], SIDES[1] ** 2])
 """Polynomials of that place up to the second degree, without the constant."""
 
-_CENTRED = 0.2  # a window is kept while the spot is so near to its middle, over half of its side
-_SIZED = 1.16  # a window is kept while its cells are at most 16 % larger than needed
+_KEPT_WINDOW_OFFSET = 0.2
+"""A window is kept while the spot is so near to its middle, over half of its side."""
+_KEPT_WINDOW_RATIO = 1.16  # a window is kept while its cells are at most 16 % larger than needed
 _AHEAD, _AHEAD_FRAMES = 0.15, 4.0
 """How far ahead of a moving point a new window lies: over the reach, and in frames, the less of
 both. So it serves for several frames; what is kept of earlier ones takes as long to model anew."""
@@ -127,8 +128,8 @@ class CellWindow(NamedTuple):
         """
         off = np.abs(centre_px - self.middle_px).max() / (0.5 * COUNT * self.side)
         needed = 2.0 * reach_px / COUNT
-        sized = needed < _SIZED * self.side < _SIZED**2 * math.ceil(needed)
-        if off < _CENTRED and sized:
+        sized = needed < _KEPT_WINDOW_RATIO * self.side < _KEPT_WINDOW_RATIO**2 * math.ceil(needed)
+        if off < _KEPT_WINDOW_OFFSET and sized:
             return self
         ahead = _AHEAD_FRAMES * moved_px
         most = _AHEAD * reach_px / max(float(np.abs(ahead).max()), 1e-9)

@@ -35,8 +35,8 @@ from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
 
 FARTHEST = 6
 """Cells, the longest shift that is searched for; 1 mm/s is two or three from frame to frame."""
-_TURN = 0.02  # standard deviation of the turn from frame to frame, rad
-_SURE = 16.0  # gain of -2 log likelihood: four standard deviations
+_TURN_SIGMA_RAD = 0.02  # standard deviation of the turn from frame to frame, rad
+_SURE_GAIN = 16.0  # gain of -2 log likelihood: four standard deviations
 _MIDDLE = 0.5 * (COUNT - 1)
 _CELLS = 0.5 * COUNT * SIDES
 """Columns and rows from the window's middle."""
@@ -71,7 +71,7 @@ def registered(
         off, weighted = residual - value, slopes * weight
         pull = weighted @ off
         explained = pull @ np.linalg.pinv(weighted @ slopes.T, hermitian=True) @ pull
-        turned = (moved[2] / _TURN) ** 2
+        turned = (moved[2] / _TURN_SIGMA_RAD) ** 2
         return float(off @ (weight * off) - explained - np.sum(np.log(weight)) + turned)
 
     along = range(-FARTHEST, FARTHEST + 1)
@@ -82,24 +82,26 @@ def registered(
         misfit, best, args=(3,), method="Nelder-Mead", options={"initial_simplex": best + steps}
     ).x
     gain = misfit(np.zeros(3), 3) - misfit(found, 3)
-    if gain < _SURE or np.abs(found[:2]).max() > FARTHEST + 1:
+    if gain < _SURE_GAIN or np.abs(found[:2]).max() > FARTHEST + 1:
         return None
     return WallMotion.about(window.middle_px, window.side * found[:2], float(found[2]))
 
 
 STEPS = 8
 _STEPS_AGAIN = 4
-_OUTLIER = 4.0  # standard deviations from which a cell is an outlier: a tool, a shadow, a glint
-_SIGNIFICANT = 4.0  # standard deviations of a mean square
-_GROWN = 1.2  # growth of the mean square from which the wall is looked for elsewhere
+_OUTLIER_SIGMAS = 4.0
+"""Standard deviations from which a cell is an outlier: a tool, a shadow, a glint."""
+_MISFIT_SIGMAS = 4.0  # standard deviations of a mean square
+_MISFIT_GROWTH = 1.2  # growth of the mean square from which the wall is looked for elsewhere
 _RECUT_SHIFT_PX = 0.1  # a frame's cells are cut anew where the wall has moved by more
 _THREADS = 2
-_SEEN = 0.01  # share of a frame's light that is worth a new model
+_NEW_MODEL_SHARE = 0.01  # share of a frame's light that is worth a new model
 _LINEAR = 0.01
 """Change of a distance over it, or turn, up to which a frame's model is linear: a spot's edge is
 wrong by 1e-4 of its radius then."""
 _WEIGHT_ROUNDS = 3  # the weights of cells with other light are found anew
-_SETTLED = 0.2  # change of a weight, over that of a cell that is trusted, that does not matter
+_SETTLED_WEIGHT_CHANGE = 0.2
+"""Change of a weight, over that of a cell that is trusted, that does not matter."""
 _EVENEST = 0.03
 """Least standard deviation of a wall's texture in that: what hides or shades a wall, or shines on
 it, changes its light by more than a tenth."""
@@ -113,7 +115,7 @@ some degrees off, and of the distance, relative, by the grid of the starts."""
 def _mean_square(deviations: Float[np.ndarray, "n"]) -> tuple[float, bool]:
     """Of residuals in standard deviations; and whether it is too large for chance."""
     value = float(np.mean(np.square(deviations))) if deviations.size else 1.0
-    return value, (value - 1.0) * math.sqrt(0.5 * deviations.size) > _SIGNIFICANT
+    return value, (value - 1.0) * math.sqrt(0.5 * deviations.size) > _MISFIT_SIGMAS
 
 
 def robust_fit(
@@ -137,15 +139,15 @@ def robust_fit(
     if kept:  # what comes into the light is new, no outlier
         before = np.sum([line.weight for _, line in kept], axis=0)
         tested &= before * solver.texture.variance > 1.0
-    mean_square, grown = _mean_square(np.minimum(left_out, _OUTLIER)[tested])
+    mean_square, grown = _mean_square(np.minimum(left_out, _OUTLIER_SIGMAS)[tested])
     # Where the wall has moved, the residuals are errors of its place, not noise.
-    noise, noisy = _mean_square(left_out[tested & (deviations < _OUTLIER)])
+    noise, noisy = _mean_square(left_out[tested & (deviations < _OUTLIER_SIGMAS)])
     if not (noisy and frame.cells.motion == STILL):
         noise = 1.0
     kept = [(state, line._replace(weight=line.weight / noise)) for state, line in kept]
     for _ in range(_WEIGHT_ROUNDS):
         last, trust = trust, _trust(deviations) / noise
-        if np.abs(trust - last).max() < _SETTLED:
+        if np.abs(trust - last).max() < _SETTLED_WEIGHT_CHANGE:
             break
         start, own = solution.newest, solution.own
         solution = solver.solve(kept, start, own, steps=_STEPS_AGAIN, trust=trust, line=line)
@@ -195,7 +197,9 @@ def moved(
     kept = [(state, line.after(right, down)) for state, line in kept]
     solver = solver.with_map_of(kept)
     lit = [
-        k for k, (state, _) in enumerate(kept) if share(solver.model.light(state, own), new) > _SEEN
+        k
+        for k, (state, _) in enumerate(kept)
+        if share(solver.model.light(state, own), new) > _NEW_MODEL_SHARE
     ]
     for k, fresh in zip(lit, modelled(solver, [kept[k][0] for k in lit], own), strict=True):
         kept[k] = fresh
@@ -225,12 +229,12 @@ def remodelled(kept: Kept, solution: PoseSolution) -> Kept | None:
 def outliers(solution: PoseSolution) -> Bool[np.ndarray, "n"]:
     """Outliers of a first frame from the wall's texture: hidden, or in other light."""
     line = solution.solver.model.linear(solution.newest, solution.own)
-    return _grown(_off_wall(solution.solver, line)) > _OUTLIER
+    return _grown(_off_wall(solution.solver, line)) > _OUTLIER_SIGMAS
 
 
 def _trust(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
     """The weight of Geman and McClure: a cell's pull falls with the cube of its residual."""
-    return (_OUTLIER / np.maximum(deviations, _OUTLIER)) ** 4
+    return (_OUTLIER_SIGMAS / np.maximum(deviations, _OUTLIER_SIGMAS)) ** 4
 
 
 def _off_wall_at_start(
@@ -263,7 +267,7 @@ def _large(deviations: Float[np.ndarray, "n"]) -> Float[np.ndarray, "count count
     """Deviations of blocks of cells that are all outliers; 0 elsewhere."""
     grid = deviations.reshape(COUNT, COUNT)
     least = cv2.erode(grid, _BLOCK, borderType=cv2.BORDER_REPLICATE)
-    return np.where(least > _OUTLIER, least, 0.0)
+    return np.where(least > _OUTLIER_SIGMAS, least, 0.0)
 
 
 def _off_wall(solver: PoseSolver, line: Linear) -> Float[np.ndarray, "n"]:
@@ -301,16 +305,16 @@ def fit_wherever(
     """
     solution, mean_square, grown = robust_fit(solver, kept, frame, own)
     other_wall = False
-    if grown and mean_square > _GROWN * usual:
+    if grown and mean_square > _MISFIT_GROWTH * usual:
         alone, *_ = robust_fit(solver.with_map(None), [], frame, own)
         known, variance = solver.known([line for _, line in kept])
         step = registered(alone.linear[0], known, variance, solver.window)
         if step is not None:
             moved = replace(frame, cells=cells(frame.cells.motion.after(step)))
             again, less, _ = robust_fit(solver, kept, moved, own)
-            if _deviance(again) < _deviance(solution) - _SURE:
+            if _deviance(again) < _deviance(solution) - _SURE_GAIN:
                 solution, mean_square = again, less
-        other_wall = _deviance(solution) > _deviance(alone) + _SURE
+        other_wall = _deviance(solution) > _deviance(alone) + _SURE_GAIN
     newest = solution.newest
     if math.hypot(*newest.shift) > _RECUT_SHIFT_PX:
         motion = newest.cells.motion.after(WallMotion(*newest.shift))

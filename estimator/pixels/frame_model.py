@@ -27,9 +27,9 @@ from eyespot.estimator.pixels.frame_cells import COUNT, SHADES, CellLight, CellW
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE, BeamFrame
 
-_TURNED = 0.02
+_FRAME_ERROR = 0.02
 """Relative error of a motion in the eye's frame, for an `eye_from_robot` that is 1 degree off."""
-_TURN = math.radians(0.05)  # error of the robot's own turn
+_TURN_SIGMA_RAD = math.radians(0.05)  # error of the robot's own turn
 _ROBOT_FREEDOM = 10.0  # of Student's distribution: a robot that is wrong loses its weight
 
 
@@ -99,12 +99,13 @@ def motion_between(
     first_slopes = np.zeros((POSE, POSE))
     first_slopes[:3] = -pose_0.slopes[:3]
     first_slopes[3:, 3:] = -across @ turn @ np.stack([pose_0.first, pose_0.second], axis=-1)
-    place = math.hypot(robot.sigma, robot_0.sigma, _TURNED * float(np.linalg.norm(motions)))
+    place = math.hypot(robot.sigma, robot_0.sigma, _FRAME_ERROR * float(np.linalg.norm(motions)))
     return RobotMotion(
         rest=rest,
         slopes=pose.slopes,
         first_slopes=first_slopes,
-        precision=np.repeat([place, math.hypot(_TURN, _TURNED * angle)], [3, 2]) ** -2.0,
+        precision=np.repeat([place, math.hypot(_TURN_SIGMA_RAD, _FRAME_ERROR * angle)], [3, 2])
+        ** -2.0,
     )
 
 
@@ -115,7 +116,7 @@ scales fills each of them of which it covers 1/r, so that the edge is 0.64 (1 - 
 outside: between 0.3 and 0.6 for any r above 2."""
 CUT = 0.3  # error of a pixel that such an edge cuts, over the step: those of 0 and 1 are alike
 _WHOLLY_COVERED = 0.98  # share of a cell that is saturated, above which no light of it is seen
-_LEAST = 1e-9  # 1/mm²
+_MIN_LIGHT = 1e-9  # 1/mm²
 
 
 def covered(
@@ -145,7 +146,7 @@ def covered(
     windows = np.lib.stride_tricks.sliding_window_view(numbers, (3, 3))
     near = windows.reshape(light.size, 9)
     brightest = near[np.arange(light.size), np.argmax(light[near], axis=1)]
-    full = np.maximum(light[brightest], _LEAST)
+    full = np.maximum(light[brightest], _MIN_LIGHT)
     over = (full > room) & (room > 0)
     cover = np.where(over, light / full, 0.0)
     if slopes is None:
@@ -163,7 +164,7 @@ def halo(light: Float[np.ndarray, "n"], lit: Bool[np.ndarray, "n"]) -> float:
     edge, beside = (binary_dilation(spot, iterations=cells) for cells in (1, 3))
     near, deviations = grid[beside & ~edge], grid[~beside]
     return (
-        float(np.median(near) / max(np.median(deviations), _LEAST))
+        float(np.median(near) / max(np.median(deviations), _MIN_LIGHT))
         if near.size and deviations.size
         else 1.0
     )
@@ -183,7 +184,7 @@ _BLUR_PX2 = 2.0
 _SATURATED_PX2 = 0.02
 """Standard deviation of that variance where the spot is saturated: its blur cannot be separated
 from its size there, and counts as part of what makes it look larger (`covered`)."""
-_KURTOSIS = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
+_KURTOSIS_SIGMA = 1.0  # standard deviation of the blur's excess kurtosis; a disc has -1
 
 
 class Direction(NamedTuple):
@@ -268,8 +269,8 @@ def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
     blur = _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
     precision[BLUR, BLUR] = 1.0 / blur**2
     pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
-    precision[TAILS, TAILS] = _KURTOSIS**-2
-    pull[TAILS] = -frame.kurtosis / _KURTOSIS**2
+    precision[TAILS, TAILS] = _KURTOSIS_SIGMA**-2
+    pull[TAILS] = -frame.kurtosis / _KURTOSIS_SIGMA**2
     precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
     pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
     if frame.direction is not None:
@@ -290,7 +291,7 @@ def prior_cost(frame: FrameState) -> float:
         if frame.saturated
         else math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)
     )
-    cost += blur + (frame.kurtosis / _KURTOSIS) ** 2
+    cost += blur + (frame.kurtosis / _KURTOSIS_SIGMA) ** 2
     cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
     if frame.direction is not None:
         off = np.cross(frame.pose.axis, frame.direction.axis)
@@ -298,7 +299,7 @@ def prior_cost(frame: FrameState) -> float:
     return cost
 
 
-_SHADED = 3.0  # largest logarithm of ambient light over that in the middle
+_MAX_LOG_SHADING = 3.0  # largest logarithm of ambient light over that in the middle
 _SMEAR = 0.04
 """Error of what motion changes in the light, over the change. Between two of a robot's poses, 5 ms
 apart, a tremor of 10 Hz leaves the straight line by an eighth of its turn of 0.3 rad."""
@@ -310,11 +311,12 @@ _FLOOR = 5e-4
 """Relative error of the light, of a cone in closed form and of a lens from a table. In the cells of
 rendered even walls the residuals have the variance of the photons within 5 %, also where that is
 1e-3 and less."""
-_DARKEST = 1e-6  # full wells
+_MIN_SIGNAL = 1e-6  # full wells
 _NO_LIGHT = 1e-6  # 1/mm², above what rounding leaves of none
-_HIDDEN = 16.0  # largest square of a cell's residual that counts for a start, in variances
-_BRIGHTEST = 100.0  # ambient light over that of the beam, 1/mm², from which a fit starts
-_OVER = 4.0  # light of a saturated spot over full scale, from which a fit starts
+_MAX_SQUARED_RESIDUAL = 16.0
+"""Largest square of a cell's residual that counts for a start, in variances."""
+_START_AMBIENT = 100.0  # ambient light over that of the beam, 1/mm², from which a fit starts
+_START_SATURATION = 4.0  # light of a saturated spot over full scale, from which a fit starts
 _BRIGHTER, _DIM = 0.75, 0.2
 """Quantiles: of the lit cells' light, most of which may be hidden; and of all cells by the beam's
 light, of which the dimmer ones show the ambient light."""
@@ -350,7 +352,7 @@ class FrameModel:
             blur_px2=frame.blur_px2,
             kurtosis=frame.kurtosis,
         )
-        shade = np.clip(np.array(frame.shade) @ SHADES, -_SHADED, _SHADED)
+        shade = np.clip(np.array(frame.shade) @ SHADES, -_MAX_LOG_SHADING, _MAX_LOG_SHADING)
         ambient = np.exp(frame.log_ambient + shade)
         # Between the samples of a table, light that is nearly none may be less than none.
         value = np.maximum(seen.value, 0.0)
@@ -369,7 +371,7 @@ class FrameModel:
         error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * shaped * seen.by_blur) / total
         weight = self._weight(frame, light, usable, model, error=error)
         deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
-        light = np.maximum(light, np.maximum(deviation, _DARKEST))
+        light = np.maximum(light, np.maximum(deviation, _MIN_SIGNAL))
         grain = np.zeros((2, total.size)) if self.grain is None else self.grain
         by_beam, by_ambient = of_beam / total, ambient * uncovered / total
         return Linear(
@@ -423,10 +425,10 @@ class FrameModel:
         gain = offset = 0.0
         for _ in range(2):
             gain = float(np.quantile((light - offset)[lit] / irradiance[lit], _BRIGHTER))
-            gain *= _OVER if frame.saturated else 1.0
+            gain *= _START_SATURATION if frame.saturated else 1.0
             offset = float(np.median((light - gain * irradiance)[dim]))
-        gain = max(gain, _DARKEST)
-        ambient = np.clip(offset / gain, 1e-4, _BRIGHTEST)
+        gain = max(gain, _MIN_SIGNAL)
+        ambient = np.clip(offset / gain, 1e-4, _START_AMBIENT)
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
         model = np.maximum(irradiance, 0.0)
         if frame.saturated:
@@ -435,8 +437,8 @@ class FrameModel:
         weight = self._weight(suited, light, usable, model)
         # Here the texture counts as noise without correlation: this finds starts, not poses.
         spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
-        residual = np.log(np.maximum(light, _DARKEST) / np.maximum(model, _DARKEST))
-        squares = np.minimum(np.square(residual) / spread, _HIDDEN)
+        residual = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(model, _MIN_SIGNAL))
+        squares = np.minimum(np.square(residual) / spread, _MAX_SQUARED_RESIDUAL)
         return suited, float(np.sum(np.where(usable, squares, 0.0))) + prior_cost(suited)
 
     def _weight(
@@ -451,7 +453,7 @@ class FrameModel:
         """1 over the variances of the cells' log light, by camera, image model and its error."""
         # The level is that of both, so that neither a wrong model nor a dark cell has too much
         # weight.
-        level = np.maximum(np.sqrt(np.maximum(light, _DARKEST) * model), _DARKEST)
+        level = np.maximum(np.sqrt(np.maximum(light, _MIN_SIGNAL) * model), _MIN_SIGNAL)
         variance = frame.cells.variance(level) / self.window.side**2 / level**2
         slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
         # Light enters at the bright side of a cell, where the reflectance differs.
@@ -479,4 +481,4 @@ def contrast(light: Float[np.ndarray, "n"], frame: FrameState) -> float:
 
 def share(light: Float[np.ndarray, "n"], cells: Bool[np.ndarray, "n"]) -> float:
     """How much of a beam's light falls on some cells."""
-    return float(light[cells].sum() / max(light.sum(), _DARKEST))
+    return float(light[cells].sum() / max(light.sum(), _MIN_SIGNAL))

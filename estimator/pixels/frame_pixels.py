@@ -35,9 +35,9 @@ from eyespot.formats.camera_sheet import GREY_WEIGHTS
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spots import Outline
 
-_LEAST = 1e-4  # full wells, of a channel
-_LIT = 0.25  # over the brightest cell; darker ones show the ambient light
-_FEWEST_LIT = 20  # cells from which a mixture is chosen
+_MIN_LIGHT = 1e-4  # full wells, of a channel
+_LIT_SHARE = 0.25  # over the brightest cell; darker ones show the ambient light
+_MIN_LIT_CELLS = 20  # cells from which a mixture is chosen
 _MAX_CHANNEL_WEIGHT = 2.0  # larger ones would only add noise
 _RIDGE = 1e-4  # over the mean variance
 
@@ -96,9 +96,9 @@ def evener_mix(
         ),
         strict=True,
     )
-    bright = (line.weight > 0) & seen[0].ravel() & (light > _LIT * light.max())
+    bright = (line.weight > 0) & seen[0].ravel() & (light > _LIT_SHARE * light.max())
     own = np.stack([part.ravel()[bright] for part in parts])
-    if np.count_nonzero(bright) < _FEWEST_LIT or not own.min() > 0:
+    if np.count_nonzero(bright) < _MIN_LIT_CELLS or not own.min() > 0:
         return mix
     residuals = np.log(own) - np.log(light[bright]) + line.residual[bright]
     # What another pose would explain does not count: the fit has taken it from this mixture.
@@ -119,8 +119,8 @@ def _most_even(residuals: Float[np.ndarray, "c n"]) -> Float[np.ndarray, "c"]:
     return parts
 
 
-_CLEAR = 5.0  # standard deviations of the noise, above which a cell's logarithm is good
-_FEWEST_CLEAR = 50  # such cells
+_CLEAR_SIGMAS = 5.0  # standard deviations of the noise, above which a cell's logarithm is good
+_MIN_CLEAR_CELLS = 50  # such cells
 
 _SMOOTH = np.stack([np.ones(COUNT**2), *SHADES])
 """The ambient light's logarithm: any mixture of these."""
@@ -150,8 +150,8 @@ class Reference:
         def known(window: CellWindow) -> tuple[np.ndarray, np.ndarray]:
             light, usable = (part.ravel() for part in cells.means(window))
             sigma = np.sqrt(cells.variance(np.maximum(light, 0.0))) / window.side
-            clear = usable & (light > _CLEAR * sigma)
-            if np.count_nonzero(clear) < _FEWEST_CLEAR:
+            clear = usable & (light > _CLEAR_SIGMAS * sigma)
+            if np.count_nonzero(clear) < _MIN_CLEAR_CELLS:
                 return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
             light = np.where(clear, light, 1.0)
             weight = np.where(clear, np.square(light / sigma), 0.0)
@@ -166,8 +166,8 @@ class Reference:
 _DARK = 0.4
 """Of the spot's light, below which a pixel is hidden. Vessels of a retina are half as bright as the
 rest at least, and a shadow has the ambient light alone."""
-_BRIGHT = 0.95  # quantile of the light within the spot, a tenth of which is seen at least
-_THIN = np.ones((5, 5), np.uint8)  # px, of dark lines that hide nothing
+_BRIGHT_QUANTILE = 0.95  # quantile of the light within the spot, a tenth of which is seen at least
+_THIN_LINE_KERNEL = np.ones((5, 5), np.uint8)  # px, of dark lines that hide nothing
 _BORDER_PX = 7  # width of the border beside what hides the spot
 _BESIDE = 0.2
 """Width of that border out of the spot, over its radius. What hides the spot goes on there, and
@@ -195,8 +195,8 @@ def hidden_pixels(
     cv2.ellipse(inside, (middle, (outer, inner), math.degrees(spot.angle_rad)), 1, cv2.FILLED)
     if not inside.any():
         return None
-    dark = inside & (light < _DARK * np.quantile(light[inside > 0], _BRIGHT))
-    dark = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, _THIN)
+    dark = inside & (light < _DARK * np.quantile(light[inside > 0], _BRIGHT_QUANTILE))
+    dark = cv2.morphologyEx(dark.astype(np.uint8), cv2.MORPH_OPEN, _THIN_LINE_KERNEL)
     if not dark.any():
         return None
     hidden = np.zeros(channels.shape[:2], np.uint8)
@@ -265,7 +265,7 @@ class FramePixels:
         """The luminance, which JPEG keeps best, for light of the spot's colour."""
         seen = self._in_middle(self.channels, spot)
         count = len(self.saturated)
-        light = np.maximum(seen.mean(axis=0) if seen.size else np.ones(count), _LEAST)
+        light = np.maximum(seen.mean(axis=0) if seen.size else np.ones(count), _MIN_LIGHT)
         parts = light * (GREY_WEIGHTS if count == 3 else 1.0)
         if not self.saturated.all():
             parts[self.saturated] = 0.0

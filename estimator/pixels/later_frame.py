@@ -31,9 +31,9 @@ from eyespot.formats.spots import Outline
 
 _STAYS_PX = 0.1
 """Shift of a wall that keeps still; one that moved may move as far again."""
-_KEPT = 6  # earlier frames
-_NEW = 0.25  # shift over the spot's radius that makes a frame worth keeping
-_GROWN = 0.07  # change of the distance's logarithm that does
+_MAX_EARLIER_FRAMES = 6  # earlier frames
+_KEYFRAME_SHIFT = 0.25  # shift over the spot's radius that makes a frame worth keeping
+_KEYFRAME_GROWTH = 0.07  # change of the distance's logarithm that does
 _OUTGROWN = 4.0
 """Growth of the distance from where the light widens, after which a first frame no longer counts.
 On rendered print behind a flat lens, from 0.45 to 6.15 mm, distances were off by up to 19 um
@@ -46,7 +46,7 @@ _UNLIKE = 1.2
 """Growth of the mean square, in light without a sharp edge, after which it is learnt again as well:
 a vessel that comes into a light of the same size is sharper than what the first frames showed. By
 noise it scatters by 0.06."""
-_ANEW = 3  # fits of a frame, if it moves the earlier ones far
+_MAX_FITS_OF_A_FRAME = 3  # fits of a frame, if it moves the earlier ones far
 _AMBIENT_STAYS = 0.2  # standard deviation of its logarithm from frame to frame
 _OTHER_DISTANCES = (0.85, 1.0, 1.18)  # over the last one, from which a frame may start
 
@@ -132,7 +132,7 @@ def _fitted(
     usual: float,
 ) -> tuple[PoseSolution, float, bool, Kept]:
     """What `fit_wherever` finds; and the earlier frames, anew where they have moved far."""
-    for _ in range(_ANEW):
+    for _ in range(_MAX_FITS_OF_A_FRAME):
         found, mean_square, other_wall = fit_wherever(solver, kept, start, own, cells, usual=usual)
         fresh = remodelled(kept, found)
         if fresh is None or other_wall:
@@ -187,14 +187,14 @@ def _kept(solution: PoseSolution, before: Kept) -> Kept:
     radius = 0.5 * COUNT * solver.model.side_mm / REACH[solver.beam.sharp]
     apart = [
         max(
-            float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _NEW,
-            abs(math.log(pose.distance / state.pose.distance)) / _GROWN,
+            float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _KEYFRAME_SHIFT,
+            abs(math.log(pose.distance / state.pose.distance)) / _KEYFRAME_GROWTH,
         )
         for state, _ in kept
     ]
     if min(apart, default=math.inf) <= 1.0:
         return kept
-    if len(kept) >= _KEPT:
+    if len(kept) >= _MAX_EARLIER_FRAMES:
         # The first stays; of the others the one nearest to the newest goes.
         kept.pop(1 + int(np.argmin(apart[1:])))
     return [*kept, newest]

@@ -36,7 +36,7 @@ _STARTS = np.log(10.0) * np.arange(-5.0, 2.0)
 """Logarithms of all variances over the usual ones, from which the estimate starts."""
 _SEARCH_TOLERANCE = 0.1  # of logarithms of variances, and of -2 log likelihoods
 _LOG_STEP = 0.5  # of second differences by the logarithms
-_NODES = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is taken
+_QUADRATURE_SIGMAS = np.linspace(-3.0, 3.0, 9)  # standard deviations, at which a mean is taken
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +130,7 @@ def _mean_exponential(
     precisions, axes = np.linalg.eigh(0.5 * curvature / _LOG_STEP**2)
     mean = np.exp(likeliest)
     for precision, axis in zip(precisions, axes.T, strict=True):
-        steps = np.outer(_NODES / math.sqrt(max(precision, _ANY**-2)), axis)
+        steps = np.outer(_QUADRATURE_SIGMAS / math.sqrt(max(precision, _ANY**-2)), axis)
         log_weights = -0.5 * np.array([deviance(likeliest + step) for step in steps])
         mean *= np.exp(logsumexp(log_weights[:, None] + steps, axis=0) - logsumexp(log_weights))
     return mean

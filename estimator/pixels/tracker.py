@@ -48,13 +48,13 @@ from eyespot.optics.wall_light.lens_flux import (
 )
 from eyespot.optics.wall_light.pose_light import POSE
 
-_LIKE_LAST = 1.5  # ratio of areas within which an outline may be that of the last frame
+_SAME_SPOT_AREA_RATIO = 1.5  # ratio of areas within which an outline may be that of the last frame
 
 
 _NEAREST_MM, _FARTHEST_MM = 0.25, 9.0
 """Distances of the table of a lens's light."""
 _TABLE_REACH = 1.05  # radii of the light's envelope that a lens's table covers
-_FINEST_PX = 1.0  # widest cell of a table; the mean light within a radius has no steps
+_MAX_TABLE_CELL_PX = 1.0  # widest cell of a table; the mean light within a radius has no steps
 _KNOWN = 1e-4
 """Relative error of a lens's parameter that does not matter: it is a third of a micrometre in the
 distance. Each other parameter costs time in each frame."""
@@ -283,7 +283,10 @@ def _like(last: Outline, outlines: Sequence[Outline]) -> Outline:
     def alike(outline: Outline) -> bool:
         size = outline.semi_major_px * outline.semi_minor_px
         ratio = size / (last.semi_major_px * last.semi_minor_px)
-        return 1.0 / _LIKE_LAST < ratio < _LIKE_LAST and apart(outline) < last.semi_major_px
+        return (
+            1.0 / _SAME_SPOT_AREA_RATIO < ratio < _SAME_SPOT_AREA_RATIO
+            and apart(outline) < last.semi_major_px
+        )
 
     # Behind a lens a spot may grow threefold from frame to frame; the fitted light must fill it.
     otherwise = outlines[0] if len(outlines) == 1 else last._replace(measured=False)
@@ -302,7 +305,7 @@ def _lens(calibration: Calibration, view: MicroscopeFile) -> tuple[Any, np.ndarr
     light: dict[str, Any] = {
         "medium_index": calibration.medium.index,
         "farthest": _FARTHEST_MM,
-        "finest": _FINEST_PX * view.scale_mm_px,
+        "finest": _MAX_TABLE_CELL_PX * view.scale_mm_px,
     }
     light |= {
         "halvings": halvings_for(parameters, **light),

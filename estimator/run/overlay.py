@@ -23,7 +23,7 @@ RIG_RATE_HZ = 10.0
 
 _CODECS = {".mp4": "mp4v", ".avi": "MJPG"}
 _VIDEO_RESERVE_BYTES = 2**23  # more than what OpenCV and FFmpeg buffer of a compressed video
-_SHIFT = 4  # cv2 takes fractions of a pixel as integers of 1/16 px
+_FRACTION_BITS = 4  # cv2 takes fractions of a pixel as integers of 1/16 px
 _GREEN, _RED, _BLACK = (60, 255, 60), (255, 70, 70), (0, 0, 0)
 
 Draw = Callable[[Frame, SpotRecord], None]
@@ -47,8 +47,8 @@ def annotated(
         colour = _RED
     else:
         points, centre = outline_px(record.result.ellipse, camera)
-        fixed = np.rint(points * 2**_SHIFT).astype(np.int32)
-        cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _SHIFT)
+        fixed = np.rint(points * 2**_FRACTION_BITS).astype(np.int32)
+        cv2.polylines(picture, [fixed], True, _GREEN, 1, cv2.LINE_AA, _FRACTION_BITS)
         x, y = np.rint(centre).astype(int).tolist()
         cv2.drawMarker(picture, (x, y), _GREEN, cv2.MARKER_CROSS, 9, 1, cv2.LINE_AA)
     if not math.isnan(record.distance_mm):  # the mode pixels may know it without a spot

@@ -338,7 +338,7 @@ class PixelsMode(Reader[SubpixelSettings, "PixelRanger"]):
         return found, Budgets(self._ranger, self._stated).of(result, found, axis=axis)
 
 
-_FASTEST_HZ = 12.0  # pixels takes 72 ms a frame on two cores
+_MAX_RATE_HZ = 12.0  # pixels takes 72 ms a frame on two cores
 
 
 def best_mode(
@@ -371,9 +371,9 @@ def best_mode(
         if microscope.noise is None
         else "the microscope has distortion"
         if microscope.camera() is not None
-        else f"the mode pixels reads {_FASTEST_HZ:g} frames a second, and the camera has "
+        else f"the mode pixels reads {_MAX_RATE_HZ:g} frames a second, and the camera has "
         f"{rate_hz:g}"
-        if rate_hz is not None and rate_hz > _FASTEST_HZ
+        if rate_hz is not None and rate_hz > _MAX_RATE_HZ
         else ""
     )
     if hindrance:

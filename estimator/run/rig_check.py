@@ -31,10 +31,10 @@ _STEADY = 0.2
 _WIDE_CORE = 1.15
 """Light at contact over the fibre's radius above which the recording begins later. A spot's
 semi-minor axis in mm is that of the wall to 10 % at c = 5 mm."""
-_GAP = 20.0  # times the usual step of the poses, from which they are missing
-_OTHER_NOISE = 0.2  # relative difference of two standard deviations of noise
-_SATURATED = 0.01  # part of a spot's pixels
-_BLACK_DN = 3.0  # difference of a dark level that is worth a word, of 255
+_GAP_STEPS = 20.0  # times the usual step of the poses, from which they are missing
+_NOISE_TOLERANCE = 0.2  # relative difference of two standard deviations of noise
+_SATURATED_SHARE = 0.01  # part of a spot's pixels
+_DARK_LEVEL_TOLERANCE_DN = 3.0  # difference of a dark level that is worth a word, of 255
 
 
 class RigCheck(NamedTuple):
@@ -185,12 +185,12 @@ def _of_images(
         *("camera.full_scale", f"{full:g}", f"values up to {brightest:g}"),
         *(
             ("wrong", f"{part:.0%} of the spot is clipped: halve the exposure.")
-            if part > _SATURATED
+            if part > _SATURATED_SHARE
             else ("right", "")
         ),
     )
     dark = float(min(np.quantile(frame.image, 0.001) for frame in frames))
-    above = dark < camera.black_level_dn - _BLACK_DN * full / 255
+    above = dark < camera.black_level_dn - _DARK_LEVEL_TOLERANCE_DN * full / 255
     yield (
         *("camera.black_level_dn", f"{camera.black_level_dn:g}", f"darkest pixels {dark:g}"),
         *(("wrong", "Measure it with the lens covered.") if above else ("right", "")),
@@ -249,7 +249,7 @@ def _of_noise(recording: Recording) -> tuple[list[Line], np.ndarray, np.ndarray]
     if stated is None:
         return [("camera.noise", "recording", said, "right", "")], levels, sigmas
     ratio = float(np.median(sigmas / np.sqrt(stated.variance(levels))))
-    other = abs(ratio - 1) > _OTHER_NOISE
+    other = abs(ratio - 1) > _NOISE_TOLERANCE
     remedy = f"It is {ratio:.2f} times the stated: set camera.noise = 'recording'." if other else ""
     return (
         [("camera.noise", "a sheet", said, "wrong" if other else "right", remedy)],
@@ -297,7 +297,9 @@ def _of_robot(
 def _of_gaps(poses: PoseTrack, times: np.ndarray) -> Iterator[Line]:
     """Times in which the robot's file says nothing, while frames were taken."""
     steps = np.diff(poses.times_s)
-    begin = np.flatnonzero(steps > _GAP * np.median(steps)) if steps.size else steps.astype(int)
+    begin = (
+        np.flatnonzero(steps > _GAP_STEPS * np.median(steps)) if steps.size else steps.astype(int)
+    )
     for first in begin:
         from_s, to_s = poses.times_s[first : first + 2]
         inside = int(np.count_nonzero((from_s < times) & (times < to_s)))

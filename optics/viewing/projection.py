@@ -385,7 +385,7 @@ def local_magnification(
     )
 
 
-_DEGREE = 10  # leaves 3e-4 of the light at the pole in all eyes and lenses of the package
+_FRESNEL_DEGREE = 10  # leaves 3e-4 of the light at the pole in all eyes and lenses of the package
 _RAYS = 200
 
 
@@ -423,4 +423,6 @@ def coaxial_falloff(camera: PathCamera, wall: Surface) -> tuple[np.ndarray, floa
     light = np.asarray(camera.transmittance(pixels(aim)) / thinner)
     height = np.asarray(hit[:, 2] - camera.pole_height)
     place = height / height[-1]
-    return np.polynomial.polynomial.polyfit(place, light / light[0], _DEGREE), float(height[-1])
+    return np.polynomial.polynomial.polyfit(place, light / light[0], _FRESNEL_DEGREE), float(
+        height[-1]
+    )

@@ -43,9 +43,9 @@ MODEL_ERROR = 0.003
 """Relative error of a cell's light by the image model."""
 BLUR_PX2 = 2.0
 """Standard deviation of the blur's variance: most images are nearly in focus."""
-_EDGE = 0.05  # width of the step by which cells count as lit, over the peak
+_LIT_STEP_WIDTH = 0.05  # width of the step by which cells count as lit, over the peak
 WITHIN = 0.52  # mean distance of two points of a square, over its side
-_UNSEEN = 1e6  # variance of a cell that says nothing
+_UNSEEN_VARIANCE = 1e6  # variance of a cell that says nothing
 
 
 def texture(apart_mm: Float[ArrayLike, "*n"]) -> Float[Array, "*n"]:
@@ -161,7 +161,7 @@ def distance_sigmas(
         down, along = jnp.gradient(jnp.log(total).reshape(COUNT, COUNT))
         steep = jnp.sqrt(down**2 + along**2 + 1e-12).ravel()
         aside = texture(jnp.zeros(())) - texture(spot.side_mm * jnp.minimum(steep / 12, 0.5))
-        noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2 + aside, _UNSEEN)
+        noise = jnp.where(used, 1.0 / information + MODEL_ERROR**2 + aside, _UNSEEN_VARIANCE)
         alike = texture(spot.side_mm * apart)[steps[:, None, :, None], steps[:, None, :]]
         covariance = alike.reshape(COUNT**2, COUNT**2) + jnp.diag(noise)
         # A blur's variance acts as time does on heat: half of the second derivatives.
@@ -188,5 +188,5 @@ def lit_radii(spots: SpotCells, change: Float[ArrayLike, "parts-1"]) -> Float[Ar
     by_change = jnp.concatenate([jnp.ones(1), jnp.asarray(change)])
     direct = jnp.einsum("p,nlpc->nlc", by_change, spots.light[..., 0, :])
     share = direct / jnp.max(direct, axis=-1, keepdims=True)
-    lit = jnp.sum(jax.nn.sigmoid((share - 0.5) / _EDGE), axis=-1)
+    lit = jnp.sum(jax.nn.sigmoid((share - 0.5) / _LIT_STEP_WIDTH), axis=-1)
     return jnp.mean(spots.side_px * jnp.sqrt(lit / jnp.pi), axis=1)

@@ -11,15 +11,15 @@ from eyespot.formats.inputs import InputError, shortened
 MOST_FRAMES = 100_000
 """Most frames of a scene. Their labels take a minute and 1 GB, their images days."""
 MOST_HZ = 1e5
-_MOST_MM = 1e4  # larger than any room; squares of it are exact to a nanometre
+_MAX_LENGTH_MM = 1e4  # larger than any room; squares of it are exact to a nanometre
 _MOST_S = 1e6
-_LONGEST_HAND_S = 600.0  # its top speed is sought at steps of 1 ms, in 1 GB
-_LEAST_DIVISOR = 1e-6  # least length or speed that something is divided by
+_MAX_HAND_S = 600.0  # its top speed is sought at steps of 1 ms, in 1 GB
+_MIN_DIVISOR = 1e-6  # least length or speed that something is divided by
 
-Positive = Annotated[float, Field(ge=_LEAST_DIVISOR, le=_MOST_MM)]
+Positive = Annotated[float, Field(ge=_MIN_DIVISOR, le=_MAX_LENGTH_MM)]
 """A length in mm, or a speed in mm/s."""
 _Seconds = Annotated[float, Field(ge=0, le=_MOST_S)]
-_Hertz = Annotated[float, Field(ge=_LEAST_DIVISOR, le=MOST_HZ)]
+_Hertz = Annotated[float, Field(ge=_MIN_DIVISOR, le=MOST_HZ)]
 _Share = Annotated[float, Field(ge=0, le=1)]
 _Part = Annotated[float, Field(ge=0, lt=1)]
 """A share below 1."""
@@ -53,7 +53,7 @@ class Withdrawal(SceneTable):
         "withdrawal",
         description="'withdrawal' | 'scan' | 'hand' | 'recorded'; the others follow below.",
     )
-    start_mm: Annotated[float, Field(ge=0, le=_MOST_MM)] | Literal["contact"] = Field(
+    start_mm: Annotated[float, Field(ge=0, le=_MAX_LENGTH_MM)] | Literal["contact"] = Field(
         "contact",
         description="First distance along the beam; 'contact': the tip's rim touches the wall.",
     )
@@ -100,13 +100,13 @@ class Hand(_NamedMotion):
     kind: Literal["hand"] = "hand"
     distance_mm: Positive = Field(3.0, description="Mean distance along the beam.")
     duration_s: float = Field(
-        6.0, ge=_LEAST_DIVISOR, le=_LONGEST_HAND_S, description="Duration of the trial."
+        6.0, ge=_MIN_DIVISOR, le=_MAX_HAND_S, description="Duration of the trial."
     )
     top_speed_mm_s: Positive = Field(
         5.0, description="Highest speed of the tip; the slow motion is scaled to reach it."
     )
     tremor_rms_mm: float = Field(
-        0.18, ge=0, le=_MOST_MM, description="Tremor before the robot damps it."
+        0.18, ge=0, le=_MAX_LENGTH_MM, description="Tremor before the robot damps it."
     )
     damping: _Share = Field(
         0.95, description="Fraction of the tremor that the robot removes (an assumption)."

@@ -33,7 +33,8 @@ from eyespot.scenes.world.world import World
 # mypy: no-check-untyped-defs
 
 
-_GRAZING = 1e-8  # squared cosine at which a ray leaves along the cap; its power is zero there
+_GRAZING_COSINE2 = 1e-8
+"""Squared cosine at which a ray leaves along the cap; its power is zero there."""
 
 
 def check_lens(values: dict[str, float]) -> None:
@@ -107,11 +108,11 @@ def leave_cap(values: dict[str, Any], *, launch: optics.GlueLens, medium_index: 
     ratio = index / medium_index
     cos_in = dr.dot(heading, normal)
     cos_squared = 1 - dr.square(ratio) * (1 - dr.square(cos_in))
-    cos_out = dr.sqrt(dr.maximum(cos_squared, _GRAZING))
+    cos_out = dr.sqrt(dr.maximum(cos_squared, _GRAZING_COSINE2))
     out = dr.normalize(ratio * heading + (cos_out - ratio * cos_in) * normal)
     passed = 2 * ratio * cos_in * cos_out / dr.square(ratio * cos_in + cos_out)
     passed += 2 * ratio * cos_in * cos_out / dr.square(cos_in + ratio * cos_out)
-    return place, out, power * passed & (cos_squared > _GRAZING)
+    return place, out, power * passed & (cos_squared > _GRAZING_COSINE2)
 
 
 def _filled(limit: Any, waist: Any, index: Any):
@@ -134,7 +135,7 @@ POSE = ("tip_x", "tip_y", "tip_z", "axis_x", "axis_y", "axis_z")
 """Parameters of the pose that can be free, eye frame; the tip in mm, the axis of any length."""
 
 _BORDER_PX = 1  # pixels at the film's edge lack the light of photons just outside
-_PASS = 1 << 18  # photons per pass; the graph needs about 1 kB per photon
+_PHOTONS_PER_PASS = 1 << 18  # photons per pass; the graph needs about 1 kB per photon
 
 
 class PhotonImage:
@@ -235,7 +236,9 @@ class PhotonImage:
         """The free parameters, pixels of the film and photons' light there, pass after pass."""
         values = self._values | dict(zip(self.free, parameters.tolist(), strict=True))
         check_lens(values)
-        for numbers in np.array_split(self._numbers, math.ceil(len(self._numbers) / _PASS)):
+        for numbers in np.array_split(
+            self._numbers, math.ceil(len(self._numbers) / _PHOTONS_PER_PASS)
+        ):
             size = len(numbers)
             # Values in memory (opaque) do not need a new kernel each time. With one copy per
             # photon, reverse mode does not sum over photons at every use of a parameter.

@@ -18,7 +18,7 @@ _RUN_UP_MM = 1e-3
 _MAX_REFLECTIONS = 16
 # Photons per pass. The film sums equal amounts of light in float32, and all rounding errors have
 # the same sign: 10,000 photons in a pixel can be wrong by 0.06 %. Passes are summed in float64.
-_PASS = 1 << 19
+_PHOTONS_PER_PASS = 1 << 19
 
 
 class Glass:
@@ -122,7 +122,9 @@ def photon_image(scene, *, photons_per_pixel: int, seed: int) -> np.ndarray:
     """
     tracer = mi.load_dict({"type": "ptracer", "max_depth": 2, "hide_emitters": True})
     width, height = scene.sensors()[1].film().size()
-    passes = min(math.ceil(photons_per_pixel * width * height / _PASS), photons_per_pixel)
+    passes = min(
+        math.ceil(photons_per_pixel * width * height / _PHOTONS_PER_PASS), photons_per_pixel
+    )
     counts = np.diff(np.linspace(0, photons_per_pixel, passes + 1).astype(int))
     total = np.zeros((height, width, 3))
     for number, count in enumerate(counts):

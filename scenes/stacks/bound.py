@@ -135,12 +135,12 @@ def _eliminated(
 
 
 _STEP_MM = 0.02  # step of the tip for differences of ellipses: 3 px, over which they are linear
-_BEND = 0.1  # most difference between forward and backward, as part of both together
+_MAX_BEND = 0.1  # most difference between forward and backward, as part of both together
 _SHARP, _SMOOTH = 4, 1  # places along a side of a pixel for a cone's edge, and for other light
 # Around the ellipse, in semi-axes: a cone's light ends at its edge, a lens's has tails.
 _EDGE, _TAILS, _MARGIN_PX = 1.05, 2.5, 6
-_MOST_PARTS = 9  # parts of an exposure; more of them change the mean light little
-_WORST_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
+_MAX_EXPOSURE_PARTS = 9  # parts of an exposure; more of them change the mean light little
+_MAX_CONDITION = 1e12  # beyond it, the image does not determine the ellipse
 
 
 def ellipse_motion(world: World) -> tuple[list[Affine], NDArray[np.float64], NDArray[np.float64]]:
@@ -191,7 +191,7 @@ def _slope(ellipse: Affine, *, ahead: Affine, behind: Affine) -> NDArray[np.floa
     forward, backward = _change(ellipse, ahead, ellipse), _change(ellipse, ellipse, behind)
     in_px = np.array([1.0, 1.0, *[ellipse.semi_major] * 3])
     bend = np.linalg.norm((forward - backward) * in_px)
-    if not bend <= _BEND * np.linalg.norm((forward + backward) * in_px):
+    if not bend <= _MAX_BEND * np.linalg.norm((forward + backward) * in_px):
         return np.full(5, np.nan)
     return np.asarray((forward + backward) / (2 * _STEP_MM))
 
@@ -262,7 +262,7 @@ class Bounds:
             frame,
             self._wall(frame, window),
             exposure_s=exposure_s,
-            sub_frames=min(light.sub_frames, _MOST_PARTS),
+            sub_frames=min(light.sub_frames, _MAX_EXPOSURE_PARTS),
         )
         information = light_information(
             light.radiance[top:bottom, left:right],
@@ -304,7 +304,7 @@ class Bounds:
         ellipse = self._ellipses[frame]
         scale = np.array([1.0, 1.0, ellipse.semi_major, ellipse.semi_minor, ellipse.semi_major])
         in_px = information / np.outer(scale, scale)
-        if not np.all(np.isfinite(in_px)) or np.linalg.cond(in_px) > _WORST_CONDITION:
+        if not np.all(np.isfinite(in_px)) or np.linalg.cond(in_px) > _MAX_CONDITION:
             return {}
         variance = np.diag(np.linalg.inv(in_px))
         by_tip = self._by_tip[frame].T @ information @ self._by_tip[frame]
@@ -312,6 +312,6 @@ class Bounds:
         variances = dict(
             zip(("x_px", "y_px", "semi_major_px", "semi_minor_px"), variance, strict=False)
         )
-        if np.all(np.isfinite(by_tip)) and np.linalg.cond(by_tip) < _WORST_CONDITION:
+        if np.all(np.isfinite(by_tip)) and np.linalg.cond(by_tip) < _MAX_CONDITION:
             variances["d_mm"] = towards @ np.linalg.solve(by_tip, towards)
         return {f"bound_{name}": float(np.sqrt(v)) for name, v in variances.items() if v > 0}

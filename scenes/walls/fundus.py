@@ -42,7 +42,7 @@ CUP_TO_DISC = 0.43
 
 
 _SHADE_CALIBRE_MM = 0.05  # a vessel of this calibre has 1 - 1/e of the density of a wide one
-_REFLEX = 0.35  # the light streak along a vessel lowers its density by this ...
+_REFLEX_CONTRAST = 0.35  # the light streak along a vessel lowers its density by this ...
 _REFLEX_WIDTH = 0.25  # ... over this fraction of its calibre
 _EDGE_MM = 0.02  # sharpness of the photograph
 
@@ -239,7 +239,7 @@ def _draw(pieces: NDArray[np.float64], extent_mm: float, pixels: int) -> NDArray
                 )
                 seen = covered > 0
                 np.maximum.at(canvas, at[seen], (depth * covered / edge)[seen].astype(np.float32))
-    body -= np.float32(_REFLEX) * streak
+    body -= np.float32(_REFLEX_CONTRAST) * streak
     return body.reshape(width, width)[margin:-margin, margin:-margin]
 
 

@@ -26,10 +26,11 @@ _TREMOR_HZ = (8.0, 12.0)
 """Band of physiological tremor in microsurgery (Wells et al. 2013)."""
 _VOLUNTARY_HZ = (0.3, 1.2)
 """Slow motion; 99 % of the power of voluntary motion lies below 2 Hz (Riviere et al. 1997)."""
-_LINES = 64  # sinusoids per band: enough to look random, few enough to sum exactly
+_SINUSOIDS_PER_BAND = 64  # sinusoids per band: enough to look random, few enough to sum exactly
 _STEP_S = 1e-6  # step of time for differences: in it the speed of a tremor changes by 1e-4
-_FINE_S = 1e-3  # step in the search for the top speed: a hundredth of the period of a tremor
-_MOST_POSES = 2**20  # robot's poses that memory is taken for: 90 minutes at 200 Hz
+_SPEED_SEARCH_STEP_S = 1e-3
+"""Step in the search for the top speed: a hundredth of the period of a tremor."""
+_MAX_POSES = 2**20  # robot's poses that memory is taken for: 90 minutes at 200 Hz
 _MARGIN_S = 0.1  # the robot's poses begin before the first frame and end after the last
 
 
@@ -152,9 +153,9 @@ def kinematics(scene: Scene, motion: Trajectory) -> NDArray[np.float64]:
 def _pose_count(scene: Scene, last_s: float) -> int:
     rate_hz = scene.clocks.kinematics_hz
     count = math.ceil((last_s + 2 * _MARGIN_S) * rate_hz) + 1
-    if count > _MOST_POSES:
+    if count > _MAX_POSES:
         raise SceneError(
-            f"the robot reports {count:,} poses; at most {_MOST_POSES:,} are possible: {last_s:g} "
+            f"the robot reports {count:,} poses; at most {_MAX_POSES:,} are possible: {last_s:g} "
             f"s at clocks.kinematics_hz = {rate_hz:g}. Raise the speed or lower kinematics_hz."
         )
     return count
@@ -204,7 +205,7 @@ def _hand(geometry: SceneGeometry, motion: Hand) -> PosesAt:
     tremor = _BandLimitedMotion(rng, _TREMOR_HZ, rms=damped_mm)
     slow = _BandLimitedMotion(rng, _VOLUNTARY_HZ, rms=1.0)
     last = _moments(geometry.scene)[-1]
-    fine = np.linspace(0.0, last, 1 + math.ceil(last / _FINE_S))
+    fine = np.linspace(0.0, last, 1 + math.ceil(last / _SPEED_SEARCH_STEP_S))
     size = _scale_to_speed(slow.velocity(fine), tremor.velocity(fine), motion.top_speed_mm_s)
     home = spot - motion.distance_mm * axis
     lever = motion.trocar_mm - motion.distance_mm
@@ -254,8 +255,8 @@ class _BandLimitedMotion:
     def __init__(
         self, rng: np.random.Generator, band_hz: tuple[float, float], *, rms: float
     ) -> None:
-        self.rate = 2 * math.pi * rng.uniform(*band_hz, _LINES)  # rad/s
-        cosine, sine = rng.standard_normal((2, _LINES, 3))
+        self.rate = 2 * math.pi * rng.uniform(*band_hz, _SINUSOIDS_PER_BAND)  # rad/s
+        cosine, sine = rng.standard_normal((2, _SINUSOIDS_PER_BAND, 3))
         size = rms / math.sqrt(np.sum(cosine**2 + sine**2) / 2)
         self.cosine, self.sine = size * cosine, size * sine  # n x 3, mm
 
