@@ -32,6 +32,18 @@ class Information:
         """
         return self._axes @ ((values @ self._axes) / (self._values + damping))
 
+    def solved_within(
+        self, values: np.ndarray, damping: float, limits: dict[int, tuple[float, float]]
+    ) -> np.ndarray:
+        """The same, with some of its numbers kept within limits, one after the other."""
+        step = self.solved(values, damping)
+        for at, (least, most) in limits.items():
+            excess = step[at] - np.clip(step[at], least, most)
+            if excess:
+                column = self.solved(np.eye(1, step.size, at)[0], damping)
+                step -= column * (excess / column[at])
+        return step
+
     def inverse(self) -> np.ndarray:
         """The covariance, if the residuals are over their standard deviations."""
         return (self._axes / self._values) @ self._axes.T

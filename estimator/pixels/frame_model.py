@@ -256,47 +256,54 @@ class FrameState:
             self.direction.sigma
         )
 
+    @functools.cached_property
+    def prior(self) -> "Prior":
+        """What is known of the states before the frame is seen."""
+        precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
+        mean, sigma = self.ambient_prior
+        precision[AMBIENT, AMBIENT] = sigma**-2
+        pull[AMBIENT] = (mean - self.log_ambient) / sigma**2
+        cost = ((self.log_ambient - mean) / sigma) ** 2
+        precision[SHADE, SHADE] = np.diag(_SHADE**-2)
+        pull[SHADE] = np.array(self.shade) / -(_SHADE**2)
+        cost += float(np.sum(np.square(self.shade / _SHADE)))
+        if self.saturated:
+            blur = _SATURATED_PX2
+            cost += (self.blur_px2 / blur) ** 2
+        else:
+            # Of Cauchy's distribution the normal one that pulls alike.
+            blur = math.hypot(_BLUR_PX2, self.blur_px2)
+            cost += math.log1p((self.blur_px2 / _BLUR_PX2) ** 2)
+        precision[BLUR, BLUR] = 1.0 / blur**2
+        pull[BLUR] = -precision[BLUR, BLUR] * self.blur_px2
+        precision[TAILS, TAILS] = _KURTOSIS_SIGMA**-2
+        pull[TAILS] = -self.kurtosis / _KURTOSIS_SIGMA**2
+        cost += (self.kurtosis / _KURTOSIS_SIGMA) ** 2
+        precision[SHIFT, SHIFT] = self.shift_sigma**-2 * np.eye(2)
+        pull[SHIFT] = np.array(self.shift) / -(self.shift_sigma**2)
+        cost += sum(x * x for x in self.shift) / self.shift_sigma**2
+        if self.direction is not None:
+            across = np.stack([self.pose.first, self.pose.second])
+            weight = self.direction.sigma**-2
+            precision[3:POSE, 3:POSE] = weight * np.eye(2)
+            pull[3:POSE] = weight * across @ self.direction.axis
+            off = np.cross(self.pose.axis, self.direction.axis)
+            cost += float(off @ off) / self.direction.sigma**2
+        return Prior(precision, pull, cost)
 
-def prior_of(frame: FrameState) -> tuple[np.ndarray, np.ndarray]:
-    """Precision of a frame's states before it is seen, and the pull towards their means."""
-    precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
-    mean, sigma = frame.ambient_prior
-    precision[AMBIENT, AMBIENT] = sigma**-2
-    pull[AMBIENT] = (mean - frame.log_ambient) / sigma**2
-    precision[SHADE, SHADE] = np.diag(_SHADE**-2)
-    pull[SHADE] = np.array(frame.shade) / -(_SHADE**2)
-    # Of Cauchy's distribution the normal one that pulls alike, where the spot is not saturated.
-    blur = _SATURATED_PX2 if frame.saturated else math.hypot(_BLUR_PX2, frame.blur_px2)
-    precision[BLUR, BLUR] = 1.0 / blur**2
-    pull[BLUR] = -precision[BLUR, BLUR] * frame.blur_px2
-    precision[TAILS, TAILS] = _KURTOSIS_SIGMA**-2
-    pull[TAILS] = -frame.kurtosis / _KURTOSIS_SIGMA**2
-    precision[SHIFT, SHIFT] = frame.shift_sigma**-2 * np.eye(2)
-    pull[SHIFT] = np.array(frame.shift) / -(frame.shift_sigma**2)
-    if frame.direction is not None:
-        across = np.stack([frame.pose.first, frame.pose.second])
-        weight = frame.direction.sigma**-2
-        precision[3:POSE, 3:POSE] = weight * np.eye(2)
-        pull[3:POSE] = weight * across @ frame.direction.axis
-    return precision, pull
 
+class Prior(NamedTuple):
+    """What is known of a frame's states before it is seen.
 
-def prior_cost(frame: FrameState) -> float:
-    """-2 log of the probability of a frame's states before it is seen, up to a constant."""
-    mean, sigma = frame.ambient_prior
-    cost = ((frame.log_ambient - mean) / sigma) ** 2
-    cost += float(np.sum(np.square(frame.shade / _SHADE)))
-    blur = (
-        (frame.blur_px2 / _SATURATED_PX2) ** 2
-        if frame.saturated
-        else math.log1p((frame.blur_px2 / _BLUR_PX2) ** 2)
-    )
-    cost += blur + (frame.kurtosis / _KURTOSIS_SIGMA) ** 2
-    cost += sum(x * x for x in frame.shift) / frame.shift_sigma**2
-    if frame.direction is not None:
-        off = np.cross(frame.pose.axis, frame.direction.axis)
-        cost += float(off @ off) / frame.direction.sigma**2
-    return cost
+    Attributes:
+        precision: of the states.
+        pull: towards their means.
+        cost: -2 log of their probability, up to a constant.
+    """
+
+    precision: Float[np.ndarray, "s s"]
+    pull: Float[np.ndarray, "s"]
+    cost: float
 
 
 _MAX_LOG_SHADING = 3.0  # largest logarithm of ambient light over that in the middle
@@ -439,7 +446,7 @@ class FrameModel:
         spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
         residual = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(model, _MIN_SIGNAL))
         squares = np.minimum(np.square(residual) / spread, _MAX_SQUARED_RESIDUAL)
-        return suited, float(np.sum(np.where(usable, squares, 0.0))) + prior_cost(suited)
+        return suited, float(np.sum(np.where(usable, squares, 0.0))) + suited.prior.cost
 
     def _weight(
         self,

@@ -68,10 +68,8 @@ class Mix:
         self, noise: CameraNoise, light: Float[np.ndarray, "*n"]
     ) -> Float[np.ndarray, "*n"]:
         """Variance of a pixel's light in the mixture."""
-        return sum(
-            weight**2 * noise.channel_variance(share * light)
-            for weight, share in zip(self.weights, self.shares, strict=True)
-        )
+        of_channels = noise.channel_variance(np.multiply.outer(self.shares, light))
+        return np.tensordot(self.weights**2, of_channels, 1)
 
 
 def evener_mix(

@@ -37,8 +37,6 @@ from eyespot.estimator.pixels.frame_model import (
     Linear,
     RobotMotion,
     motion_between,
-    prior_cost,
-    prior_of,
 )
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE
@@ -271,10 +269,14 @@ class PoseSolver:
         small = _ROUGH if frame.saturated else _SMALL
         for _ in range(steps):
             # How far the minimum is, the step without damping says: one with it is always short.
-            step = _step_within(information, gradient, frame, blur, 0.0)
+            limits = {
+                blur: (-frame.blur_px2, np.inf),  # no image is sharper than sharp
+                blur + 1: (LEAST_KURTOSIS - frame.kurtosis, MOST_KURTOSIS - frame.kurtosis),
+            }
+            step = information.solved_within(gradient, 0.0, limits)
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
-                step = _step_within(information, gradient, frame, blur, damping)
+                step = information.solved_within(gradient, damping, limits)
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
@@ -372,10 +374,9 @@ class PoseSolver:
             hessian[np.ix_(at, at)] += weighted @ slopes.T
             gradient[at] += weighted @ (line.residual - texture_map)
             cross[at] += weighted
-            precision, pull = prior_of(frame)
-            mine = slice(OWN * k, OWN * (k + 1))
-            hessian[mine, mine] += precision
-            gradient[mine] += pull - precision @ change[mine]
+            prior, mine = frame.prior, slice(OWN * k, OWN * (k + 1))
+            hessian[mine, mine] += prior.precision
+            gradient[mine] += prior.pull - prior.precision @ change[mine]
         for k, motion in _motions_after(motions, change):
             slopes = np.concatenate([motion.first_slopes, motion.slopes], axis=1)
             weighted = slopes.T * motion.weight
@@ -417,8 +418,8 @@ class PoseSolver:
         cost -= float(weighted @ solved(factor, weighted))
         for k, frame in enumerate(frames):
             here = change[OWN * k : OWN * (k + 1)]
-            precision, pull = prior_of(frame)
-            cost += float(here @ precision @ here - 2.0 * pull @ here) + prior_cost(frame)
+            prior = frame.prior
+            cost += prior.cost + float(here @ prior.precision @ here - 2.0 * prior.pull @ here)
         cost += sum(motion.cost for _, motion in _motions_after(motions, change))
         return float(cost + own @ own)
 
@@ -452,22 +453,6 @@ def _precision(texture: TextureVariances, side_mm: float) -> Float[np.ndarray, "
 
 def _log_determinant(factor: Factor) -> float:
     return 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-
-
-def _step_within(
-    information: Information, gradient: np.ndarray, frame: FrameState, blur: int, damping: float
-) -> np.ndarray:
-    """The best step with a possible blur of a frame, whose variance has the number `blur`."""
-    step = information.solved(gradient, damping)
-    for at, state, least, most in (
-        (blur, frame.blur_px2, 0.0, np.inf),  # no image is sharper than sharp
-        (blur + 1, frame.kurtosis, LEAST_KURTOSIS, MOST_KURTOSIS),
-    ):
-        excess = state + step[at] - np.clip(state + step[at], least, most)
-        if excess:
-            column = information.solved(np.eye(1, step.size, at)[0], damping)
-            step -= column * (excess / column[at])
-    return step
 
 
 def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
