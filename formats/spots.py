@@ -126,6 +126,27 @@ class Outline(NamedTuple):
     measured: bool = True
 
 
+class OwnHalf(NamedTuple):
+    """The contour where each side's light is half of its own, against that of half of the peak.
+
+    They differ where the light slopes across the spot.
+
+    Attributes:
+        right_px, down_px: shift of the centre.
+        growth: of the axes.
+        variance_px2: of either shift.
+    """
+
+    right_px: float = 0.0
+    down_px: float = 0.0
+    growth: float = 1.0
+    variance_px2: float = 0.0
+
+
+EVEN_LIGHT = OwnHalf()
+"""Both contours are the same."""
+
+
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spot:
@@ -145,6 +166,7 @@ class Spot:
         coverage: fraction of the contour's length on which an edge is visible.
         inlier_fraction: fraction of the visible edges that belong to the ellipse.
         saturated: fraction of the spot's pixels at full scale in the channel measured.
+        own_half: where each side's light is half of its own; a spots file does not contain it.
     """
 
     x_px: float
@@ -157,6 +179,7 @@ class Spot:
     coverage: float
     inlier_fraction: float
     saturated: float
+    own_half: OwnHalf = EVEN_LIGHT
 
     @property
     def ellipse(self) -> tuple[float, float, float, float, float]:

@@ -22,7 +22,7 @@ from eyespot.estimator.detector.ellipse_rays import (
 from eyespot.estimator.detector.levels import Levels, top_counts
 from eyespot.estimator.detector.saturated_flank import hidden_edge
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.formats.spots import EVEN_LIGHT, NoSpot, OwnHalf, Reason
 
 _CUBIC = np.arange(4)
 _WAVES = DESIGN.astype(np.float32)
@@ -52,6 +52,7 @@ class Refined:
     found: np.ndarray
     inliers: np.ndarray
     shaded: np.ndarray
+    own_half: OwnHalf
     band: "Band"
 
     @property
@@ -168,8 +169,10 @@ class Band:
 
     def shifts(
         self, disturbances: list[np.ndarray], *, past_texture: bool
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Outward shift of each ray's profile against the mean, and the variance left, (RAYS,).
+
+        The last array, (n,), are the weights of a profile's samples in its shift.
 
         A ray differs from the mean by -slope * shift, by disturbances of any strength, by texture
         and by noise. The shift is a weighted sum of the samples that disturbances leave alone: that
@@ -205,7 +208,9 @@ class Band:
             rays, waves = left[self.inliers], _WAVES[self.inliers]
             _, fitted = cv2.solve(waves.T @ waves + _SOLVABLE, waves.T @ rays)
             weights = _least_varying(rays - waves @ fitted, towards, slopes)
-        return left @ (weights / np.float32(triangle[-1, -1])), rough
+        weights = weights / np.float32(triangle[-1, -1])
+        weights = weights - orthonormal[:, :-1] @ (weights @ orthonormal[:, :-1])
+        return residual @ weights, rough, weights
 
     def half_crossing(self, level: float, span: float) -> float | None:
         """Offset where the mean profile falls to a level, by a cubic over `span` on either side."""
@@ -261,6 +266,7 @@ class Band:
         half: float,
         half_variance: float,
         shaded: np.ndarray,
+        own_half: OwnHalf = EVEN_LIGHT,
         centre_variance: float = 0.0,
     ) -> Refined:
         """The ellipse moved by a fitted step (see `robust_step`) and to the half level's offset.
@@ -281,6 +287,7 @@ class Band:
             found=found,
             inliers=inliers,
             shaded=shaded,
+            own_half=own_half,
             band=self,
         )
 
@@ -354,7 +361,7 @@ def refine_sharp(
     # Stretched about the edge itself: otherwise a ray with a narrower edge would seem shifted.
     middle = 0.0 if saturated else band.middle
     stretch = (band.from_edge - middle) * band.slope
-    shifts, rough = band.shifts([stretch, band.mean], past_texture=True)
+    shifts, rough, weights = band.shifts([stretch, band.mean], past_texture=True)
     gain = band.gain
     # A shift changes a brighter ray by more.
     offsets = shifts / np.maximum(gain, Refine.DARKEST_GAIN)
@@ -393,7 +400,7 @@ def refine_sharp(
         return band.refined(
             levels, offsets, found, fitted, half=half, half_variance=variance, shaded=shaded
         )
-    slope, doubt, unseen = _slope(band, found, levels.width)
+    sloping, slopes_variance, slope, doubt, unseen = _slope(band, found, levels.width)
     levels = _sharpened(levels, band, slope, doubt)
     inside = max(1 - Sharp.BRIGHTEST_INSIDE * levels.width, 0.0)
     levels = replace(levels, hidden=levels.hidden + inside**2 * unseen)
@@ -407,6 +414,12 @@ def refine_sharp(
     aside = per_slope * slope
     step[:2] += aside
     offsets = offsets + DESIGN[:, :2] @ aside
+    # The wall's reflectance brightens background and spot, a slope of the light the spot alone, and
+    # the more the farther out: that shifts a profile, too.
+    by_slope = (1 + band.from_edge) * (band.mean - levels.background)
+    misled = float(by_slope @ weights) * float(band.mean @ band.mean) / float(by_slope @ band.mean)
+    right, down = (-ellipse.shape @ (aside + misled * sloping)).tolist()
+    area = abs(np.linalg.det(ellipse.shape))
     return band.refined(
         levels,
         offsets,
@@ -416,6 +429,12 @@ def refine_sharp(
         half_variance=(Sharp.SIZE_PX / ellipse.axes()[1]) ** 2,
         centre_variance=per_slope**2 * doubt / 2,
         shaded=shaded,
+        own_half=OwnHalf(
+            right,
+            down,
+            growth=1 + inside * float(np.linalg.norm(aside)),
+            variance_px2=misled**2 * slopes_variance / 2 * area,
+        ),
     )
 
 
@@ -447,25 +466,28 @@ def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> L
     return replace(levels, width=width, peak=peak, variance=levels.variance + doubt)
 
 
-def _slope(band: Band, found: np.ndarray, width: float) -> tuple[np.ndarray, float, float]:
+def _slope(
+    band: Band, found: np.ndarray, width: float
+) -> tuple[np.ndarray, float, np.ndarray, float, float]:
     """Slope of the light across the plateau, over its mean per radius, (2,), and its variance.
 
-    The last number is the variance of a slope that texture hides.
+    Also that part of it which counts for the half level, the variance of this part, and that of a
+    slope that texture hides.
 
     A beam that meets the wall obliquely is brighter on the near side. Texture is uneven, too, so
     the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
     1995).
     """
-    # A slope moves a sharp edge so little that a wrong estimate of it would do more harm.
-    counts = top_counts(width)
-    if counts == 0:
-        return np.zeros(2), 0.0, 0.0
     waves = np.where(found[:, None], _SLOPES, 0.0)
     _, fitted = cv2.solve(waves.T @ waves, waves.T @ band.gain[:, None].astype(float))
     slope = fitted[1:, 0] / fitted[0, 0]
     square = float(slope @ slope)
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
     variance = Sharp.SLOPE_DOUBT * 2 * ring_variance(rest, slice(2, 7)) / RAYS
-    kept = counts * max(0.0, 1 - variance / square) if square > 0 else 0.0
+    sure = max(0.0, 1 - variance / square) if square > 0 else 0.0
+    # A slope moves a sharp edge so little that a wrong estimate of it would do more harm.
+    counts = top_counts(width)
+    kept = counts * sure
     doubt = kept * variance + kept * (1 - kept) * square
-    return kept * slope, doubt, (counts - kept) * min(variance, square)
+    unsure = sure * variance + (1 - sure) * min(variance, square)
+    return sure * slope, unsure, kept * slope, doubt, (counts - kept) * min(variance, square)

@@ -51,7 +51,7 @@ def refine_broad(
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
-    offsets, _ = band.shifts([band.from_edge * band.slope], past_texture=False)
+    offsets, *_ = band.shifts([band.from_edge * band.slope], past_texture=False)
     gain = band.gain
     found = band.lit & (np.abs(offsets) < reach)
     fitted = robust_step(

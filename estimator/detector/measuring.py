@@ -45,7 +45,7 @@ from eyespot.estimator.detector.tuning import (
 )
 from eyespot.estimator.frame_window import Window
 from eyespot.formats.camera_sheet import GREY, LensDistortion
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.formats.spots import EVEN_LIGHT, NoSpot, Reason
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)
@@ -182,6 +182,7 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         ),
         offsets=np.where(fit.found, 0.0, fit.offsets),
         inliers=fit.found,
+        own_half=EVEN_LIGHT,
         scatter=0.0,
         steeper=1.0,
     )

@@ -18,6 +18,7 @@ share of the parameters' covariance is added (the sandwich of White 1980).
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
@@ -30,6 +31,7 @@ from eyespot.estimator.detector.ellipse_rays import AffineEllipse
 from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
 from eyespot.estimator.information import Information
+from eyespot.formats.spots import OwnHalf
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +46,7 @@ class SmallSpot:
         background: under the spot's centre.
         noise: standard deviation of a pixel.
         texture: standard deviation of what multiplies the light and is no spot's.
+        own_half: see `Spot.own_half`.
     """
 
     ellipse: AffineEllipse
@@ -53,6 +56,7 @@ class SmallSpot:
     background: float
     noise: float
     texture: float
+    own_half: OwnHalf
 
     @property
     def edge_width(self) -> float:
@@ -130,13 +134,15 @@ def fit_to_pixels(
         axes = trial.ellipse.axes()
         if not (axes[1] > 0.5 and axes[0] < 2 * side):
             return None
+        # An edge that only pixels blur has the steepest profile there is, however far a step goes.
+        steps = np.append(step[:5], math.log(trial.steepness / model.steepness))
         trial_rows, trial_levels, trial_left = _levelled(trial, u, v, plane, values)
         if trial_left @ trial_left <= left @ left:
-            settled = bool(np.abs(step[:6]).max() < 1e-3)
+            settled = bool(np.abs(steps).max() < 1e-3)
             model, rows, levels, left = trial, trial_rows, trial_levels, trial_left
             damping = max(damping / 8, 1e-9)
         else:
-            settled = bool(np.abs(step[:6]).max() < 1e-6)
+            settled = bool(np.abs(steps).max() < 1e-6)
             damping *= 8
         if settled:
             break
@@ -157,6 +163,7 @@ def fit_to_pixels(
         background=float(levels[1:] @ _plane_at(model.ellipse.centre, u, v, side)),
         noise=errors.noise,
         texture=errors.texture,
+        own_half=errors.own_half,
     )
 
 
@@ -183,6 +190,7 @@ class _Errors(NamedTuple):
         half_radius: of the spot's own profile, over that of the fit.
         size_variance: of that ratio.
         peak: of the spot's own profile above background.
+        own_half: see `Spot.own_half`.
     """
 
     covariance: np.ndarray
@@ -191,6 +199,7 @@ class _Errors(NamedTuple):
     half_radius: float
     size_variance: float
     peak: float
+    own_half: OwnHalf
 
 
 def _errors(
@@ -225,8 +234,8 @@ def _errors(
     across, down = ((at - at.min(axis=1, keepdims=True)) / side).astype(int)
     _, cell = np.unique(down * (across.max() + 1) + across, return_inverse=True)
     number = np.bincount(cell)
-    radii = np.hypot(*np.linalg.solve(model.ellipse.shape, at - model.ellipse.centre[:, None]))
-    rings = _rings(radii)
+    unit = np.linalg.solve(model.ellipse.shape, at - model.ellipse.centre[:, None])
+    rings = _rings(np.hypot(*unit))
     means = [np.bincount(cell, row) for row in (*scaled, *rings, left, fitted, *at)] / number
     rows, rings, (rest, lit, x, y) = np.split(means, [len(scaled), len(scaled) + len(rings)])
     root = np.sqrt(number)
@@ -285,6 +294,16 @@ def _errors(
     ]
     moves = np.square(np.array(moved) - radius)
     doubt = kept + kept * (1 - kept) * found**2 / variances
+
+    def variance_of(own: np.ndarray) -> np.ndarray:
+        sums = np.array([np.bincount(cell, row) for row in own])
+        return noise + texture * ((sums @ field) * sums).sum(axis=1)
+
+    sloping = amplitude * columns[6] * unit
+    taken = sloping @ scaled.T @ inverse
+    own_half = _own_half(
+        model.ellipse, sloping - taken @ scaled, taken[:, :4] / size[:4], left, variance_of
+    )
     return _Errors(
         covariance / np.outer(size, size),
         math.sqrt(noise),
@@ -292,6 +311,38 @@ def _errors(
         radius,
         float(doubt @ moves),
         float(profile.max()),
+        own_half,
+    )
+
+
+def _own_half(
+    ellipse: AffineEllipse,
+    sloping: np.ndarray,
+    taken: np.ndarray,
+    left: np.ndarray,
+    variance_of: Callable[[np.ndarray], np.ndarray],
+) -> OwnHalf:
+    """How the ellipse changes if the light may slope, as far as noise and texture do not slope so.
+
+    Args:
+        sloping: (2, n), what the fit leaves of slopes of the light by 1 per radius.
+        taken: (2, 4), what it takes of them for another centre and other axes.
+        left: (n,), what the fit leaves of the light.
+        variance_of: of the components of what is left along directions, (2, n), each of length 1.
+    """
+    mix, strength, own = np.linalg.svd(sloping, full_matrices=False)
+    found, variances = own @ left, variance_of(own)
+    kept = np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
+    unsure = kept * variances + (1 - kept) * np.minimum(variances, found**2)
+    by_slope = -(mix / strength).T @ taken
+    moved_by = (kept * found) @ by_slope
+    right, down = (ellipse.shape @ moved_by[:2]).tolist()
+    variance = float(unsure @ np.square(by_slope[:, :2]).mean(axis=1))
+    return OwnHalf(
+        right,
+        down,
+        growth=1 + float(moved_by[2:].mean()),
+        variance_px2=variance * abs(np.linalg.det(ellipse.shape)),
     )
 
 

@@ -37,7 +37,7 @@ from eyespot.estimator.detector.tuning import (
     Small,
     Verdict,
 )
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spots import NoSpot, OwnHalf, Reason, Spot
 
 
 class Sighting(NamedTuple):
@@ -142,6 +142,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
         coverage=coverage,
         inlier_fraction=float(np.count_nonzero(fit.inliers) / max(fit.found.sum(), 1)),
         saturated=region.saturated[region.channel],
+        own_half=fit.own_half,
     )
     contour = measured.contour
     like_field = _is_like_field(contour, region)
@@ -220,6 +221,7 @@ def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
         coverage=in_frame,
         inlier_fraction=1.0,
         saturated=clipped,
+        own_half=measured.own_half,
     )
     return Sighting(spot, seen, background + amplitude / 2, region.channel)
 
@@ -232,6 +234,7 @@ def _spot(
     coverage: float,
     inlier_fraction: float,
     saturated: float,
+    own_half: OwnHalf,
 ) -> Spot:
     """The spot of an ellipse; `edge_width` is over the mean of its semi-axes."""
     semi_major, semi_minor, angle = ellipse.axes()
@@ -247,6 +250,7 @@ def _spot(
         coverage=coverage,
         inlier_fraction=inlier_fraction,
         saturated=saturated,
+        own_half=own_half,
     )
 
 

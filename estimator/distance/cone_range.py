@@ -12,7 +12,7 @@ from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import Spot
+from eyespot.formats.spots import EVEN_LIGHT, Spot
 
 if TYPE_CHECKING:
     from eyespot import optics
@@ -75,20 +75,33 @@ the same edge width for a disc out of focus, 1.27 for light that falls exponenti
 def unblurred(spot: Spot) -> Spot:
     r"""The spot with the contour that a sharp cone's light had before it was blurred.
 
+    A cone that meets the wall obliquely is brighter on one side. A blur moves the half of the peak
+    inwards on the other side, and no side's half of its own light, see `Spot.own_half`.
+
     Where an edge has the curvature $\kappa$, a blur s moves half of its light inwards by
     $\kappa s^2/2$, s being the standard deviation along the edge. The blur is taken from the edge's
     width. A soft edge, which may be a lens's, stays as it is, and so does a spot of
     a mode that measures no width.
     """
-    if not _PIXEL_EDGE_PX < spot.edge_width_px < SOFT_EDGE * spot.semi_minor_px:
+    if not spot.edge_width_px < SOFT_EDGE * spot.semi_minor_px:
         return spot
-    major, minor = spot.semi_major_px, spot.semi_minor_px
-    blur = spot.edge_width_px**2 - _PIXEL_EDGE_PX**2
+    own = spot.own_half
+    major, minor = spot.semi_major_px * own.growth, spot.semi_minor_px * own.growth
+    blur = max(spot.edge_width_px**2 - _PIXEL_EDGE_PX**2, 0.0)
     shift = blur / 2 * np.array([major / minor**2, minor / major**2])
     covariance = spot.covariance.copy()
+    covariance[[0, 1], [0, 1]] += own.variance_px2
     covariance[2:4, 2:4] += np.outer(shift, shift) * _KERNEL_SPREAD**2
     major, minor = np.array([major, minor]) + shift
-    return replace(spot, semi_major_px=major, semi_minor_px=minor, covariance=covariance)
+    return replace(
+        spot,
+        x_px=spot.x_px + own.right_px,
+        y_px=spot.y_px + own.down_px,
+        semi_major_px=major,
+        semi_minor_px=minor,
+        covariance=covariance,
+        own_half=EVEN_LIGHT,
+    )
 
 
 _DIFFERENCE_STEP = 1e-6  # of one-sided differences
