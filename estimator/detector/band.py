@@ -433,7 +433,7 @@ def refine_sharp(
             right,
             down,
             growth=1 + inside * float(np.linalg.norm(aside)),
-            variance_px2=misled**2 * slopes_variance / 2 * area,
+            variance_px2=float(misled**2 * slopes_variance / 2 * area),
         ),
     )
 

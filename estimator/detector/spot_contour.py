@@ -265,7 +265,8 @@ def hollow_share(
 ) -> float:
     """Area of dark places behind a visible edge, over the area inside the edge.
 
-    1 for a ring: a straight shaft hides the light behind some of the edge, never behind most of it.
+    1 for a ring: of an edge that is mostly visible in the frame, a straight shaft hides the light
+    behind some, never behind most.
 
     Args:
         seen: (RAYS,) rays on which its edge is visible.
@@ -282,8 +283,10 @@ def hollow_share(
     area = np.count_nonzero(inside)
     if np.count_nonzero(dark) <= Hollow.SHARE * area:
         return 0.0
-    behind = (np.abs(_RADIUS - Hollow.BEHIND) < 2 / Hollow.SIDE) & seen[_RAY] & ~np.isnan(light)
-    if np.count_nonzero(dark & behind) > Hollow.RING * np.count_nonzero(behind):
+    circle = (np.abs(_RADIUS - Hollow.BEHIND) < 2 / Hollow.SIDE) & ~np.isnan(light)
+    behind = circle & seen[_RAY]
+    ring = np.count_nonzero(dark & behind) > Hollow.RING * np.count_nonzero(behind)
+    if ring and 2 * np.count_nonzero(behind) > np.count_nonzero(circle):
         return 1.0
     thick = cv2.morphologyEx(dark.view(np.uint8), cv2.MORPH_OPEN, _THICK).view(bool)
     passable = np.where(inside, dark | np.isnan(light), ~seen[_RAY])

@@ -137,9 +137,7 @@ def test_a_lens_is_found_where_only_its_core_says_how_far_the_tip_was(tmp_path):
     )
     frames = photographed(recording, np.random.default_rng(6))
     stack = write_photons(tmp_path / "stack", recording, frames)
-    noise = {"full_well_e": recording.full_well, "read_noise_e": recording.read_noise}
     rig = {
-        "camera.noise": noise | {"black_level_dn": recording.black, "bit_depth": 8},
         "robot.touch": "free",
         "instrument.core_radius_mm": 1.01 * drop.core,
         "instrument.rim_height_sigma_mm": 0.05,
@@ -164,9 +162,7 @@ def test_an_aperture_is_known_no_better_than_the_scales_of_microscope_and_robot(
     frames = photographed(true, np.random.default_rng(1))
     stated = dataclasses.replace(true, scale=true.scale / 1.015)
     stack = write_photons(tmp_path / "stack", stated, frames)
-    noise = {"full_well_e": true.full_well, "read_noise_e": true.read_noise}
     rig = {
-        "camera.noise": noise | {"black_level_dn": true.black, "bit_depth": 8},
         "microscope.scale_sigma": 0.01,
         "robot.scale_sigma": 0.01,
         "robot.touch": [frames.where.touch + true.first, 0.02],

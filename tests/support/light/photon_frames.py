@@ -237,13 +237,17 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
 def write_photons(folder: Path, recording: Recording, frames: Frames) -> Path:
     """The frames as a stack on disk, as a user's: no label says what a fit may not know."""
     own, where = recording, frames.where
+    noise = {
+        "full_well_e": own.full_well,
+        "read_noise_e": own.read_noise,
+        "black_level_dn": own.black,
+        "bit_depth": 8,
+    }
     changes = (
         f"phantom.kind={own.wall}",
         "phantom.wall=uniform",
         f"source.medium={own.medium}",
-        f"camera.full_well_e={own.full_well}",
-        f"camera.read_noise_e={own.read_noise}",
-        f"camera.black_level_dn={own.black}",
+        *(f"camera.{name}={value}" for name, value in noise.items()),
         f"instrument.fibre_diameter_mm={2 * TUBE}",
         "instrument.visible=false",
     )
@@ -258,6 +262,7 @@ def write_photons(folder: Path, recording: Recording, frames: Frames) -> Path:
                 principal_point_px=frames.principal_point.tolist(),
                 eye_radius_mm=own.radius,
                 paper_exposure_s=None,
+                camera=noise,
             ),
             # The photons are those of a moment: the robot stands still while a frame is exposed.
             kinematics=np.array(
