@@ -134,13 +134,15 @@ class OwnHalf(NamedTuple):
     Attributes:
         right_px, down_px: shift of the centre.
         growth: of the axes.
-        variance_px2: of either shift.
+        more_variance_px2: what the variance of either coordinate of the centre gains.
+        less_growth_variance: what that of the axes' growth loses.
     """
 
     right_px: float = 0.0
     down_px: float = 0.0
     growth: float = 1.0
-    variance_px2: float = 0.0
+    more_variance_px2: float = 0.0
+    less_growth_variance: float = 0.0
 
 
 EVEN_LIGHT = OwnHalf()

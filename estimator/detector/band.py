@@ -419,21 +419,25 @@ def refine_sharp(
     by_slope = (1 + band.from_edge) * (band.mean - levels.background)
     misled = float(by_slope @ weights) * float(band.mean @ band.mean) / float(by_slope @ band.mean)
     right, down = (-ellipse.shape @ (aside + misled * sloping)).tolist()
-    area = abs(np.linalg.det(ellipse.shape))
+    semi_major, semi_minor, _ = ellipse.axes()
+    # It does not contain the slope that counts for the half level, nor that slope's variance.
+    centre_variance = per_slope**2 * doubt / 2
+    own_variance = misled**2 * slopes_variance / 2 * semi_major * semi_minor
     return band.refined(
         levels,
         offsets,
         found | shaded,
         (step, rays),
         half=crossing,
-        half_variance=(Sharp.SIZE_PX / ellipse.axes()[1]) ** 2,
-        centre_variance=per_slope**2 * doubt / 2,
+        half_variance=(Sharp.SIZE_PX / semi_minor) ** 2,
+        centre_variance=centre_variance,
         shaded=shaded,
         own_half=OwnHalf(
             right,
             down,
             growth=1 + inside * float(np.linalg.norm(aside)),
-            variance_px2=float(misled**2 * slopes_variance / 2 * area),
+            more_variance_px2=own_variance - centre_variance * semi_minor**2,
+            less_growth_variance=2 * centre_variance,
         ),
     )
 

@@ -342,7 +342,7 @@ def _own_half(
         right,
         down,
         growth=1 + float(moved_by[2:].mean()),
-        variance_px2=variance * float(abs(np.linalg.det(ellipse.shape))),
+        more_variance_px2=variance * float(abs(np.linalg.det(ellipse.shape))),
     )
 
 

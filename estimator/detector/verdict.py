@@ -34,6 +34,7 @@ from eyespot.estimator.detector.tuning import (
     HalfLevel,
     Refine,
     Saturated,
+    Sharp,
     Small,
     Verdict,
 )
@@ -192,7 +193,8 @@ def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
     in_frame = float(((edges > -0.5) & (edges < (width - 0.5, height - 0.5))).all(axis=1).mean())
     ellipse = undistorted(seen, edges, settings.camera)
     covariance = covariance_of_axes(ellipse or seen, measured.step_covariance)
-    amplitude, background = measured.amplitude, measured.background
+    radius, amplitude = math.sqrt(semi_major * semi_minor), measured.amplitude
+    background = measured.background
     low = amplitude < settings.min_contrast * background
     scatter = math.hypot(measured.texture * background, measured.noise / math.sqrt(semi_minor))
     significance = amplitude / max(scatter, 1e-30)
@@ -217,7 +219,8 @@ def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
     spot = _spot(
         ellipse,
         covariance=covariance,
-        edge_width=measured.edge_width,
+        # The fit to pixels has their side in its model, profiles along rays have it in their edges.
+        edge_width=math.hypot(measured.edge_width, Sharp.PIXEL_EDGE_PX / radius),
         coverage=in_frame,
         inlier_fraction=1.0,
         saturated=clipped,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from eyespot.estimator.detector.tuning import Sharp
 from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
@@ -56,9 +57,6 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     )
 
 
-_PIXEL_EDGE_PX = 0.55
-"""Edge width of a sharp disc, which a pixel's side and the interpolation between pixels make: 0.51
-to 0.55 of drawn and rendered ones. With it a Gaussian of 1 px has 1.14 px, one of 2 px 2.08 px."""
 SOFT_EDGE = 0.1
 """Edge width over semi-minor axis above which a spot's edge is soft.
 
@@ -87,10 +85,12 @@ def unblurred(spot: Spot) -> Spot:
         return spot
     own = spot.own_half
     major, minor = spot.semi_major_px * own.growth, spot.semi_minor_px * own.growth
-    blur = max(spot.edge_width_px**2 - _PIXEL_EDGE_PX**2, 0.0)
+    blur = max(spot.edge_width_px**2 - Sharp.PIXEL_EDGE_PX**2, 0.0)
     shift = blur / 2 * np.array([major / minor**2, minor / major**2])
     covariance = spot.covariance.copy()
-    covariance[[0, 1], [0, 1]] += own.variance_px2
+    covariance[[0, 1], [0, 1]] += own.more_variance_px2
+    axes = spot.semi_major_px, spot.semi_minor_px
+    covariance[2:4, 2:4] -= own.less_growth_variance * np.outer(axes, axes)
     covariance[2:4, 2:4] += np.outer(shift, shift) * _KERNEL_SPREAD**2
     major, minor = np.array([major, minor]) + shift
     return replace(
