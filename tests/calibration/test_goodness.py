@@ -93,7 +93,7 @@ def good(**changes):
             {"undetermined": ("scale is not determined",)},
             "do not determine all parameters: scale is not determined",
         ),
-        ({"chi_squared_per_degree": 0.69}, "0.69.*noise is lower than assumed"),
+        ({"chi_squared_per_degree": 0.2}, "0.2.*noise is lower than assumed"),
         ({"chi_squared_per_degree": 2.1}, "2.1.*residuals are larger than the noise"),
         ({"residuals": {"size": 90 * BEND}}, "residuals of size have structure"),
         ({"residuals": {"size": 4 * BEND}}, "size may move.*, .*enlarged"),
