@@ -34,6 +34,8 @@ def _signature(module: str, name: str) -> Any:
     assert spec and spec.origin
     statements = ast.parse(Path(spec.origin).read_bytes()).body
     origins = {bound: one for one in statements for bound in _bound(one)}
+    if name not in origins:
+        raise AttributeError(f"{module} has no {name}")
     needed, found = [origins[name]], set[ast.stmt]()
     while needed:
         statement = needed.pop()

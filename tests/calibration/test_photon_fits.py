@@ -100,8 +100,8 @@ def test_intervals_contain_the_lens_as_often_as_they_say():
 def test_light_that_the_model_does_not_know_is_refused_or_contained_in_sigma():
     rows = results(departures())
     for parameter in PARAMETERS:
-        # Twice: the noise, whose own share of the error is as large if nothing is enlarged.
-        assert pulls(rows[rows.good.astype(bool)], parameter).max() < 2, parameter
+        # Where nothing is enlarged, an error is the noise's: of 15 one exceeds 3 in 25 tests.
+        assert pulls(rows[rows.good.astype(bool)], parameter).max() < 3, parameter
 
 
 @pytest.mark.slow  # a minute of it to compile
