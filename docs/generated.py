@@ -38,6 +38,7 @@ _UNITS = {
     "per_mm": "1/mm",
     "mm": "mm",
     "deg": "°",
+    "px2": "px²",
     "px": "px",
     "ms": "ms",
     "hz": "Hz",

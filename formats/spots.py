@@ -168,7 +168,7 @@ class Spot:
         coverage: fraction of the contour's length on which an edge is visible.
         inlier_fraction: fraction of the visible edges that belong to the ellipse.
         saturated: fraction of the spot's pixels at full scale in the channel measured.
-        own_half: where each side's light is half of its own; a spots file does not contain it.
+        own_half: where each side's light is half of its own.
     """
 
     x_px: float
@@ -217,7 +217,7 @@ class NoSpot:
         return False
 
 
-SCHEMA_VERSION = 5
+SCHEMA_VERSION = 6
 HISTORY = {
     1: "the format of eyespot 0.1; files written since may have the reason internal_error "
     "or unreadable",
@@ -227,6 +227,7 @@ HISTORY = {
     3: "significance of a spot that is too_faint",
     4: "reason of a spot without a distance, or with a doubtful one; mode of each frame",
     5: "measured_with, the versions of eyespot and OpenCV; surface_distance_mm",
+    6: "own_right_px to own_less_growth_variance: where each side's light is half of its own",
 }
 
 _MOST_FRAMES = 2**31
@@ -238,6 +239,7 @@ _UNIT_LENGTH_TOLERANCE = 1e-3
 
 _UPPER = np.triu_indices(5)
 _ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
+_OWN_HALF = tuple(f"own_{name}" for name in OwnHalf._fields)
 _QUALITY = ("edge_width_px", "coverage", "inlier_fraction", "saturated")
 _DISTANCES = ("distance_mm", "sigma_distance_mm", "pose_age_s")
 _INTERVAL = ("distance_low_mm", "distance_high_mm")
@@ -291,6 +293,10 @@ SpotRow = create_model(
     wall_memory=(str, ""),
     **_numbers(["significance"], "Of a spot that is too_faint: peak over scatter."),
     measured_with=(str, ""),
+    **_numbers(_OWN_HALF[:2], "To the contour where each side's light is half of its own."),
+    **_numbers(_OWN_HALF[2:3], "The same: ratio of the axes.", gt=0),
+    **_numbers(_OWN_HALF[3:4], "The same: more variance of the centre's coordinates."),
+    **_numbers(_OWN_HALF[4:], "The same: less relative variance of the axes.", ge=0),
     schema_version=(int, Field(description="Version of the format.")),
 )
 COLUMNS = tuple(SpotRow.model_fields)
@@ -524,6 +530,7 @@ def _cells(record: SpotRecord) -> list[Any]:
     if isinstance(spot, Spot):
         values |= {name: getattr(spot, name) for name in _MEASURED}
         values |= zip(_COVARIANCES, spot.covariance[_UPPER], strict=True)
+        values |= zip(_OWN_HALF, spot.own_half, strict=True)
     if pose is not None:
         of_pose = *pose.tip_mm, *pose.axis, *pose.covariance[_UPPER], pose.chi_squared
         values |= zip(_POSE_NUMBERS, of_pose, strict=True)
@@ -666,4 +673,6 @@ def _result(cells: Any) -> Spot | NoSpot:
             f"semi_minor_px must not exceed semi_major_px; got {minor:g} and {major:g} px."
         )
     measured |= {"angle_rad": folded_angle(cells.angle_rad)}
+    own = {name: getattr(cells, f"own_{name}") for name in OwnHalf._fields}
+    measured["own_half"] = OwnHalf(**{name: own[name] for name in own if own[name] == own[name]})
     return Spot(covariance=_covariance(cells, _COVARIANCES), **measured)

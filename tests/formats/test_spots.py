@@ -9,6 +9,7 @@ import pytest
 from eyespot.formats.spots import (
     SCHEMA_VERSION,
     NoSpot,
+    OwnHalf,
     Reason,
     Spot,
     SpotRecord,
@@ -44,7 +45,7 @@ def _records() -> list[SpotRecord]:
             file_name="frames/a, b.png",
             time_s=0.7,
             mode="subpixel",
-            result=_spot(),
+            result=_spot(own_half=OwnHalf(0.05, -0.1, 1.002, -1e-5, 2e-6)),
             distance_mm=2.5,
             sigma_distance_mm=0.01,
             pose_age_s=0.002,
