@@ -21,7 +21,7 @@ from eyespot.estimator import (
     SubpixelSettings,
     track,
 )
-from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.spot import NoSpot, Spot
 from eyespot.formats.stack import FrameLabels, Stack
 from eyespot.scenes import Scene, SceneError, changed
 from eyespot.scenes.sensor import CameraSensor

@@ -38,7 +38,8 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.microscope import microscope_in
 from eyespot.formats.rig import EXACT, rig_in
-from eyespot.formats.spots import PARAMETERS, spots_table
+from eyespot.formats.spot import PARAMETERS
+from eyespot.formats.spots import spots_table
 from eyespot.formats.whole_files import refuse_existing, write_text
 from eyespot.scenes import Scene, World, changed, load_scene, render_stack, scene_toml
 from eyespot.scenes.commands import Changes, SceneFile

@@ -29,7 +29,8 @@ from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.poses import Quaternion, RobotKeys, turned
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import Spot, SpotRecord
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import SpotRecord
 
 NO_LAYER = Prior(0.0, 0.0)
 

@@ -9,7 +9,7 @@ from eyespot.calibration.command.fit_verdict import Fault, remedy
 from eyespot.estimator.distance.budget import Cause
 from eyespot.estimator.distance.range import WallMemory
 from eyespot.estimator.run import exit_codes
-from eyespot.formats.spots import Reason
+from eyespot.formats.spot import Reason
 
 _FIT_MODELS = ("plane", "sphere", "cone", "eye", "image", "lens")
 

@@ -17,7 +17,7 @@ from matplotlib.patches import Ellipse
 from eyespot.benchmarks.reporting import BLACK, STYLE, VERMILION
 from eyespot.estimator import Ranger, SubpixelSettings, TrackState, measure
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes import load_scene, render_stack
 from eyespot.scenes.world.true_calibration import true_calibration
 

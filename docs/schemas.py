@@ -90,13 +90,13 @@ KINDS = (
         "What was measured in one frame. `eyespot track` writes it, `eyespot fit` and `eyespot "
         "score` read it.",
         models=("eyespot.formats.spots:SpotRow",),
-        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spots:Spot"),
+        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spot:Spot"),
     ),
     FileKind(
         "plain-spots",
         "Plain spots: a row (CSV)",
         "Spots of any tracker, for `eyespot score`.",
-        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spots:Spot"),
+        meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spot:Spot"),
     ),
     FileKind(
         "budget",

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy import ndimage
 
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 _RADII_PX = (8.0, 12.0, 18.0, 27.0, 40.0, 60.0)
 """Lengths of the shifts that are tried: half of the step to the next one is a fifth of it, and so

@@ -21,7 +21,7 @@ from eyespot.estimator.image import outline_px, rgb_8bit
 from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.inputs import InputError, in_utf8
 from eyespot.formats.microscope import MicroscopeFile, read_microscope
-from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.spot import NoSpot, Spot
 from eyespot.formats.stack import FrameLabels, read_stack
 from eyespot.formats.whole_files import written_whole
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from eyespot.estimator.recording import Recording
     from eyespot.formats.calibration import Calibration
     from eyespot.formats.rig import Rig
-    from eyespot.formats.spots import NoSpot, Spot
+    from eyespot.formats.spot import NoSpot, Spot
     from eyespot.results import Fit, Score
 
 File = str | Path

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes.walls.fundus import fundus
 
 Profile = Callable[[np.ndarray, np.ndarray], np.ndarray]

@@ -27,7 +27,7 @@ from eyespot.benchmarks.sets.read import verify_set
 from eyespot.benchmarks.sets.spec import SetSpec, load_spec, plan
 from eyespot.benchmarks.sets.workers import local_workers
 from eyespot.estimator import Frame, SubpixelMode, SubpixelSettings
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes import changed, render_stack
 from eyespot.scenes.drawn import Drawing, any_truth, any_wall, frame_of
 

@@ -34,7 +34,8 @@ from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack, turned
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.optics.viewing.schematic_eye import load_eye
 
 _WIDTH_PX, _HEIGHT_PX = 1280, 960

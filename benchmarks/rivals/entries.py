@@ -18,7 +18,7 @@ from eyespot.estimator import Frame, Range
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 
 # What an entry is: a frame goes in, an ellipse or a miss comes out.
 

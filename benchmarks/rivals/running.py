@@ -34,7 +34,8 @@ from eyespot.estimator.run.progress_bar import progress
 from eyespot.formats.inputs import InputError, in_file, read_text
 from eyespot.formats.manifest import fingerprint
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.formats.whole_files import require_space, written_whole
 
 _LEAST_BYTES = 2**20  # The spots files need about as much.

@@ -43,7 +43,7 @@ from eyespot.formats.manifest import (
     write_manifest,
 )
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stack import FrameLabels, Stack, read_stack
 
 SCHEMA = 1
@@ -252,7 +252,7 @@ def plain_spot(
     """A spot that is only an ellipse: centre and semi-axes in px, of which either is the longer.
 
     The angle is that of the first axis, from +u towards +v, rad; the covariance, 5 x 5, has the
-    order of `formats.spots.PARAMETERS`, NaN if unknown.
+    order of `formats.spot.PARAMETERS`, NaN if unknown.
     """
     if second > first:
         first, second, angle = second, first, angle + math.pi / 2

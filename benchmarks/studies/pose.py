@@ -26,7 +26,7 @@ from eyespot.calibration.spots import tool_pose
 from eyespot.calibration.spots.tool_pose import Tool, ToolPose
 from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stack import KINEMATICS, Stack
 from eyespot.formats.whole_files import written_whole
 from eyespot.scenes import Scene

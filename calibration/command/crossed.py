@@ -23,7 +23,7 @@ from eyespot.estimator import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import BEAM, Calibration
 from eyespot.formats.report_page import PALETTE
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 
 class Read(NamedTuple):

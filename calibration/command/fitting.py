@@ -59,7 +59,7 @@ from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.estimator.viewer import recording_of
 from eyespot.formats.calibration import BEAM, Calibration, write_calibration
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.whole_files import written_whole
 
 

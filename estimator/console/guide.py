@@ -20,7 +20,7 @@ from eyespot.estimator.console.session import CoursePoint, Session
 from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.spot import NoSpot, Spot
 from eyespot.formats.whole_files import write_text
 
 _SATURATED_SHARE = 0.01

@@ -17,7 +17,7 @@ from eyespot.estimator.sources.source import Source
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import NoSpot
+from eyespot.formats.spot import NoSpot
 
 _PICTURE_S, _COURSE_S = 0.04, 0.25  # how often a page looks for something new
 _STYLE = (Path(__file__).parent / "page.css").read_text(encoding="utf-8")

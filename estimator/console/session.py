@@ -26,7 +26,8 @@ from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.poses import Pose, PoseTrack
-from eyespot.formats.spots import Spot, spots_stream
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import spots_stream
 from eyespot.formats.whole_files import refuse_existing
 
 Write = Callable[[Frame, Reading, float, PoseTrack], None]

@@ -22,7 +22,7 @@ from eyespot.estimator.detector.ellipse_rays import (
 from eyespot.estimator.detector.levels import Levels, top_counts
 from eyespot.estimator.detector.saturated_flank import hidden_edge
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
-from eyespot.formats.spots import EVEN_LIGHT, NoSpot, OwnHalf, Reason
+from eyespot.formats.spot import EVEN_LIGHT, NoSpot, OwnHalf, Reason
 
 _CUBIC = np.arange(4)
 _WAVES = DESIGN.astype(np.float32)

@@ -33,7 +33,7 @@ from eyespot.estimator.detector.levels import (
 )
 from eyespot.estimator.detector.saturated_flank import hidden_bell
 from eyespot.estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.formats.spot import NoSpot, Reason
 
 
 def refine_broad(

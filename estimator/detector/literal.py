@@ -33,7 +33,7 @@ import numpy as np
 from eyespot.estimator.detector.clipping import clip_level
 from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -45,7 +45,7 @@ from eyespot.estimator.detector.tuning import (
 )
 from eyespot.estimator.frame_window import Window
 from eyespot.formats.camera_sheet import GREY, LensDistortion
-from eyespot.formats.spots import EVEN_LIGHT, NoSpot, Reason
+from eyespot.formats.spot import EVEN_LIGHT, NoSpot, Reason
 
 _GRID = np.linspace(-Motion.FLAT, Motion.FLAT, 1601)
 _PER_WIDTH = (len(_GRID) - 1) / (2 * Motion.FLAT)

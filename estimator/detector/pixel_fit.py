@@ -31,7 +31,7 @@ from eyespot.estimator.detector.ellipse_rays import AffineEllipse
 from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
 from eyespot.estimator.information import Information
-from eyespot.formats.spots import OwnHalf
+from eyespot.formats.spot import OwnHalf
 
 
 @dataclass(frozen=True, eq=False)

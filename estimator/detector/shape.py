@@ -10,7 +10,7 @@ from eyespot.estimator.detector.levels import outermost_radius
 from eyespot.estimator.detector.tuning import RAYS, SpotProfile
 from eyespot.estimator.frame_window import Window, checked_frame
 from eyespot.formats.camera_sheet import GREY, LensDistortion, Response
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 LEVELS = SpotProfile.LEVELS
 """Levels of the isophotes, as fractions of the peak above the background."""

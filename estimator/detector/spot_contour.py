@@ -48,7 +48,7 @@ from eyespot.estimator.detector.tuning import (
 )
 from eyespot.estimator.frame_window import Window
 from eyespot.formats.camera_sheet import GREY
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.formats.spot import NoSpot, Reason
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,7 +39,7 @@ from eyespot.estimator.detector.verdict import (
 )
 from eyespot.estimator.frame_window import Window, checked_frame, without_repeats
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, Outline, Reason, Spot
+from eyespot.formats.spot import NoSpot, Outline, Reason, Spot
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -38,7 +38,7 @@ from eyespot.estimator.detector.tuning import (
     Small,
     Verdict,
 )
-from eyespot.formats.spots import NoSpot, OwnHalf, Reason, Spot
+from eyespot.formats.spot import NoSpot, OwnHalf, Reason, Spot
 
 
 class Sighting(NamedTuple):

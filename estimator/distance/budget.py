@@ -17,7 +17,7 @@ from eyespot.estimator.detector import tuning
 from eyespot.estimator.distance.range import Range
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import BEAM, QUANTITIES
-from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.spot import NoSpot, Spot
 from eyespot.formats.stated import Stated
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from eyespot.estimator.distance.range import Range, TipPose
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import EVEN_LIGHT, Spot
+from eyespot.formats.spot import EVEN_LIGHT, Spot
 
 if TYPE_CHECKING:
     from eyespot import optics

@@ -23,7 +23,7 @@ from eyespot.estimator.distance.withdrawal import (
 )
 from eyespot.formats.calibration import CONE_MODELS, Calibration
 from eyespot.formats.poses import RobotKeys, Vector, turned
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 if TYPE_CHECKING:
     from eyespot.formats.microscope import MicroscopeFile

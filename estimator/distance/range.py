@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from eyespot.formats.spots import Reason
+from eyespot.formats.spot import Reason
 
 
 class WallMemory(Enum):

@@ -22,7 +22,7 @@ from eyespot.estimator.distance.range import Range
 from eyespot.formats.calibration import CONE_MODELS, MODELS, Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 Numbers = float | np.ndarray
 

@@ -43,7 +43,7 @@ from eyespot.estimator.pixels.frame_model import (
 )
 from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.estimator.pixels.texture import TextureVariances
-from eyespot.formats.spots import Outline, Reason
+from eyespot.formats.spot import Outline, Reason
 from eyespot.optics.wall_light.pose_light import POSE
 
 _X, _Y = SIDES

@@ -34,7 +34,7 @@ from eyespot.estimator.pixels.frame_model import (
 from eyespot.estimator.pixels.frame_pixels import FramePixels, Mix, Reference, evener_mix
 from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver, together
 from eyespot.estimator.pixels.texture import TextureVariances, texture_of
-from eyespot.formats.spots import Outline
+from eyespot.formats.spot import Outline
 from eyespot.optics.wall_light.pose_light import BeamFrame
 
 REACH = (2.0, 1.2)

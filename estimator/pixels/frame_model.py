@@ -257,7 +257,7 @@ class FrameState:
         )
 
     @functools.cached_property
-    def prior(self) -> "Prior":
+    def prior(self) -> "StatePrior":
         """What is known of the states before the frame is seen."""
         precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
         mean, sigma = self.ambient_prior
@@ -289,10 +289,10 @@ class FrameState:
             pull[3:POSE] = weight * across @ self.direction.axis
             off = np.cross(self.pose.axis, self.direction.axis)
             cost += float(off @ off) / self.direction.sigma**2
-        return Prior(precision, pull, cost)
+        return StatePrior(precision, pull, cost)
 
 
-class Prior(NamedTuple):
+class StatePrior(NamedTuple):
     """What is known of a frame's states before it is seen.
 
     Attributes:

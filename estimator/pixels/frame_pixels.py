@@ -33,7 +33,7 @@ from eyespot.estimator.pixels.frame_cells import (
 from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.formats.camera_sheet import GREY_WEIGHTS
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Outline
+from eyespot.formats.spot import Outline
 
 _MIN_LIGHT = 1e-4  # full wells, of a channel
 _LIT_SHARE = 0.25  # over the brightest cell; darker ones show the ambient light

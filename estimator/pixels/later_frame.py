@@ -27,7 +27,7 @@ from eyespot.estimator.pixels.frame_fit import fit_wherever, moved, remodelled
 from eyespot.estimator.pixels.frame_model import FrameState
 from eyespot.estimator.pixels.frame_pixels import Mix
 from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
-from eyespot.formats.spots import Outline
+from eyespot.formats.spot import Outline
 
 _STAYS_PX = 0.1
 """Shift of a wall that keeps still; one that moved may move as far again."""

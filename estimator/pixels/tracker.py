@@ -34,7 +34,7 @@ from eyespot.formats.calibration import LENS_PARAMETERS, Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.kept_arrays import kept_arrays
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import Outline, Reason
+from eyespot.formats.spot import Outline, Reason
 from eyespot.formats.stated import USUAL_SHAKE_PX
 from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.lens_flux import (

@@ -21,7 +21,7 @@ from eyespot.estimator.sources.source import Frame
 from eyespot.estimator.viewer import recording_of
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, RobotKeys, pose_of_message
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 
 WAY_FRAMES = 300
 """Images with a distance after which the robot's travel is compared with the distances, and counts

@@ -26,7 +26,8 @@ from eyespot.estimator.run.reader import Reader, Reading
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack
-from eyespot.formats.spots import NoSpot, Reason, RecordedPose, SpotRecord
+from eyespot.formats.spot import NoSpot, Reason
+from eyespot.formats.spots import RecordedPose, SpotRecord
 
 if TYPE_CHECKING:
     from eyespot.estimator.run.overlay import Draw

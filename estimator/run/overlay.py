@@ -15,7 +15,8 @@ from eyespot.estimator.image import outline_px, rgb_8bit
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, SpotRecord
+from eyespot.formats.spot import NoSpot
+from eyespot.formats.spots import SpotRecord
 from eyespot.formats.whole_files import errors_named, written_whole
 
 RIG_RATE_HZ = 10.0

@@ -22,7 +22,7 @@ from eyespot.estimator.run import frame_bugs
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack, Quaternion, Vector, turned
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.formats.stated import Stated
 
 if TYPE_CHECKING:

@@ -22,7 +22,7 @@ from eyespot.estimator.run.options import Options
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack, Quaternion, RobotKeys, turned
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 _MOST_FRAMES = 100
 _FEWEST_SPOTS = 5

@@ -8,7 +8,7 @@ from eyespot.benchmarks.bench import __main__ as bench
 from eyespot.benchmarks.bench.pixels import doubt_of_pose, share_a_radius
 from eyespot.benchmarks.bench.speed import Outlines
 from eyespot.estimator import Range, Reading, track
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 
 
 def test_every_file_has_benchmarks_and_those_named_long_exist():

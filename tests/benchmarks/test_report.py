@@ -35,7 +35,7 @@ from eyespot.benchmarks.sets.read import plain_spot
 from eyespot.benchmarks.studies import validate
 from eyespot.benchmarks.studies.validate import ValidateFindings, claims, report
 from eyespot.benchmarks.study import Study
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.formats.stack import FrameLabels
 from eyespot.scenes.description.scene_keys import Withdrawal
 from tests.support.drawn.drawn_sets import labels_of

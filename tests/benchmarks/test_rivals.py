@@ -26,7 +26,7 @@ from eyespot.benchmarks.sets.spec import load_spec, named_specs, plan
 from eyespot.estimator import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import NoSpot, Spot
+from eyespot.formats.spot import NoSpot, Spot
 from eyespot.scenes import Scene
 from eyespot.scenes.drawn import Drawing, Truth, erf_edge, frame_of
 from eyespot.scenes.world.true_calibration import true_calibration

@@ -22,7 +22,8 @@ from eyespot.benchmarks.sets.score.leaderboard_page import leaderboard
 from eyespot.benchmarks.sets.score.score_command import tables
 from eyespot.benchmarks.sets.score.scored_spots import ScoredEstimator, read_set_spots
 from eyespot.estimator import Source, track_whole_source
-from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, write_spots
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import SpotRecord, write_spots
 from tests.support.command_line import call, printed
 from tests.support.drawn.drawn_sets import MICROSCOPE, STACKS, image_row, labels_of
 from tests.support.drawn.made_up import a_spot

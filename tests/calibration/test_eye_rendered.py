@@ -15,7 +15,7 @@ from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stack import Stack
 from eyespot.scenes.world.true_calibration import true_calibration
 from tests.support.command_line import printed

@@ -19,7 +19,7 @@ from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.estimator.recording import Recording
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from tests.support.command_line import call, printed
 from tests.support.drawn.made_up import a_microscope_file, a_spot
 from tests.support.drawn.scene_tables import scene_of

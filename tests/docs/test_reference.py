@@ -15,7 +15,7 @@ from docs.generated import write_pages
 from docs.schemas import KINDS, rows_of, schema_of
 from eyespot.calibration.command.fit_verdict import Fault
 from eyespot.estimator.distance.budget import Cause
-from eyespot.formats.spots import Reason
+from eyespot.formats.spot import Reason
 from eyespot.scenes import Scene
 from tests.support.command_line import WORDS, options_of, printed
 

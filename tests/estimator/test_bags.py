@@ -19,7 +19,7 @@ from eyespot.estimator.sources.ros import IMAGE_TOPIC, frame_of_message, write_b
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import POSE_TOPIC, Pose, PoseTrack, read_poses, turned
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.drawn.drawn_recording import new_reader
 from tests.support.rig.ros_messages import (

@@ -22,7 +22,8 @@ from eyespot.estimator.run.reader import Reading
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.rig import read_rig
-from eyespot.formats.spots import NoSpot, Reason, read_spots
+from eyespot.formats.spot import NoSpot, Reason
+from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.formats.stated import Stated
 from eyespot.scenes import load_scene, render_stack

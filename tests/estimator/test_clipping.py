@@ -17,7 +17,7 @@ from eyespot.estimator.pixels.frame_pixels import FramePixels
 from eyespot.estimator.run.options import Options
 from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, any_truth, any_wall, erf_edge, frame_of
 from tests.support.drawn.drawn_spots import spot_image, spot_in
 from tests.support.drawn.made_up import a_microscope_file

@@ -28,7 +28,8 @@ from eyespot.formats.camera_sheet import Response
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack, read_poses
-from eyespot.formats.spots import NoSpot, Reason, Spot, read_spots
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from tests.support.browser import browser, console, wait_until
 from tests.support.drawn import drawn_spots

@@ -11,7 +11,7 @@ from hypothesis.extra import numpy as hnp
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from eyespot.estimator.detector.shape import spot_shape
 from eyespot.formats.camera_sheet import LensDistortion, Response
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, any_truth, light_of
 from tests.support.drawn.drawn_spots import spot_in
 from tests.support.drawn.own_frames import clouds

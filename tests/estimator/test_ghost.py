@@ -7,7 +7,7 @@ from scipy import ndimage
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.estimator.ghost import GHOST_SIGMAS, GhostWatch, strongest_ghost
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes.drawn import SHAPE
 from tests.support.drawn.own_frames import camera_image, textured_wall
 

@@ -15,7 +15,7 @@ from eyespot.estimator.distance.lens_range import LensCurve, distance_from_lens
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.calibration import LENS_PARAMETERS
 from eyespot.formats.camera_sheet import Response
-from eyespot.formats.spots import Reason
+from eyespot.formats.spot import Reason
 from tests.estimator.test_ranger import NORMALS, R_EYE, WALLS, B, K, calibration, microscope, spot
 
 

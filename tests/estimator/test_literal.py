@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from eyespot.estimator import LiteralSettings, TrackState, measure, track
 from eyespot.estimator.detector.literal import patch_check
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import Drawing, Truth, erf_edge, frame_of
 from tests.support.drawn.drawn_spots import spot_in
 

@@ -19,15 +19,8 @@ import pytest
 from eyespot.estimator import SubpixelSettings, track, track_source, track_whole_source
 from eyespot.estimator.run import reader as reader_module
 from eyespot.estimator.sources.source import Frame, Source
-from eyespot.formats.spots import (
-    NoSpot,
-    Reason,
-    Spot,
-    SpotRecord,
-    read_spots,
-    spots_stream,
-    write_spots,
-)
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import SpotRecord, read_spots, spots_stream, write_spots
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.command_line import EYESPOT, Called, printed, run
 from tests.support.drawn.drawn_recording import SHAPE, assert_same, new_reader, write_folder

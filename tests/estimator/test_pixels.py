@@ -29,7 +29,7 @@ from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import PoseTrack, read_poses
-from eyespot.formats.spots import NoSpot, Reason
+from eyespot.formats.spot import NoSpot, Reason
 from eyespot.scenes import Scene, render_stack
 from tests.support.command_line import printed
 from tests.support.drawn.lookalikes import LOOKALIKES

@@ -24,7 +24,7 @@ from eyespot.estimator.pixels.frame_model import (
 from eyespot.estimator.pixels.frame_pixels import _most_even
 from eyespot.estimator.pixels.texture import LENGTHS_MM, TextureVariances, texture_of
 from eyespot.estimator.pixels.tracker import _like
-from eyespot.formats.spots import Outline
+from eyespot.formats.spot import Outline
 from eyespot.optics.wall_light.cells import square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
 from eyespot.optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes

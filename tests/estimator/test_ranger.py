@@ -12,7 +12,7 @@ from eyespot import optics
 from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Reason, Spot
+from eyespot.formats.spot import Reason, Spot
 from tests.support.command_line import run_python
 from tests.support.drawn.exact_spots import exact_spots
 from tests.support.drawn.made_up import CONE, a_calibration, a_microscope, a_spot

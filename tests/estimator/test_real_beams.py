@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import SHAPE
 from tests.support.drawn.drawn_spots import spot_image, spot_in
 from tests.support.drawn.own_frames import clouds

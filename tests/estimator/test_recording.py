@@ -15,7 +15,7 @@ from eyespot.estimator.sources.ros import write_bag
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stack import read_stack
 from tests.support.drawn.drawn_recording import recorded, write_folder, write_stack, write_video
 from tests.support.drawn.made_up import microscope_content

@@ -9,7 +9,7 @@ from scipy.special import j1
 from scipy.stats import ncx2
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure, track
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from tests.support.drawn.drawn_spots import spot_in
 from tests.support.drawn.own_frames import clouds
 

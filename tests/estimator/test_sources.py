@@ -21,7 +21,7 @@ from eyespot.estimator.sources.edit_list import shown_share
 from eyespot.estimator.sources.opening import open_source
 from eyespot.estimator.sources.source import Frame, Source
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from tests.support.drawn.drawn_recording import (
     GONE,
     assert_same,

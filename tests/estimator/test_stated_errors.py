@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, light_of
 from tests.support.drawn.drawn_spots import domed_edge, spot_in
 from tests.support.drawn.lookalikes import LOOKALIKES, taken_for_spots

@@ -11,7 +11,7 @@ from skimage.measure import EllipseModel, find_contours
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from eyespot.formats.camera_sheet import Response
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import (
     SHAPE,
     Drawing,

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure, track
-from eyespot.formats.spots import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason, Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Truth, any_wall, erf_edge, frame_of
 from tests.support.drawn.drawn_spots import with_shaft
 from tests.support.drawn.lookalikes import false_spots

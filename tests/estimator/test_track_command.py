@@ -24,7 +24,8 @@ from eyespot.formats.calibration import read_calibration, write_calibration
 from eyespot.formats.camera_sheet import LensDistortion, Response
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack
-from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, read_spots
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import SpotRecord, read_spots
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support import command_line
 from tests.support.drawn.drawn_recording import (

@@ -13,7 +13,8 @@ from PIL import Image
 
 from eyespot.estimator.rig.rig_reader import Parameters, opened_rig
 from eyespot.estimator.viewer import check_recording_path, record_stack
-from eyespot.formats.spots import Spot, read_spots
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.scenes import render_stack
 from tests.support.command_line import printed

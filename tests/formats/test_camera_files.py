@@ -12,7 +12,7 @@ from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.formats.camera_sheet import LensDistortion
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from tests.support.drawn.drawn_spots import spot_in
 
 FOCAL, CENTRE, SIZE = 800.0, np.array([162.25, 118.5]), (320, 240)

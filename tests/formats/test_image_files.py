@@ -22,7 +22,7 @@ from eyespot.estimator.sources.source import Frame
 from eyespot.formats.camera_sheet import Response
 from eyespot.formats.image_files import decoded_image
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from tests.support.drawn.drawn_recording import write_video
 from tests.support.drawn.drawn_spots import spot_image
 from tests.support.files.bad_input import png_chunk

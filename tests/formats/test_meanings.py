@@ -11,7 +11,8 @@ import pytest
 from eyespot.benchmarks.sets.read import SetError, check_unchanged, stacks_of
 from eyespot.benchmarks.sets.score.scored_spots import entry_of, read_any_spots, sample_folder
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import Spot, read_spots
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.scenes.description.scene_file import load_scene
 from tests.support.files.bad_input import OLD

@@ -15,7 +15,8 @@ from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import read_poses
-from eyespot.formats.spots import NoSpot, Reason, Spot, read_spots
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import read_spots
 from eyespot.formats.stack import read_stack
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.scene_file import load_scene

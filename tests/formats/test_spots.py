@@ -6,16 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eyespot.formats.spots import (
-    SCHEMA_VERSION,
-    NoSpot,
-    OwnHalf,
-    Reason,
-    Spot,
-    SpotRecord,
-    read_spots,
-    write_spots,
-)
+from eyespot.formats.spot import NoSpot, OwnHalf, Reason, Spot
+from eyespot.formats.spots import SCHEMA_VERSION, SpotRecord, read_spots, write_spots
 from tests.support.drawn.made_up import a_spot
 
 _COLUMNS = (

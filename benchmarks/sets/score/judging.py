@@ -15,7 +15,8 @@ from eyespot.benchmarks.paper import ELLIPSE, VISIBLE_ENOUGH
 from eyespot.benchmarks.sets.read import SetStack
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import PARAMETERS, SpotRecord, spots_table
+from eyespot.formats.spot import PARAMETERS
+from eyespot.formats.spots import SpotRecord, spots_table
 
 # The images of a set with their labels, and the conditions by which they are grouped.
 

@@ -36,7 +36,8 @@ from eyespot.formats.inputs import (
     validated,
 )
 from eyespot.formats.microscope import read_microscope
-from eyespot.formats.spots import NoSpot, Reason, Spot, SpotRecord, folded_angle, read_spots
+from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spots import SpotRecord, folded_angle, read_spots
 from eyespot.formats.stack import FrameLabels
 
 NAME = "sample-v2"  # The small set that comes with eyespot.

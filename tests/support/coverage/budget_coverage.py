@@ -15,7 +15,7 @@ import numpy as np
 from eyespot.estimator import SubpixelSettings, TrackState, measure
 from eyespot.estimator.distance.budget import Budgets, ToolMotion
 from eyespot.estimator.distance.ranger import Ranger
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stated import Stated
 from eyespot.scenes import Scene, World, load_scene
 from eyespot.scenes.rendering.images import Images

@@ -27,7 +27,7 @@ from eyespot.estimator.recording import Recording
 from eyespot.estimator.sources.source import Source
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.optics.viewing.projection import PathCamera
 from tests.support.drawn.exact_spots import Place, exact_spots
 from tests.support.drawn.made_up import a_calibration, a_microscope, a_spot

@@ -11,7 +11,8 @@ import numpy as np
 from eyespot.estimator import Reader, SubpixelMode, SubpixelSettings
 from eyespot.estimator.run.offline import Tracking, track_source
 from eyespot.estimator.sources.source import Source
-from eyespot.formats.spots import NoSpot, Spot, SpotRecord
+from eyespot.formats.spot import NoSpot, Spot
+from eyespot.formats.spots import SpotRecord
 from eyespot.formats.stack import StackWriter
 from eyespot.scenes.drawn import Drawing, Truth, frame_of
 from tests.support.drawn.drawn_sets import labels_of

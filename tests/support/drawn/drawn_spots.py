@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtr
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Profile, Truth, erf_edge, light_of
 
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import erfc
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, any_truth, any_wall, frame_of, light_of
 from tests.support.drawn.drawn_spots import with_glints, with_shaft
 from tests.support.drawn.own_frames import (

@@ -14,7 +14,7 @@ from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.camera_sheet import CameraSheet, Response
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -9,7 +9,8 @@ import pandas as pd
 
 from eyespot.calibration.pixels.fit_result import ImageFit
 from eyespot.formats.calibration import Calibration
-from eyespot.formats.spots import Spot, SpotRecord, write_spots
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.formats.stack import KINEMATICS
 
 

@@ -33,7 +33,8 @@ from eyespot.benchmarks.sets.formats.export import export
 from eyespot.benchmarks.sets.spec import PlannedStack, SetSpec
 from eyespot.benchmarks.study import Study
 from eyespot.formats.inputs import InputError
-from eyespot.formats.spots import NoSpot, Reason, SpotRecord, write_spots
+from eyespot.formats.spot import NoSpot, Reason
+from eyespot.formats.spots import SpotRecord, write_spots
 from eyespot.formats.stack import Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import STOPPED, UNFINISHED, written_whole
 from eyespot.scenes.commands import init

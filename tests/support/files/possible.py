@@ -16,7 +16,8 @@ from eyespot.formats.calibration import Calibration
 from eyespot.formats.microscope import MicroscopeFile
 from eyespot.formats.poses import PoseTrack
 from eyespot.formats.rig import Rig
-from eyespot.formats.spots import Spot, SpotRecord
+from eyespot.formats.spot import Spot
+from eyespot.formats.spots import SpotRecord
 from eyespot.formats.stack import FrameLabels, Stack
 from eyespot.optics.refraction import MEDIA
 from eyespot.optics.viewing.schematic_eye import Eye

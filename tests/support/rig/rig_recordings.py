@@ -16,7 +16,7 @@ from eyespot.estimator.sources.ros import IMAGE_TOPIC, write_bag
 from eyespot.estimator.sources.source import Frame
 from eyespot.formats.calibration import write_calibration
 from eyespot.formats.poses import Pose, PoseTrack
-from eyespot.formats.spots import Spot
+from eyespot.formats.spot import Spot
 from eyespot.formats.stack import read_stack
 from tests.support.command_line import run_process
 from tests.support.drawn.made_up import a_calibration
