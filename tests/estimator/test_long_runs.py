@@ -30,7 +30,7 @@ from tests.support.drawn.drawn_recording import SHAPE, assert_same, new_reader, 
 def images():
     rng = np.random.default_rng(0)
     places = [Truth(x=70 + 6 * k, y=80, semi_major=33, semi_minor=30) for k in range(8)]
-    return [frame_of(Drawing(truth=place), rng, SHAPE) for place in places]
+    return [frame_of(Drawing(truth=place, noise=6.0), rng, SHAPE) for place in places]
 
 
 @pytest.fixture
@@ -176,8 +176,8 @@ def test_a_disk_that_fills_up_keeps_what_was_measured_and_says_what_is_needed(
 
 
 def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(tmp_path, frames, whole):
-    # The lines have 5.4 KB, a Parquet file of so many columns has 20 KB.
-    done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=5_450)
+    # The lines have 5.9 KB, a Parquet file of so many columns has 20 KB.
+    done = with_room(frames, "--out", tmp_path / "spots.parquet", largest_file=6_000)
     assert done.exit_code == 2
     assert f"What was measured is in {tmp_path / 'spots.partial.csv'}" in done.stderr
     assert lines_of(tmp_path / "spots.partial.csv") == whole
@@ -188,7 +188,7 @@ def test_parquet_that_does_not_fit_leaves_its_lines_and_says_where(tmp_path, fra
 def test_a_video_that_loses_frames_is_an_error_and_the_spots_stay(tmp_path, frames, whole, name):
     out, overlay = tmp_path / "spots.csv", tmp_path / name
     options = ("--out", out, "--overlay", overlay, "--json")
-    done = with_room(frames, *options, largest_file=5_450)  # the spots have 5.4 KB, a video 5.5 KB
+    done = with_room(frames, *options, largest_file=6_000)  # the spots have 5.9 KB, a video 30 KB
     assert done.exit_code == 2
     assert re.search(rf"{overlay}: only [0-7] of 8 frames could be written", done.stderr)
     assert f"{out} holds the 8 frames" in done.stderr
