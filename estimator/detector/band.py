@@ -420,7 +420,8 @@ def refine_sharp(
     misled = float(by_slope @ weights) * float(band.mean @ band.mean) / float(by_slope @ band.mean)
     right, down = (-ellipse.shape @ (aside + misled * sloping)).tolist()
     semi_major, semi_minor, _ = ellipse.axes()
-    # It does not contain the slope that counts for the half level, nor that slope's variance.
+    # The half of each side's own light contains neither the slope that counts for the half of the
+    # peak nor that slope's variance.
     centre_variance = per_slope**2 * doubt / 2
     own_variance = misled**2 * slopes_variance / 2 * semi_major * semi_minor
     return band.refined(

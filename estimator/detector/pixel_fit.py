@@ -334,7 +334,8 @@ def _own_half(
     found, variances = own @ left, variance_of(own)
     kept = np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
     unsure = kept * variances + (1 - kept) * np.minimum(variances, found**2)
-    by_slope = -(mix / strength).T @ taken
+    # A Gaussian's slope is a shift, of which nothing is left.
+    by_slope = -(mix / np.maximum(strength, np.finfo(float).eps)).T @ taken
     moved_by = (kept * found) @ by_slope
     right, down = (ellipse.shape @ moved_by[:2]).tolist()
     variance = float(unsure @ np.square(by_slope[:, :2]).mean(axis=1))
