@@ -396,14 +396,20 @@ def refine_sharp(
         hidden = hidden_edge(patch, ellipse, fitted[1], levels, reach)
         if hidden is None:
             return NoSpot(Reason.SATURATED)
-        levels, half, variance = hidden
+        levels, half, half_variance = hidden
         return band.refined(
-            levels, offsets, found, fitted, half=half, half_variance=variance, shaded=shaded
+            levels, offsets, found, fitted, half=half, half_variance=half_variance, shaded=shaded
         )
-    sloping, slopes_variance, slope, doubt, unseen = _slope(band, found, levels.width)
-    levels = _sharpened(levels, band, slope, doubt)
+    slope, variance, sure = _slope(band, found)
+    square = float(slope @ slope)
+    hidden_square = min(variance, square)
+    # A slope moves a sharp edge so little that a wrong estimate of it would do more harm.
+    counts = top_counts(levels.width)
+    kept = counts * sure
+    doubt = kept * variance + kept * (1 - kept) * square
+    levels = _sharpened(levels, band, kept * slope, doubt)
     inside = max(1 - Sharp.BRIGHTEST_INSIDE * levels.width, 0.0)
-    levels = replace(levels, hidden=levels.hidden + inside**2 * unseen)
+    levels = replace(levels, hidden=levels.hidden + inside**2 * (counts - kept) * hidden_square)
     crossing = band.half_crossing(levels.half, Sharp.MIDDLE * levels.width)
     if crossing is None or not levels.width > 0:
         return NoSpot(Reason.NONE_FOUND)
@@ -411,19 +417,20 @@ def refine_sharp(
     # brighter rays.
     step, rays = fitted
     per_slope = math.sqrt(math.pi / 2) * levels.width
-    aside = per_slope * slope
+    aside = per_slope * kept * slope
     step[:2] += aside
     offsets = offsets + DESIGN[:, :2] @ aside
     # The wall's reflectance brightens background and spot, a slope of the light the spot alone, and
     # the more the farther out: that shifts a profile, too.
     by_slope = (1 + band.from_edge) * (band.mean - levels.background)
     misled = float(by_slope @ weights) * float(band.mean @ band.mean) / float(by_slope @ band.mean)
-    right, down = (-ellipse.shape @ (aside + misled * sloping)).tolist()
+    right, down = (-ellipse.shape @ (aside + misled * sure * slope)).tolist()
     semi_major, semi_minor, _ = ellipse.axes()
     # The half of each side's own light contains neither the slope that counts for the half of the
     # peak nor that slope's variance.
     centre_variance = per_slope**2 * doubt / 2
-    own_variance = misled**2 * slopes_variance / 2 * semi_major * semi_minor
+    unsure = sure * variance + (1 - sure) * hidden_square
+    own_variance = misled**2 * unsure / 2 * semi_major * semi_minor
     return band.refined(
         levels,
         offsets,
@@ -471,13 +478,10 @@ def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> L
     return replace(levels, width=width, peak=peak, variance=levels.variance + doubt)
 
 
-def _slope(
-    band: Band, found: np.ndarray, width: float
-) -> tuple[np.ndarray, float, np.ndarray, float, float]:
+def _slope(band: Band, found: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Slope of the light across the plateau, over its mean per radius, (2,), and its variance.
 
-    Also that part of it which counts for the half level, the variance of this part, and that of a
-    slope that texture hides.
+    The last number is the part of it that texture does not explain.
 
     A beam that meets the wall obliquely is brighter on the near side. Texture is uneven, too, so
     the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
@@ -489,10 +493,4 @@ def _slope(
     square = float(slope @ slope)
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
     variance = Sharp.SLOPE_DOUBT * 2 * ring_variance(rest, slice(2, 7)) / RAYS
-    sure = max(0.0, 1 - variance / square) if square > 0 else 0.0
-    # A slope moves a sharp edge so little that a wrong estimate of it would do more harm.
-    counts = top_counts(width)
-    kept = counts * sure
-    doubt = kept * variance + kept * (1 - kept) * square
-    unsure = sure * variance + (1 - sure) * min(variance, square)
-    return sure * slope, unsure, kept * slope, doubt, (counts - kept) * min(variance, square)
+    return slope, variance, max(0.0, 1 - variance / square) if square > 0 else 0.0

@@ -275,7 +275,7 @@ def _errors(
 
     found = own.T @ (rest * root)
     variances = noise + texture * (own * (correlated @ own)).sum(axis=0)
-    kept = np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
+    kept = _kept(found, variances)
     # The mean profile over rays, and what a unit of each component changes in it.
     u, v = model.ellipse.centre[:, None] + model.ellipse.shape @ _ON_RAYS
     light, *slopes = model.linearised(u, v).reshape(7, -1, len(_RADII)).mean(axis=1)
@@ -315,6 +315,11 @@ def _errors(
     )
 
 
+def _kept(found: np.ndarray, variances: np.ndarray) -> np.ndarray:
+    """Share of each component that counts (the garrote of Breiman 1995)."""
+    return np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
+
+
 def _own_half(
     ellipse: AffineEllipse,
     sloping: np.ndarray,
@@ -332,7 +337,7 @@ def _own_half(
     """
     mix, strength, own = np.linalg.svd(sloping, full_matrices=False)
     found, variances = own @ left, variance_of(own)
-    kept = np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
+    kept = _kept(found, variances)
     unsure = kept * variances + (1 - kept) * np.minimum(variances, found**2)
     # A Gaussian's slope is a shift, of which nothing is left.
     by_slope = -(mix / np.maximum(strength, np.finfo(float).eps)).T @ taken

@@ -213,6 +213,20 @@ class Linear(NamedTuple):
         return Linear(*(rolled(part, right, down) for part in self))
 
 
+class StatePrior(NamedTuple):
+    """What is known of a frame's states before it is seen.
+
+    Attributes:
+        precision: of the states.
+        pull: towards their means.
+        cost: -2 log of their probability, up to a constant.
+    """
+
+    precision: Float[np.ndarray, "s s"]
+    pull: Float[np.ndarray, "s"]
+    cost: float
+
+
 @dataclass(frozen=True, eq=False)
 class FrameState:
     """A frame and its states.
@@ -257,7 +271,7 @@ class FrameState:
         )
 
     @functools.cached_property
-    def prior(self) -> "StatePrior":
+    def prior(self) -> StatePrior:
         """What is known of the states before the frame is seen."""
         precision, pull = np.zeros((OWN, OWN)), np.zeros(OWN)
         mean, sigma = self.ambient_prior
@@ -290,20 +304,6 @@ class FrameState:
             off = np.cross(self.pose.axis, self.direction.axis)
             cost += float(off @ off) / self.direction.sigma**2
         return StatePrior(precision, pull, cost)
-
-
-class StatePrior(NamedTuple):
-    """What is known of a frame's states before it is seen.
-
-    Attributes:
-        precision: of the states.
-        pull: towards their means.
-        cost: -2 log of their probability, up to a constant.
-    """
-
-    precision: Float[np.ndarray, "s s"]
-    pull: Float[np.ndarray, "s"]
-    cost: float
 
 
 _MAX_LOG_SHADING = 3.0  # largest logarithm of ambient light over that in the middle

@@ -8,11 +8,10 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from eyespot.estimator.distance.cone_range import unblurred
-from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.drawn_spots import SUB_PIXELS, over_pixels, spot_in, sub_pixel_grid
 from tests.support.drawn.own_frames import clouds
 
 _SHAPE = (160, 240)
-_FINE = 5  # sub-pixels on a side
 _HALF_ANGLE = math.atan(0.1)
 _WELL = 8000.0
 
@@ -36,16 +35,16 @@ class Cone(NamedTuple):
 
     def image(self, x, y, blur_px):
         """Irradiance over that at the axis's foot, with the mean over pixels and a blur."""
-        v, u = ((np.arange(n * _FINE) + 0.5) / _FINE - 0.5 for n in _SHAPE)
-        along, across = u - x, v[:, None] - y
+        u, v = sub_pixel_grid(_SHAPE)
+        along, across = u - x, v - y
         height = self.length * math.cos(self.incidence)
         ahead = along + self.length * math.sin(self.incidence)
         squared = ahead**2 + across**2 + height**2
         axial = ahead * math.sin(self.incidence) + height * math.cos(self.incidence)
         inside = axial > math.cos(_HALF_ANGLE) * np.sqrt(squared)
         light = inside * height * self.length**2 / squared**1.5 / math.cos(self.incidence)
-        light = gaussian_filter(light, blur_px * _FINE) if blur_px else light
-        return light.reshape(_SHAPE[0], _FINE, _SHAPE[1], _FINE).mean(axis=(1, 3))
+        light = gaussian_filter(light, blur_px * SUB_PIXELS) if blur_px else light
+        return over_pixels(light)
 
 
 def errors(blur_px, texture, seed):
@@ -91,9 +90,8 @@ def test_a_slope_that_texture_hides_is_in_the_covariance():
 @pytest.mark.parametrize("radius", [8, 11, 14, 17])
 def test_a_disc_that_only_pixels_blur_is_measured(radius):
     """The profiles of small spots end at an edge that is steeper than the pixels can show."""
-    v, u = ((np.arange(n * _FINE) + 0.5) / _FINE - 0.5 for n in _SHAPE)
-    disc = np.hypot(u - 150.2, v[:, None] - 77.6) < radius
-    light = 30 + 140 * disc.reshape(_SHAPE[0], _FINE, _SHAPE[1], _FINE).mean(axis=(1, 3))
+    u, v = sub_pixel_grid(_SHAPE)
+    light = 30 + 140 * over_pixels(np.hypot(u - 150.2, v - 77.6) < radius)
     noise = 2.0 * np.random.default_rng(radius).standard_normal(_SHAPE)
     spot = spot_in(np.round(light + noise).astype(np.uint8))
     # The sub-pixels' grid alone is worth some hundredths of a pixel.

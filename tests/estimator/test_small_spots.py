@@ -10,40 +10,28 @@ from scipy.stats import ncx2
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure, track
 from eyespot.formats.spot import NoSpot, Reason, Spot
-from tests.support.drawn.drawn_spots import spot_in
+from tests.support.drawn.drawn_spots import over_pixels, spot_in, sub_pixel_grid
 from tests.support.drawn.own_frames import clouds
 
 SHAPE = (120, 160)
-_FINE = 5  # sub-pixels on a side: a bell of 3 px changes by 2e-3 over half of one
 _NOISE = 2.0
 
 
-def grid(per_px=1):
-    """Coordinates of sub-pixels in units of pixels, integers at the centres of pixels."""
-    v, u = ((np.arange(n * per_px) + 0.5) / per_px - 0.5 for n in SHAPE)
-    return u, v[:, None]
-
-
-def integrated(light):
-    """Mean of the light over each pixel."""
-    return light.reshape(SHAPE[0], _FINE, SHAPE[1], _FINE).mean(axis=(1, 3))
-
-
 def bell(x, y, semi_major, semi_minor, angle, power=2.0):
-    u, v = grid(_FINE)
+    u, v = sub_pixel_grid(SHAPE)
     along = (u - x) * math.cos(angle) + (v - y) * math.sin(angle)
     across = (v - y) * math.cos(angle) - (u - x) * math.sin(angle)
-    return integrated(
+    return over_pixels(
         np.exp(-math.log(2) * np.hypot(along / semi_major, across / semi_minor) ** power)
     )
 
 
 def blurred_disc(x, y, radius, blur):
     """Peak 1: the light of a disc after a Gaussian blur is a noncentral chi-squared probability."""
-    u, v = grid(_FINE)
+    u, v = sub_pixel_grid(SHAPE)
     distances = np.linspace(0, 200, 4000)
     profile = ncx2.cdf((radius / blur) ** 2, 2, (distances / blur) ** 2)
-    return integrated(np.interp(np.hypot(u - x, v - y), distances, profile / profile[0]))
+    return over_pixels(np.interp(np.hypot(u - x, v - y), distances, profile / profile[0]))
 
 
 def half_radius(radius, blur):
@@ -123,7 +111,7 @@ def test_stated_errors_of_small_discs_are_those_of_the_errors(contrast):
 
 
 def test_a_focus_with_rings_and_a_halo_is_measured_at_half_of_its_own_peak():
-    u, v = grid(_FINE)
+    u, v = sub_pixel_grid(SHAPE)
     for seed, radius in enumerate((3.0, 4.0, 6.0, 9.0)):
         rng = np.random.default_rng([7, seed])
 
@@ -134,7 +122,7 @@ def test_a_focus_with_rings_and_a_halo_is_measured_at_half_of_its_own_peak():
 
         true = radius * brentq(lambda t: focus(t) - focus(0.0) / 2, 0.5, 2.0)
         x, y = place(rng)
-        light = integrated(focus(np.hypot(u - x, v - y) / radius)) / focus(0.0)
+        light = over_pixels(focus(np.hypot(u - x, v - y) / radius)) / focus(0.0)
         spot = spot_in(camera_frame(rng, light, 180.0))
         error = math.sqrt(spot.semi_major_px * spot.semi_minor_px) - true
         # The goal for real beams is 3 % of the area's radius.
@@ -156,9 +144,9 @@ def test_a_spot_that_grows_through_15_px_is_measured_all_the_way():
 
 
 def test_dots_of_a_lattice_are_no_spot():
-    u, v = grid(_FINE)
+    u, v = sub_pixel_grid(SHAPE)
     lattice = np.hypot((u + 18) % 40 - 20, (v + 13) % 40 - 20)
-    light = integrated(np.exp(-math.log(2) * (lattice / 4) ** 2))
+    light = over_pixels(np.exp(-math.log(2) * (lattice / 4) ** 2))
     frame = camera_frame(np.random.default_rng(4), light, 180.0)
     assert measure(frame, TrackState(), SubpixelSettings())[0] == NoSpot(Reason.AMBIGUOUS)
 

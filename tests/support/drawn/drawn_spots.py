@@ -12,6 +12,21 @@ from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, mea
 from eyespot.formats.spot import Spot
 from eyespot.scenes.drawn import SHAPE, Drawing, Profile, Truth, erf_edge, light_of
 
+SUB_PIXELS = 5
+"""On a side of a pixel: a bell of 3 px changes by 2e-3 over half of one."""
+
+
+def sub_pixel_grid(shape: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns and rows of sub-pixels in units of pixels, integers at the centres of pixels."""
+    v, u = ((np.arange(n * SUB_PIXELS) + 0.5) / SUB_PIXELS - 0.5 for n in shape)
+    return u, v[:, None]
+
+
+def over_pixels(light: np.ndarray) -> np.ndarray:
+    """Mean of the light of sub-pixels over each pixel."""
+    height, width = (n // SUB_PIXELS for n in light.shape)
+    return light.reshape(height, SUB_PIXELS, width, SUB_PIXELS).mean(axis=(1, 3))
+
 
 def domed_edge(sigma_px: float, drop: float) -> Profile:
     """Disc whose light falls by `drop` from the centre to the rim, with the same blur."""

@@ -202,16 +202,19 @@ def widened(recording: Recording, part: float, rng: np.random.Generator) -> Reco
     return replace(own, scale=float(np.clip(3 * wide / own.height, 0.012, 0.05)))
 
 
+def _sheet_of(recording: Recording) -> CameraSheet:
+    return CameraSheet(
+        full_well_e=recording.full_well,
+        read_noise_e=recording.read_noise,
+        black_level_dn=recording.black,
+        bit_depth=8,
+    )
+
+
 def footage_of(recording: Recording, frames: Frames) -> Footage:
     """What `footage_of` reads from a folder with these images."""
     own, images = recording, frames.images
-    sheet = CameraSheet(
-        full_well_e=own.full_well,
-        read_noise_e=own.read_noise,
-        black_level_dn=own.black,
-        bit_depth=8,
-    )
-    noise = CameraNoise(sheet, Response())
+    noise = CameraNoise(_sheet_of(own), Response())
     return a_footage(
         light=np.stack([noise.light(image) for image in images]).astype(np.float32),
         clear=np.all((images > 0) & (images < 255), axis=-1),
@@ -237,12 +240,7 @@ def footage_of(recording: Recording, frames: Frames) -> Footage:
 def write_photons(folder: Path, recording: Recording, frames: Frames) -> Path:
     """The frames as a stack on disk, as a user's: no label says what a fit may not know."""
     own, where = recording, frames.where
-    noise = {
-        "full_well_e": own.full_well,
-        "read_noise_e": own.read_noise,
-        "black_level_dn": own.black,
-        "bit_depth": 8,
-    }
+    noise = _sheet_of(own).model_dump(exclude_unset=True)
     changes = (
         f"phantom.kind={own.wall}",
         "phantom.wall=uniform",
