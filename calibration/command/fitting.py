@@ -53,7 +53,6 @@ from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
 from eyespot.calibration.spots.cone_fit import PARAMETERS
 from eyespot.estimator import Ranger
-from eyespot.estimator.distance.cone_range import SOFT_EDGE
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.estimator.viewer import recording_of
@@ -102,6 +101,12 @@ def record_fit(target: str, fit: "Fit") -> None:
 
 _PACKAGES = ("eyespot", "jax", "optimistix")
 
+SOFT_EDGE = 0.1
+"""Edge width over semi-minor axis above which the spots' edges are soft, a camera's blur apart.
+
+A cone's edge is as wide as the camera's blur. With a lens it is as wide as the core's image: for
+caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
+of 0.5 to 6 mm is 0.25 to 0.8."""
 SHARP_EDGE = 0.05
 """As `SOFT_EDGE`; below it the edge is surely a cone's. Between the two it may also be that of a
 small core behind a nearly flat end, such as 0.2 mm with a sag of 0.015 mm in air: 0.10."""
@@ -157,10 +162,24 @@ def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
 
 
 def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
-    """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured."""
-    records = (record.result for recording in recordings for record in recording.records)
-    spots = [spot for spot in records if isinstance(spot, Spot)]
-    return float(np.quantile([spot.edge_width_px / spot.semi_minor_px for spot in spots], 0.75))
+    """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured.
+
+    Without the camera's blur, which is as wide in all frames of a recording. Where the spots do not
+    grow, a lens's edge may be so, too.
+    """
+    shares = []
+    for recording in recordings:
+        spots = [one.result for one in recording.records if isinstance(one.result, Spot)]
+        width, radius = np.array([(spot.edge_width_px, spot.semi_minor_px) for spot in spots]).T
+        small, large = np.quantile(radius, (0.25, 0.75))
+        blur = np.quantile(width, 0.25) if large > _GROWN_RATIO * small else 0.0
+        shares.append(np.sqrt(np.maximum(width**2 - blur**2, 0.0)) / radius)
+    return float(np.quantile(np.concatenate(shares), 0.75))
+
+
+_GROWN_RATIO = 1.2
+"""Ratio of the quartiles of the radii from which spots grow. An edge that grew with them as a
+lens's would, 0.25 of the radius, is soft then, whatever part of it is taken for a blur."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -33,14 +33,14 @@ from eyespot.estimator.detector.levels import (
 )
 from eyespot.estimator.detector.saturated_flank import hidden_bell
 from eyespot.estimator.detector.tuning import RAYS, Broad, Capture, ErrorGrowth, Refine, Saturated
-from eyespot.formats.spot import NoSpot, Reason
+from eyespot.formats.spot import NoSpot, OwnHalf, Reason
 
 
 def refine_broad(
     patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
     """As `refine_sharp`, from an ellipse that is off by less than the flank's width."""
-    levels = _with_sloping_top(levels, patch, ellipse, inliers)
+    levels, slope, unsure, raised = _with_sloping_top(levels, patch, ellipse, inliers)
     half, half_variance = None, 0.0
     if levels.peak > Saturated.READABLE * patch.ceiling:
         hidden = hidden_bell(patch, ellipse, inliers, levels)
@@ -51,7 +51,7 @@ def refine_broad(
     band = Band.along(patch, ellipse, inliers, reach)
     if band is None:
         return NoSpot(Reason.NONE_FOUND)
-    offsets, *_ = band.shifts([band.from_edge * band.slope], past_texture=False)
+    offsets, _, weights = band.shifts([band.from_edge * band.slope], past_texture=False)
     gain = band.gain
     found = band.lit & (np.abs(offsets) < reach)
     fitted = robust_step(
@@ -80,27 +80,50 @@ def refine_broad(
         variance = levels.variance + texture + Broad.PEAK_ERROR**2
         levels = replace(levels, variance=variance)
     shaded = np.zeros(RAYS, bool)  # a shadow's rim looks like a broad flank
+    # Where the light slopes, brighter rays cross the common level farther out, and the level is
+    # half of a higher peak.
+    semi_major, semi_minor, _ = ellipse.axes()
+    per_slope = float(((1 + band.from_edge) * (band.mean - levels.background)) @ weights)
+    right, down = (-per_slope * ellipse.shape @ slope).tolist()
+    unsure += float(slope @ slope) * Broad.OWN_HALF_ERROR**2
     return band.refined(
-        levels, offsets, found, fitted, half=half, half_variance=half_variance, shaded=shaded
+        levels,
+        offsets,
+        found,
+        fitted,
+        half=half,
+        half_variance=half_variance,
+        shaded=shaded,
+        own_half=OwnHalf(
+            right,
+            down,
+            growth=1 + math.sqrt(math.pi / 2) * levels.width * raised,
+            more_variance_px2=per_slope**2 * unsure / 2 * semi_major * semi_minor,
+        ),
     )
 
 
 def _with_sloping_top(
     levels: Levels, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray
-) -> Levels:
-    """The levels with the peak of a top that slopes.
+) -> tuple[Levels, np.ndarray, float, float]:
+    """The levels with the peak of a top that slopes, and the slope.
 
     A beam that meets the wall obliquely is brighter on the near side, and a focused beam has a
     cusp: the peak is the maximum of a polynomial in the radius plus a slope across. Texture has
     cusps and slopes too. So they raise the peak above a parabola's only as far as they exceed what
     the rest of the rays' spectrum explains (the garrote of Breiman 1995).
+
+    Returns:
+        Also the light's slope across the spot over its height, per radius, (2,); its variance by
+        what texture may hide of it; and by what share of the height the slope raises the peak.
     """
     top = min(max(1 - Broad.SHOULDER * levels.width, 0.35), 0.9)  # of a bell; inside the edge
     radii = RADII[: max(int(np.searchsorted(RADII, top)), 8)]
     inner = np.nan_to_num(patch.unwrapped(ellipse, radii), nan=0.0)
     seen = (inner > levels.half) & (inner < 2 * levels.peak) & inliers[:, None]
+    level_top = levels, np.zeros(2), 0.0, 0.0
     if np.count_nonzero(seen) < 10 * Broad.POWERS:
-        return levels
+        return level_top
     area = seen * radii
     across = DESIGN[:, :2]
     slopes = across[:, :1] * radii, across[:, 1:] * radii
@@ -119,14 +142,22 @@ def _with_sloping_top(
     pull_variance = ring_variance((left * area).sum(axis=1) / lever, slice(2, 6)) / RAYS
     _, parabola = cv2.solve(gram[np.ix_([0, 2], [0, 2])], pull[[0, 2]])
     simple = float(parabola[0, 0])
-    rise = float((profile + math.hypot(*tilt) * radii).max()) - simple
-    kept = max(0.0, 1 - Broad.TOP_DOUBT * pull_variance / rise**2) if rise else 0.0
+    steepest = math.hypot(*tilt)
+    highest = int(np.argmax(profile + steepest * radii))
+    rise = float(profile[highest] + steepest * radii[highest]) - simple
+    doubt = Broad.TOP_DOUBT * pull_variance
+    kept = max(0.0, 1 - doubt / rise**2) if rise else 0.0
     peak = simple + kept * rise
-    if not peak > levels.background:
-        return levels
-    return replace(
+    height = peak - levels.background
+    if not height > 0:
+        return level_top
+    sure = max(0.0, 1 - doubt / steepest**2) if steepest else 0.0
+    unsure = sure * doubt + (1 - sure) * min(doubt, steepest**2)
+    levels = replace(
         levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2, hidden=0.0
     )
+    raised = kept * steepest * float(radii[highest]) / height
+    return levels, sure * tilt / height, unsure / height**2, raised
 
 
 _NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)

@@ -327,7 +327,10 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     clipped = np.array((planes[:, :, used] >= clips).any(axis=2), np.uint8)
     # A pixel is more likely to be left out if its noise is bright: so its neighbours are, too.
     left_out = cv2.dilate(clipped, np.ones((3, 3))).view(bool)
-    spot = fit_to_pixels(np.where(left_out, np.nan, light), window.x0, window.y0, start)
+    seen = np.where(left_out, np.nan, light)
+    spot = fit_to_pixels(seen, window.x0, window.y0, start)
+    if spot is not None and (foreign := _beside(seen, window, spot)).any():
+        spot = fit_to_pixels(np.where(foreign, np.nan, seen), window.x0, window.y0, spot.ellipse)
     if spot is None:
         return NoSpot(Reason.NONE_FOUND)
     contour = Patch(light.astype(np.float32), window.x0, window.y0)
@@ -346,6 +349,30 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     top = spot.background + spot.amplitude
     flat = spot.edge_width < Refine.BROAD and top > ceiling - Small.AT_LIMIT * spot.noise
     return NoSpot(Reason.SATURATED) if hidden or (clipped.any() and flat) else spot
+
+
+def _beside(light: np.ndarray, window: Window, spot: SmallSpot) -> np.ndarray:
+    """Pixels beside a small spot that show something else, such as a ghost or a tool, (h, w).
+
+    A beam's own foot is as bright all round. So pixels count that stand out from the median of
+    their ring by more than noise and texture do.
+    """
+    rows, columns = np.indices(light.shape)
+    away = np.stack([columns + window.x0, rows + window.y0], axis=-1) - spot.ellipse.centre
+    radius = np.hypot(*np.moveaxis(away @ np.linalg.inv(spot.ellipse.shape).T, -1, 0))
+    per_px = 1 / spot.ellipse.axes()[1]
+    outside = radius > 1 + Small.FOOT * max(spot.edge_width, per_px)
+    rest = np.zeros_like(light)
+    ring = (radius / max(per_px, Small.RING / 2)).astype(int)
+    for number in np.unique(ring[outside]):
+        own = outside & (ring == number)
+        if np.isfinite(light[own]).any():
+            rest[own] = light[own] - np.nanmedian(light[own])
+    scatter = 1.4826 * float(np.nanmedian(np.abs(rest[outside]))) if outside.any() else 0.0
+    far = np.abs(rest) > max(Small.STANDS_OUT * scatter, Small.FOREIGN * spot.amplitude)
+    square = np.ones((3, 3), np.uint8)
+    lasting = cv2.morphologyEx(far.astype(np.uint8), cv2.MORPH_OPEN, square)
+    return cv2.dilate(lasting, square, iterations=2).view(bool) & outside
 
 
 class MeasuredRegion(NamedTuple):

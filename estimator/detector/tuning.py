@@ -144,6 +144,9 @@ class Broad:
     WIDEST = 0.5  # radii: the same, at most (derived: the top begins inside)
     FORGIVEN = 0.3  # widths: shift of an edge that texture explains, bells on retinas
     SHOULDER = 1.25  # widths: where a plateau begins to fall, linear flanks
+    # Relative error of the shift to where each side's light is half of its own, as a flank's shape
+    # leaves it: 0.05 to 0.12 for blurs of a fifth to a third of the radius.
+    OWN_HALF_ERROR = 0.15
     TOP_DOUBT = 4.0  # variances that a top's or profile's shape must exceed, bells on retinas
     POWERS = 5  # coefficients of the polynomial through a top, light of glue lenses
     PEAK_ERROR = 0.003  # peak: fitted to bells exp(-t^p), p 1.7 to 3, and Moffat's: 0.1 to 0.7 %
@@ -336,4 +339,7 @@ class Small:
     ROUGHEST = 0.2  # of the light: standard deviation of what is no such spot's
     # radii: the middle, where a ring has less than half of its light; that light; the contour
     RINGS = (0.15, 0.55, 0.7, 0.85, 1.0)
+    FOOT = 3.0  # widths, at least a pixel's: from the contour to where a spot's light has ended
+    # Standard deviations beside a spot, and its light, of what stands out there and is another's.
+    STANDS_OUT, FOREIGN = 5.0, 0.03
     AT_LIMIT = 3.0  # standard deviations of a pixel below the limit, within which a flat top is cut

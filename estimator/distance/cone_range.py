@@ -57,14 +57,6 @@ def calibrated_view(microscope: MicroscopeFile, values: Mapping[str, float]) -> 
     )
 
 
-SOFT_EDGE = 0.1
-"""Edge width over semi-minor axis above which a spot's edge is soft.
-
-A cone's edge is as wide as the camera's blur: 1 px for radii of 40 to 90 px in the renders. A blur
-of 4 px would be a camera far out of focus. With a lens the edge is as wide as the core's image: for
-caps of sag 0 to 0.12 mm and numerical apertures of 0.05 to 0.3, the upper quartile over distances
-of 0.5 to 6 mm is 0.25 to 0.8.
-"""
 _KERNEL_SPREAD = 0.15
 """Relative standard deviation of the shift by a blur of unknown shape: 0.85 of a Gaussian's with
 the same edge width for a disc out of focus, 1.27 for light that falls exponentially."""
@@ -78,10 +70,10 @@ def unblurred(spot: Spot) -> Spot:
 
     Where an edge has the curvature $\kappa$, a blur s moves half of its light inwards by
     $\kappa s^2/2$, s being the standard deviation along the edge. The blur is taken from the edge's
-    width. A soft edge, which may be a lens's, stays as it is, and so does a spot of
-    a mode that measures no width.
+    width; the next term, $\kappa^3 s^4$, is below the errors up to a blur of a third of the radius.
+    A spot of a mode that measures no width stays as it is.
     """
-    if not spot.edge_width_px < SOFT_EDGE * spot.semi_minor_px:
+    if math.isnan(spot.edge_width_px):
         return spot
     own = spot.own_half
     major, minor = spot.semi_major_px * own.growth, spot.semi_minor_px * own.growth

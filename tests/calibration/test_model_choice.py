@@ -2,6 +2,7 @@
 
 import math
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from eyespot.calibration.pixels.lens_light import cap_of, cap_shape, cap_slopes
 from eyespot.calibration.recorded_trial import recorded_trial
 from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.estimator.recording import Recording
+from eyespot.formats.spot import Spot
 from eyespot.optics.wall_light.lens_flux import lens_parameters
 from tests.support.drawn.drawn_sets import with_false_labels
 from tests.support.drawn.scene_tables import scene_of
@@ -58,6 +60,21 @@ def test_the_model_follows_the_spots_and_not_the_labels(
         chosen, reason = chosen_model([recorded_trial(folder)])
         assert chosen == model
         assert edges in reason
+
+
+@pytest.mark.parametrize(
+    ("edge", "model"),
+    [(lambda radius: 4.0, "cone"), (lambda radius: 0.25 * radius, "lens")],
+)
+def test_an_edge_as_wide_in_all_frames_is_the_cameras_blur(stack, edge, model):
+    one = recorded_trial(stack("cone", CONE))
+    records = [
+        replace(own, result=replace(spot, edge_width_px=edge(spot.semi_minor_px)))
+        for own in one.records
+        if isinstance(spot := own.result, Spot)
+    ]
+    # Of radii of 20 to 38 px, 4 px are more than `SOFT_EDGE`.
+    assert chosen_model([one._replace(records=records)])[0] == model
 
 
 def test_of_two_exposures_the_metered_one_is_measured(stack):

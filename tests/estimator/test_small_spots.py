@@ -143,6 +143,21 @@ def test_a_spot_that_grows_through_15_px_is_measured_all_the_way():
     assert np.abs(z).max() < 4
 
 
+@pytest.mark.parametrize("aside_px", [26, 32, 38])
+@pytest.mark.parametrize("share", [-0.08, 0.1, 0.4])
+def test_what_is_beside_a_small_spot_does_not_move_it(aside_px, share):
+    """Another disc, lit or dark, that is within three radii but does not touch the spot."""
+    light = blurred_disc(70.3, 60.4, 11.5, 0.6)
+    beside = blurred_disc(70.3 + aside_px * 0.8, 60.4 - aside_px * 0.6, 11.5, 0.6)
+    rng = np.random.default_rng([9, aside_px])
+    spot = spot_in(camera_frame(rng, light + share * beside, 150.0))
+    z = (math.sqrt(spot.semi_major_px * spot.semi_minor_px) - half_radius(11.5, 0.6)) / (
+        spot.sigma_semi_minor_px
+    )
+    assert abs(z) < 4
+    assert spot.sigma_semi_minor_px < 0.04  # 0.02 alone
+
+
 def test_dots_of_a_lattice_are_no_spot():
     u, v = sub_pixel_grid(SHAPE)
     lattice = np.hypot((u + 18) % 40 - 20, (v + 13) % 40 - 20)
