@@ -9,14 +9,12 @@ from typing import NamedTuple
 
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.calibration.spots.cone_trials import Prior
+from eyespot.estimator.distance.consistency import NOTED_SIGMAS
 
 OF_ROBOT = ("robot_scale", "clock_offset")
 """Tolerances of the robot."""
 TOLERANCES = ("scale", "eye_radius", "inverse_working_distance", *OF_ROBOT)
 """The keys of `tolerances`."""
-_PULLED = 2.0
-"""Standard deviations by which data may move a prior without a word; six priors have one beyond it
-in a quarter of good recordings."""
 _UNTOUCHED = 0.9
 """Standard error over a prior's above which the data say nothing: they would weigh a quarter."""
 
@@ -78,7 +76,7 @@ def said_of_priors(parameters: Iterable[PriorOutcome]) -> list[str]:
         f"{one.name} is {one.value:.5g}, {(one.value - one.prior.mean) / one.prior.sigma:+.1f} σ "
         f"from the {one.prior.mean:.5g} ± {one.prior.sigma:.2g} that was stated."
         for one in every
-        if abs(one.value - one.prior.mean) > _PULLED * one.prior.sigma
+        if abs(one.value - one.prior.mean) > NOTED_SIGMAS * one.prior.sigma
     ]
     return [f"The data say nothing about what was stated of {', '.join(alone)}."] * bool(
         alone

@@ -216,8 +216,8 @@ _REMEDIES: dict[Fault, dict[str, str]] = {
     },
     Fault.LARGE_RESIDUALS: {
         "plane sphere": f"--robust, which leaves out outliers, or {_CONE}",
-        "cone": f"{_LENS}; --model image, which learns how the view shakes; or the microscope's "
-        "scale and the eye's radius, which may be wrong, in --free",
+        "cone": f"{_LENS}; or the microscope's scale and the eye's radius, which may be wrong, in "
+        "--free",
         "eye": _ROBOT,
     },
     Fault.STRUCTURE: {

@@ -36,7 +36,7 @@ from eyespot.calibration.tolerances import (
     stated_core,
     tolerances,
 )
-from eyespot.estimator.distance.consistency import disagreements
+from eyespot.estimator.distance.consistency import disagreements, hints
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import BEAM, LENS_PARAMETERS, OF_MICROSCOPE, Calibration
 from eyespot.formats.inputs import InputError
@@ -293,7 +293,7 @@ def _fitted(
             for name, (value, error) in fit.parameters.items()
             if name not in (*CONE, *LENS, *values)
         ],
-        notes=_notes(fit),
+        notes=_notes(fit) + hints(compared),
         pixels=pixels,
     )
 

@@ -42,7 +42,7 @@ from eyespot.calibration.tolerances import (
     stated_core,
     tolerances,
 )
-from eyespot.estimator.distance.consistency import disagreements
+from eyespot.estimator.distance.consistency import disagreements, hints
 from eyespot.formats.calibration import BEAM, OF_MICROSCOPE, QUANTITIES, Calibration
 from eyespot.formats.inputs import InputError
 
@@ -402,11 +402,18 @@ def _fitted(
             if calibration_model == "exact" and core is None
         ]
         + [
+            f"{name}: the view shakes by {by:.2g} px from frame to frame, which the spots' errors "
+            "contain."
+            for name, by in zip(names, fit.shake_px, strict=True)
+            if by > 0
+        ]
+        + [
             f"The {halves} spots, each with a cone of their own: p = {chance:.2g} that it is one."
             for halves, chance in fit.halves.items()
         ]
         + [f"b rests on the core's radius, {c.mean:.4g} ± {c.sigma:.2g} mm." for c in (core,) if c]
-        + said_of_priors(known),
+        + said_of_priors(known)
+        + hints(compared),
     )
 
 

@@ -1,5 +1,6 @@
 """Fit of the exact geometry to measured ellipses, with nuisances per trial (see `cone_trials`)."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
@@ -85,6 +86,8 @@ class ConeFit(NamedTuple):
         lean_error: its standard errors, rad; infinite if the data do not determine it.
         boresight: angle of the beam from the tool's axis per trial, along the same vectors, rad.
         boresight_covariance: covariance of each; infinite if the data do not determine it.
+        shake_px: standard deviation of each trial's shake along each side of the image, from one
+            frame to the next, px; 0 where the spots' own errors explain their places.
         spot: (x, y) of the wall's point that the beam meets at reading 0 per trial, mm.
         spot_covariance: covariance of each spot; infinite if the data do not determine it.
         residuals: `optics.ellipse_mismatch` with variance 1, n x 5 per trial, along the image.
@@ -108,6 +111,7 @@ class ConeFit(NamedTuple):
     lean_error: Float[np.ndarray, "trials 2"]
     boresight: Float[np.ndarray, "trials 2"]
     boresight_covariance: Float[np.ndarray, "trials 2 2"]
+    shake_px: Float[np.ndarray, "trials"]
     spot: Float[np.ndarray, "trials 2"]
     spot_covariance: Float[np.ndarray, "trials 2 2"]
     residuals: tuple[Float[np.ndarray, "n 5"], ...]
@@ -185,36 +189,43 @@ def fit_cone(
         [number for number, trial in enumerate(trials) if trial.kind == kind]
         for kind in sorted({trial.kind for trial in trials})
     ]
-    groups = [
-        TrialGroup.of([trials[n] for n in own], *([part[n] for n in own] for part in missed))
-        for own in of_kinds
-    ]
-    # Nuisances are deviations from their expected values, in standard deviations. Numbers would be
-    # compiled in, anew for every fit.
+    # Numbers would be compiled in, anew for every fit.
     at_start = jax.tree.map(jnp.asarray, fixed)
-    begin = jnp.concatenate(
-        [
-            jnp.zeros(len(PARAMETERS)),
-            *(jnp.ravel(first_nuisances(g, microscope, at_start)) for g in groups),
-        ]
-    )
     priors_held = int(np.sum(prior_weights.any(axis=1)))
     frames = sum(trial.readings.size for trial in trials)
     count = 5 * frames + priors_held + HELD * len(trials)
     # Arrays replace names here, and a step for each parameter that is not free moves nothing, so
     # that one compilation serves all choices.
     stepped = np.array([[name == own for own in free] for name in PARAMETERS]) * sizes
-    solution, spot, spot_slopes = _solve(
-        begin,
-        groups,
-        microscope,
-        jnp.array([fixed[name] for name in PARAMETERS]),
-        jnp.asarray(np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))])),
-        jnp.asarray(prior_means),
-        jnp.asarray(prior_weights),
-        jnp.asarray(count),
-    )
-    moving = np.delete(np.arange(begin.size), np.arange(len(free), len(PARAMETERS)))
+    steps = np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))])
+
+    def solved(trials: Sequence[ConeTrial]) -> tuple[Solution, Array, Array, list[np.ndarray]]:
+        groups = [
+            TrialGroup.of([trials[n] for n in own], *([part[n] for n in own] for part in missed))
+            for own in of_kinds
+        ]
+        # Nuisances are deviations from their expected values, in standard deviations.
+        nuisances = [jnp.ravel(first_nuisances(g, microscope, at_start)) for g in groups]
+        found = _solve(
+            jnp.concatenate([jnp.zeros(len(PARAMETERS)), *nuisances]),
+            groups,
+            microscope,
+            jnp.array([fixed[name] for name in PARAMETERS]),
+            jnp.asarray(steps),
+            jnp.asarray(prior_means),
+            jnp.asarray(prior_weights),
+            jnp.asarray(count),
+        )
+        return *found, _rows(groups, of_kinds, trials)
+
+    solution, spot, spot_slopes, rows = solved(trials)
+    off = _along_image(np.asarray(solution.residuals), rows, trials)
+    shakes = [shake_px(trial, own[:, :2]) for trial, own in zip(trials, off, strict=True)]
+    if any(shakes):
+        seen = [trial.shaken(by) for trial, by in zip(trials, shakes, strict=True)]
+        solution, spot, spot_slopes, rows = solved(seen)
+    every = np.arange(solution.parameters.size)
+    moving = np.delete(every, np.arange(len(free), len(PARAMETERS)))
     jacobian = np.asarray(solution.jacobian)[:, moving]
     information = jacobian.T @ jacobian
     found = np.asarray(solution.parameters)[moving]
@@ -223,7 +234,6 @@ def fit_cone(
         name: fixed[name] + float(step) for name, step in zip(free, moved, strict=True)
     }
     left = np.asarray(solution.residuals)
-    rows = _rows(groups, of_kinds, trials)
     residuals = _along_image(left, rows, trials)
     chi_squared = float(np.sum(np.square(left)))
     degrees = count - found.size
@@ -279,6 +289,7 @@ def fit_cone(
         lean_error=LEAN_SIGMA * known_to[:, 3:5],
         boresight=BORESIGHT_SIGMA * deviations[:, 5:7],
         boresight_covariance=BORESIGHT_SIGMA**2 * np.array([covariance[at, at] for at in beams]),
+        shake_px=np.array(shakes),
         spot=np.asarray(spot)[in_order],
         spot_covariance=np.stack([propagated(by, covariance) for by in slopes]),
         residuals=residuals,
@@ -326,6 +337,27 @@ def _along_image(
         place, shape = turn * (u + 1j * v), turn**2 * (long + 1j * oblique)
         found.append(np.stack([place.real, place.imag, size, shape.real, shape.imag], axis=1))
     return tuple(found)
+
+
+def shake_px(trial: ConeTrial, places: Float[np.ndarray, "n 2"]) -> float:
+    """Standard deviation of the view's shake along each side of the image, px.
+
+    A shake moves each spot anew, while all that a model misses changes slowly from frame to frame,
+    so second differences see the shake alone. Their median does not follow single outliers.
+
+    Args:
+        places: residuals of the spots' places over their standard deviations, along the image.
+
+    Returns:
+        0 where the spots' own errors explain the places.
+    """
+    bends = np.sum(np.square(np.diff(places, 2, axis=0)), axis=1)
+    # Each side has 6 variances; the median of a sum of two squares is 2 ln 2 of its variance.
+    power = float(np.median(bends)) / (12.0 * math.log(2.0)) if bends.size else 0.0
+    # Neighbours share frames and a median uses half of what it sees: one degree for two bends.
+    grown = excess_variance(power, len(bends) / 2)
+    variance = np.trace(trial.covariances[:, :2, :2], axis1=1, axis2=2) / 2
+    return math.sqrt((grown - 1.0) / float(np.mean(1.0 / variance)))
 
 
 @eqx.filter_jit

@@ -11,7 +11,7 @@ the spot's size at the trial's place (`size`).
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import equinox as eqx
@@ -121,6 +121,11 @@ class ConeTrial:
     motion: Float[np.ndarray, "3"] | None = None
     delayed: Float[np.ndarray, "n delays"] | None = None
     delay_s: float = 1.0
+
+    def shaken(self, by_px: float) -> "ConeTrial":
+        """The trial as a view shows it that shakes by so much along each side, px."""
+        moved = np.diag([by_px**2, by_px**2, 0.0, 0.0, 0.0])
+        return replace(self, covariances=self.covariances + moved)
 
 
 def beam_directions(

@@ -1,5 +1,7 @@
 """The exact-geometry fit: exact on exact contours, honest on noise, open about what it lacks."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from scipy import stats
 from skimage.measure import EllipseModel
 
 from eyespot import calibration, optics
-from eyespot.calibration.spots.cone_fit import HALVES
+from eyespot.calibration.spots.cone_fit import HALVES, shake_px
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
 from tests.support.drawn.exact_spots import exact_spots
 
@@ -95,6 +97,42 @@ def test_the_halves_of_a_recording_agree_unless_the_robot_is_bent():
     # 0.09 mm at the end, fifty times what a radius known to 0.012 px leaves unknown.
     assert chances[0.03]["near and far"] < 1e-6
     assert chances[0.03]["even and odd"] > 1e-3
+
+
+def test_a_view_that_shakes_is_learnt_and_does_not_move_the_cone():
+    rng = np.random.default_rng(10)
+    true = {name: TRUE[name] for name in ("half_angle", "eye_radius")}
+    start = TRUE | {"tilt_x": 0.0, "tilt_y": 0.0}
+    loose = {"eye_radius": calibration.Prior(11.5, 1.0)}
+    for shake in (0.0, 0.3):
+        one = trial("eyeball", 3.0, noise=rng)
+        shaken = one.ellipses._replace(
+            centre=one.ellipses.centre + shake * rng.standard_normal((len(D), 2))
+        )
+        fit = calibration.fit_cone(
+            [replace(one, ellipses=shaken)],
+            EYE,
+            start=start,
+            free=("half_angle", "b", "eye_radius"),
+            priors=loose,
+        )
+        # A standard deviation of 12 squares about a curve is known to a quarter.
+        assert fit.shake_px[0] == pytest.approx(shake, rel=0.75)
+        assert fit.growth == 1.0
+        sigmas = np.sqrt(np.diag(fit.covariance))
+        for at, (name, value) in enumerate(true.items()):
+            assert abs(fit.values[name] - value) < 4 * sigmas[2 * at], name
+
+
+def test_only_what_moves_from_frame_to_frame_is_a_shake():
+    rng = np.random.default_rng(11)
+    one = trial("eyeball", 1.0)
+    places = rng.standard_normal((2000, len(D), 2))
+    alarms = np.mean([shake_px(one, own) > 0 for own in places])
+    assert alarms < 4 / 1000  # 1 in 1,000, and three deviations of 2,000 draws
+    drift = np.linspace(0.0, 30.0, len(D))[:, None]
+    outlier = np.where(np.arange(len(D)) == 6, 20.0, 0.0)[:, None]
+    assert shake_px(one, places[0] + drift) == shake_px(one, places[0] + outlier) == 0.0
 
 
 @pytest.mark.slow
