@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -13,6 +14,7 @@ from jaxtyping import Array, Float, Int
 from eyespot import optics
 from eyespot.calibration.least_squares import (
     Solution,
+    accepted_range,
     chance_alike,
     covariance_and_lost,
     excess_variance,
@@ -67,6 +69,10 @@ HALVES: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 _SHORT_STEP = 0.01
 """In standard errors. Where a robot sets off, chi squared bends at the clock's offset, and only
 hundreds of steps become as short as the solver wants them, 1e-10."""
+_INFORMED, _WIDER = 0.9, 1.2
+"""Part of the clock's prior below which an interval is the data's; and ratio of an interval's wider
+side to its standard error from which the sides differ: of a parabola both are 1."""
+_OF_CLOCK = np.array([name == "clock_offset" for name in PARAMETERS])
 _HAS_PRIOR = np.array([name not in ("u", "v") for name in NUISANCES], float)
 
 
@@ -184,46 +190,41 @@ def fit_cone(
     own = {name: prior for name, prior in (priors or {}).items() if name in free}
     prior_means, prior_weights = prior_terms(PARAMETERS, own, joint_prior)
     nothing = [0.0] * len(trials)
-    missed = size_sigmas or nothing, outline_sigmas or nothing
     of_kinds = [
         [number for number, trial in enumerate(trials) if trial.kind == kind]
         for kind in sorted({trial.kind for trial in trials})
     ]
-    # Numbers would be compiled in, anew for every fit.
-    at_start = jax.tree.map(jnp.asarray, fixed)
     priors_held = int(np.sum(prior_weights.any(axis=1)))
     frames = sum(trial.readings.size for trial in trials)
-    count = 5 * frames + priors_held + HELD * len(trials)
     # Arrays replace names here, and a step for each parameter that is not free moves nothing, so
     # that one compilation serves all choices.
     stepped = np.array([[name == own for own in free] for name in PARAMETERS]) * sizes
-    steps = np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))])
-
-    def solved(trials: Sequence[ConeTrial]) -> tuple[Solution, Array, Array, list[np.ndarray]]:
-        groups = [
-            TrialGroup.of([trials[n] for n in own], *([part[n] for n in own] for part in missed))
-            for own in of_kinds
-        ]
-        # Nuisances are deviations from their expected values, in standard deviations.
-        nuisances = [jnp.ravel(first_nuisances(g, microscope, at_start)) for g in groups]
-        found = _solve(
-            jnp.concatenate([jnp.zeros(len(PARAMETERS)), *nuisances]),
-            groups,
-            microscope,
-            jnp.array([fixed[name] for name in PARAMETERS]),
-            jnp.asarray(steps),
-            jnp.asarray(prior_means),
-            jnp.asarray(prior_weights),
-            jnp.asarray(count),
-        )
-        return *found, _rows(groups, of_kinds, trials)
-
-    solution, spot, spot_slopes, rows = solved(trials)
-    off = _along_image(np.asarray(solution.residuals), rows, trials)
+    problem = _Problem(
+        microscope=microscope,
+        of_kinds=of_kinds,
+        missed=(size_sigmas or nothing, outline_sigmas or nothing),
+        fixed=fixed,
+        steps=np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))]),
+        prior_means=prior_means,
+        prior_weights=prior_weights,
+        count=5 * frames + priors_held + HELD * len(trials),
+    )
+    at_end = problem.solved(trials)
+    off = _along_image(np.asarray(at_end.solution.residuals), at_end.rows, trials)
     shakes = [shake_px(trial, own[:, :2]) for trial, own in zip(trials, off, strict=True)]
+    seen = [trial.shaken(by) for trial, by in zip(trials, shakes, strict=True)]
     if any(shakes):
-        seen = [trial.shaken(by) for trial, by in zip(trials, shakes, strict=True)]
-        solution, spot, spot_slopes, rows = solved(seen)
+        at_end = problem.solved(seen, at_end.solution.parameters)
+    if "clock_offset" in own and not problem.explained(at_end):
+        # Where a robot sets off, chi squared bends at each frame's moment, and has several minima.
+        clock = own["clock_offset"]
+        others = [
+            problem.solved(seen, problem.with_clock(at_end, clock.mean + side * clock.sigma))
+            for side in (-1.0, 1.0)
+        ]
+        at_end = min((at_end, *others), key=lambda one: one.chi_squared)
+    solution, spot, spot_slopes, rows = at_end
+    count = problem.count
     every = np.arange(solution.parameters.size)
     moving = np.delete(every, np.arange(len(free), len(PARAMETERS)))
     jacobian = np.asarray(solution.jacobian)[:, moving]
@@ -235,7 +236,7 @@ def fit_cone(
     }
     left = np.asarray(solution.residuals)
     residuals = _along_image(left, rows, trials)
-    chi_squared = float(np.sum(np.square(left)))
+    chi_squared = at_end.chi_squared
     degrees = count - found.size
     kinds = dict(zip(MISMATCHES, np.concatenate(residuals).T, strict=True))
     growth = max(
@@ -264,6 +265,9 @@ def fit_cone(
         (*free, *nuisances),
         [*(values[name] for name in free), *found[len(free) :]],
     )
+    if "clock_offset" in own:
+        widest = own["clock_offset"].sigma
+        covariance = _with_both_sides_of_the_clock(problem, at_end, seen, covariance, widest)
     errors = np.sqrt(np.diag(covariance))
     in_order = np.argsort(numbers)
     shape = len(trials), len(NUISANCES)
@@ -298,14 +302,143 @@ def fit_cone(
         undetermined=undetermined,
         stated={name: moves * sizes for name, moves in stated.items()},
         halves=halves,
-        converged=bool(solution.converged) or _is_at_minimum(jacobian, left),
+        converged=at_end.settled,
     )
 
 
-def _is_at_minimum(jacobian: Float[np.ndarray, "m p"], left: Float[np.ndarray, "m"]) -> bool:
-    """Whether another step would be short, also where the solver's steps have not become tiny."""
-    step = np.linalg.lstsq(jacobian, left)[0]
-    return float(np.sum(np.square(jacobian @ step))) < _SHORT_STEP**2
+class _Solved(NamedTuple):
+    """A minimum, the spots there with their derivatives, and where each trial's residuals are."""
+
+    solution: Solution
+    spot: Float[Array, "trials 2"]
+    spot_slopes: Float[Array, "trials 2 x"]
+    rows: list[Int[np.ndarray, "n 5"]]
+
+    @property
+    def chi_squared(self) -> float:
+        return float(np.sum(np.square(np.asarray(self.solution.residuals))))
+
+    @property
+    def settled(self) -> bool:
+        """Whether another step would be short, also where the solver's have not become tiny."""
+        if self.solution.converged:
+            return True
+        jacobian = np.asarray(self.solution.jacobian)
+        step = np.linalg.lstsq(jacobian, np.asarray(self.solution.residuals))[0]
+        return float(np.sum(np.square(jacobian @ step))) < _SHORT_STEP**2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Problem:
+    """What is fitted, in arrays.
+
+    Attributes:
+        of_kinds: numbers of the trials on each kind of wall.
+        missed: `size_sigmas` and `outline_sigmas` of `fit_cone`.
+        fixed: where parameters begin.
+        steps: changes of `PARAMETERS` by the solver's first unknowns.
+        prior_means, prior_weights: of `prior_terms`.
+        count: number of data and priors.
+    """
+
+    microscope: optics.Microscope
+    of_kinds: list[list[int]]
+    missed: tuple[Sequence[float], Sequence[float]]
+    fixed: dict[str, float]
+    steps: Float[np.ndarray, "q f"]
+    prior_means: Float[np.ndarray, "q"]
+    prior_weights: Float[np.ndarray, "q q"]
+    count: int
+
+    def solved(
+        self,
+        trials: Sequence[ConeTrial],
+        begin: Array | None = None,
+        *,
+        clock_s: float | None = None,
+    ) -> _Solved:
+        """The minimum near a beginning, by default the expected one; with that clock if given."""
+        groups = [
+            TrialGroup.of(
+                [trials[n] for n in own], *([part[n] for n in own] for part in self.missed)
+            )
+            for own in self.of_kinds
+        ]
+        fixed, steps = self.fixed, self.steps
+        if clock_s is not None:
+            fixed = fixed | {"clock_offset": clock_s}
+            steps = np.where(_OF_CLOCK[:, None], 0.0, steps)
+        if begin is None:
+            # Nuisances are deviations from their expected values, in standard deviations. Numbers
+            # would be compiled in, anew for every fit.
+            at_start = jax.tree.map(jnp.asarray, fixed)
+            nuisances = [jnp.ravel(first_nuisances(g, self.microscope, at_start)) for g in groups]
+            begin = jnp.concatenate([jnp.zeros(len(PARAMETERS)), *nuisances])
+        found = _solve(
+            begin,
+            groups,
+            self.microscope,
+            jnp.array([fixed[name] for name in PARAMETERS]),
+            jnp.asarray(steps),
+            jnp.asarray(self.prior_means),
+            jnp.asarray(self.prior_weights),
+            jnp.asarray(self.count),
+        )
+        return _Solved(*found, _rows(groups, self.of_kinds, trials))
+
+    def explained(self, found: _Solved) -> bool:
+        """Whether noise explains the residuals of a minimum that was reached."""
+        degrees = self.count - found.solution.parameters.size + len(PARAMETERS)
+        _, most = accepted_range(degrees)
+        return found.settled and found.chi_squared <= most * degrees
+
+    def with_clock(self, found: _Solved, offset_s: float) -> Array:
+        """A solution's parameters with another offset of the clock."""
+        at = int(np.argmax(self.steps[_OF_CLOCK] != 0))
+        step = (offset_s - self.fixed["clock_offset"]) / float(self.steps[_OF_CLOCK][0, at])
+        return found.solution.parameters.at[at].set(step)
+
+
+def _with_both_sides_of_the_clock(
+    problem: _Problem,
+    found: _Solved,
+    trials: Sequence[ConeTrial],
+    covariance: Float[np.ndarray, "p p"],
+    widest_s: float,
+) -> Float[np.ndarray, "p p"]:
+    """The covariance with the wider side of the clock's interval, where the sides differ.
+
+    Readings bend where a robot sets off. So chi squared may rise on one side of the clock's offset
+    and not on the other, and its curvature is that of neither. The interval ends where the least
+    chi squared for a held offset is one more (Wilks 1938).
+    """
+    at = int(np.argmax(problem.steps[_OF_CLOCK] != 0))
+    unit = float(problem.steps[_OF_CLOCK][0, at])
+    every = np.arange(found.solution.parameters.size)
+    free = np.count_nonzero(problem.steps.any(axis=0))
+    moving = np.delete(every, np.arange(free, len(PARAMETERS)))
+    sigma = math.sqrt(covariance[at, at]) * unit
+    if not sigma < _INFORMED * widest_s:
+        return covariance
+    value = problem.fixed["clock_offset"] + unit * float(found.solution.parameters[at])
+    wide, along = sigma, None
+    for side in (-1.0, 1.0):
+        step = sigma
+        while True:
+            beside = problem.solved(trials, found.solution.parameters, clock_s=value + side * step)
+            rise = beside.chi_squared - found.chi_squared
+            if rise >= 1.0 or step >= widest_s:
+                break
+            step = min(2.0 * step, widest_s)
+        reach = step / math.sqrt(max(rise, 1.0))
+        if reach > wide:
+            wide = reach
+            moved = np.asarray(beside.solution.parameters - found.solution.parameters)[moving]
+            along = moved / (side * step / unit)
+    if along is None or not wide > _WIDER * sigma:
+        return covariance
+    along[at] = 1.0
+    return covariance + (wide**2 - sigma**2) / unit**2 * np.outer(along, along)
 
 
 def _rows(

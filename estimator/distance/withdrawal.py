@@ -29,9 +29,9 @@ _DEEPEST_MM = 0.1
 """How far a tip may go beyond the place of its contact: five standard deviations of a contact."""
 _RATE_S = 0.05
 """Clocks without stamps differ by about this; over it a robot's speed is taken."""
-DELAYS = 81
-"""Clock offsets of which readings are computed: 40 steps, four standard deviations, on each side of
-0. Between them a robot that sets off is rounded by an eighth of a step, 0.6 ms of 0.05 s."""
+DELAYS = 401
+"""Clock offsets of which readings are computed: 200 steps, four standard deviations, on each side
+of 0. Between them a robot that sets off is rounded by an eighth of a step, 0.1 ms of 0.05 s."""
 _STRAIGHT = 6.0
 """Standard deviations of a pose's noise up to which a motion counts as straight in time: four of a
 pose beside a line between two such. Wiggles of the noise would seem to tell the clock."""
@@ -143,7 +143,7 @@ def withdrawal_of(
         changes = np.subtract(*gone)
         return np.asarray(readings + changes - changes[0])
 
-    delay_s = (robot.clock_sigma_s or _RATE_S) / 10
+    delay_s = 8.0 * (robot.clock_sigma_s or _RATE_S) / (DELAYS - 1)
     delayed = [delayed_by(delay_s * (step - DELAYS // 2)) for step in range(DELAYS)]
     return ReportedWithdrawal(readings, motion, axis, across, delay_s, np.stack(delayed, axis=1))
 

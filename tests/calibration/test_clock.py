@@ -83,3 +83,12 @@ def test_a_clock_is_found_within_its_error_where_the_robot_sets_off_or_pauses(go
 def test_at_one_speed_nothing_says_how_late_a_clock_is(poses_s):
     # Also if its file begins with the first frame and ends with the last.
     assert clock_of(at_one_speed, poses_s=poses_s) == pytest.approx(tuple(PRIOR), abs=1e-5)
+
+
+@pytest.mark.parametrize("late_s", [-0.041, 0.041])
+def test_a_clock_is_not_known_better_than_few_poses_tell_it(late_s):
+    """A robot reports 20 places a second, and whether the first frame shows it at rest is open."""
+    found, sigma = clock_of(
+        lambda times: 1.4 * sets_off(times), poses_s=np.arange(-1.0, 6.0, 0.05), late_s=late_s
+    )
+    assert abs(found - late_s) < 2.0 * sigma
