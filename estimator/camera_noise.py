@@ -98,6 +98,16 @@ class CameraNoise:
             rounded = rounded + self.channel_count * _JPEG_DN2 * step**2
         return (_BAYER if own.bayer else 1.0) * (counted + rounded)
 
+    def mixture_variance(
+        self,
+        weights: Float[np.ndarray, "c"],
+        shares: Float[np.ndarray, "c"],
+        light: Float[np.ndarray, "*n"],
+    ) -> Float[np.ndarray, "*n"]:
+        """Variance of the weighted sum of channels, each of which has a share of some light."""
+        of_channels = self.channel_variance(np.multiply.outer(shares, light))
+        return np.tensordot(weights**2, of_channels, 1)
+
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""
         reach = _CLEAR_SIGMAS * np.sqrt(self.channel_variance(light))
