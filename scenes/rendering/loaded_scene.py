@@ -1,4 +1,4 @@
-"""A loaded Mitsuba scene: its wall, and radiance along lines of sight, in pixels and within them.
+"""Radiance of a loaded Mitsuba scene: along lines of sight, in pixels and within them.
 
 Import after `load_mitsuba`. Pixels and places within pixels lie on a regular grid.
 """
@@ -11,21 +11,6 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-
-from eyespot import optics
-
-
-def rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rigid transform, 4 x 4, that maps the origin to `origin` and +z to `direction`."""
-    first, second = (np.asarray(v) for v in optics.perpendicular_frame(direction))
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = first, second, direction, origin
-    return matrix
-
-
-def wall_shape(mitsuba_scene: Any) -> Any:
-    """The wall of a Mitsuba scene."""
-    return next(shape for shape in mitsuba_scene.shapes() if shape.id() == "wall")
 
 
 def radiance_along(mitsuba_scene: Any, *, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
