@@ -51,7 +51,8 @@ class Images:
     def __init__(self, world: World, *, variant: str) -> None:
         scene = world.scene
         self._mi = variant_for(scene, variant)
-        from eyespot.scenes.rendering import build, reach  # Mitsuba's plugins need the variant
+        # Mitsuba's plugins need the variant.
+        from eyespot.scenes.rendering import build, loaded_scene, reach
 
         self.world = world
         uniform = uniform_irradiance(world)
@@ -68,6 +69,9 @@ class Images:
         )
         # Scalar variants cannot render arrays of pixels.
         self._in_arrays = not (self.random or variant.startswith("scalar"))
+        # A cone has a sharp edge, and each sample of it the mean over a square.
+        smooth, samples = scene.source.kind == "lens", scene.microscope.samples
+        self._pixels = loaded_scene.pixel_means(self.mitsuba_scene, samples=samples, smooth=smooth)
         self._reach = None
         if self._still and self._in_arrays:
             self._move(PARKED_MM, DOWN)
@@ -123,14 +127,6 @@ class Images:
         if self.world.reflections is None:
             return None
         return self.world.reflections.image(view_px)[..., None].astype(np.float32)
-
-    def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from eyespot.scenes.rendering.loaded_scene import pixel_means
-
-        # A cone has a sharp edge, and each sample of it the mean over a square.
-        smooth = self.world.scene.source.kind == "lens"
-        samples = self.world.scene.microscope.samples
-        return pixel_means(self.mitsuba_scene, pixels, samples=samples, smooth=smooth)
 
     def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         if self._in_arrays:
