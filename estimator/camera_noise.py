@@ -47,7 +47,7 @@ class CameraNoise:
         """The noise of images, H x W or H x W x 3, like this one."""
         return replace(self, channel_count=1 if image.ndim == 2 else image.shape[2])
 
-    @property
+    @functools.cached_property
     def full_scale(self) -> int:
         """Largest value of a pixel, DN."""
         return self.sheet.full_scale

@@ -208,8 +208,10 @@ def scanned_starts(
         scanned = dict(zip(meeting, solver.model.scanned([*meeting.values()], own), strict=True))
         suited = {k: one for k, one in scanned.items() if one is not None}
         costs = np.full(_DISTANCES_MM.size + 2, np.inf)
-        for k, one in suited.items():
-            size = np.count_nonzero(lit(one.light)) * solver.window.side**2 / spot_px2
+        lights = np.reshape([one.light for one in suited.values()], (-1, COUNT**2))
+        lit_cells = np.count_nonzero(lit(lights), axis=1)
+        for (k, one), count in zip(suited.items(), lit_cells, strict=True):
+            size = count * solver.window.side**2 / spot_px2
             costs[k] = one.cost + (np.log(max(size, _TINY)) / _SIZE[beam.sharp]) ** 2
         for k, one in suited.items():
             if costs[k] <= min(costs[k - 1], costs[k + 1]):

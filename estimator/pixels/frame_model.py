@@ -393,7 +393,7 @@ class FrameModel:
         model = np.exp(frame.log_gain) * total
         shaped = frame.blur_px2 / (frame.blur_px2 + _SHAPED_PX2)
         error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * shaped * seen.by_blur) / total
-        weight = self._weight(frame, light, usable, model, error=error)
+        weight = self._weight(frame.cells, usable, model, error=error)
         light = np.maximum(light, np.maximum(sigma, _MIN_SIGNAL))
         grain = np.zeros((2, total.size)) if self.grain is None else self.grain
         by_beam, by_ambient = of_beam / total, ambient * uncovered / total
@@ -442,17 +442,36 @@ class FrameModel:
         return np.array(lights).reshape(-1, COUNT**2)
 
     def scanned(self, frames: Sequence[FrameState], own: np.ndarray) -> list[Scanned | None]:
-        """Frames with the gain and ambient light that suit their poses.
+        """A frame at several poses, with the gain and ambient light that suit them.
 
         None for those in which the beam lights no cell that is usable.
+        """
+        both = zip(frames, self.lights(frames, own), strict=True)
+        suited = [self._suited(frame, light) for frame, light in both]
+        found = [one for one in suited if one is not None]
+        if not found:
+            return [None for _ in frames]
+        cells, models = frames[0].cells, np.stack([model for _, model, _ in found])
+        light, usable, _ = cells.means(self.window)
+        weights = self._weight(cells, usable, models)
+        # Here the texture counts as noise without correlation: this finds starts, not poses.
+        spread = 1.0 / np.where(usable, weights, 1.0) + self.texture.variance
+        residuals = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(models, _MIN_SIGNAL))
+        squares = np.minimum(np.square(residuals) / spread, _MAX_SQUARED_RESIDUAL)
+        costs = iter(np.where(usable, squares, 0.0).sum(axis=-1).tolist())
+        return [
+            None if one is None else Scanned(one[0], next(costs) + one[0].prior.cost, one[2])
+            for one in suited
+        ]
+
+    def _suited(
+        self, frame: FrameState, irradiance: Float[np.ndarray, "n"]
+    ) -> tuple[FrameState, Float[np.ndarray, "n"], Float[np.ndarray, "n"]] | None:
+        """A frame with the gain and ambient light that suit its pose, its model, its irradiance.
 
         Where something hides the spot or casts a shadow on it, it is darker. So the gain is that of
         the brighter cells.
         """
-        lights = self.lights(frames, own)
-        return [self._scanned(frame, light) for frame, light in zip(frames, lights, strict=True)]
-
-    def _scanned(self, frame: FrameState, irradiance: Float[np.ndarray, "n"]) -> Scanned | None:
         light, usable, _ = frame.cells.means(self.window)
         lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=_NO_LIGHT))
         if not lit.any():
@@ -469,39 +488,32 @@ class FrameModel:
         model = np.maximum(irradiance, 0.0)
         if frame.cells.saturated:
             model, *_ = covered(model, self._room(suited, ambient))
-        model = gain * (model + ambient)
-        weight = self._weight(suited, light, usable, model)
-        # Here the texture counts as noise without correlation: this finds starts, not poses.
-        spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
-        residual = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(model, _MIN_SIGNAL))
-        squares = np.minimum(np.square(residual) / spread, _MAX_SQUARED_RESIDUAL)
-        cost = float(np.sum(np.where(usable, squares, 0.0))) + suited.prior.cost
-        return Scanned(suited, cost, irradiance)
+        return suited, gain * (model + ambient), irradiance
 
     def _weight(
         self,
-        frame: FrameState,
-        light: np.ndarray,
-        usable: np.ndarray,
-        model: np.ndarray,
+        cells: CellLight,
+        usable: Bool[np.ndarray, "n"],
+        model: Float[np.ndarray, "*k n"],
         *,
-        error: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
+        error: Float[np.ndarray, "n"] | float = 0.0,
+    ) -> Float[np.ndarray, "*k n"]:
         """1 over the variances of the cells' log light, by camera, image model and its error."""
+        light, grids = cells.means(self.window).light, model.reshape(-1, COUNT, COUNT)
         # The level is that of both, so that neither a wrong model nor a dark cell has too much
         # weight.
         level = np.maximum(np.sqrt(np.maximum(light, _MIN_SIGNAL) * model), _MIN_SIGNAL)
-        variance = frame.cells.variance(level) / self.window.side**2 / level**2
-        slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
+        variance = cells.variance(level) / self.window.side**2 / level**2
+        slope = np.hypot(*np.gradient(np.log(grids), axis=(1, 2))).reshape(model.shape)
         # Light enters at the bright side of a cell, where the reflectance differs.
         aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
         variance += np.square(error) + _FLOOR**2 + 0.5 * self.texture.variogram(aside)
         # As many pixels as a side is long are cut by a sharp edge, if the cell is one between a
         # brighter and a darker one. Its light is wrong then, and all the more its logarithm.
-        brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()
-        darker = minimum_filter(model.reshape(COUNT, COUNT), 3).ravel()
+        brighter = maximum_filter(grids, (1, 3, 3)).reshape(model.shape)
+        darker = minimum_filter(grids, (1, 3, 3)).reshape(model.shape)
         step = 2.0 * np.sqrt((brighter - model) * (model - darker))
-        cut = CUT if frame.cells.saturated else self.beam.cut
+        cut = CUT if cells.saturated else self.beam.cut
         variance += np.square(cut * step / level) / self.window.side**3
         return np.where(usable, 1.0 / variance, 0.0)
 

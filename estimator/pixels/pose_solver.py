@@ -285,10 +285,10 @@ class PoseSolver:
                 blur: (-frame.blur_px2, np.inf),  # no image is sharper than sharp
                 blur + 1: (LEAST_KURTOSIS - frame.kurtosis, MOST_KURTOSIS - frame.kurtosis),
             }
-            step = information.solved_within(gradient, 0.0, limits)
+            step, damped = information.solved_within(gradient, (0.0, damping), limits)
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
-                step = information.solved_within(gradient, damping, limits)
+                step = damped
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
