@@ -47,7 +47,7 @@ class CameraNoise:
         """The noise of images, H x W or H x W x 3, like this one."""
         return replace(self, channel_count=1 if image.ndim == 2 else image.shape[2])
 
-    @property
+    @functools.cached_property
     def full_scale(self) -> int:
         """Largest value of a pixel, DN."""
         return self.sheet.full_scale
@@ -97,6 +97,16 @@ class CameraNoise:
         if own.jpeg:
             rounded = rounded + self.channel_count * _JPEG_DN2 * step**2
         return (_BAYER if own.bayer else 1.0) * (counted + rounded)
+
+    def mixture_variance(
+        self,
+        weights: Float[np.ndarray, "c"],
+        shares: Float[np.ndarray, "c"],
+        light: Float[np.ndarray, "*n"],
+    ) -> Float[np.ndarray, "*n"]:
+        """Variance of the weighted sum of channels, each of which has a share of some light."""
+        of_channels = self.channel_variance(np.multiply.outer(shares, light))
+        return np.tensordot(weights**2, of_channels, 1)
 
     def is_clear(self, light: Float[np.ndarray, "*n"]) -> Bool[np.ndarray, "*n"]:
         """Whether a pixel with this light stays between black and white in spite of noise."""

@@ -1,27 +1,32 @@
-"""A band of profiles along a contour, and one refinement of a spot with a sharp edge.
+"""A band of profiles along a contour, and the refinement of the contour by it.
 
-The band gives the mean profile, and each ray's shift against it. The wall's reflectance is removed
-from each ray as a gain and a gradient, so that the ray's edge is where its own light is half.
+The band gives the mean profile, and each ray's shift against it. Where the edge is sharp, the
+wall's reflectance is removed from each ray as a gain and a gradient, so that the ray's edge is
+where its own light is half. On a broad flank, a bell or a plateau that falls off slowly, this would
+also remove the slope of the light across the spot, which moves the half level by more than texture
+does. So there all rays share one level, and texture averages out round the contour.
 """
 
 import math
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
-from statistics import NormalDist
 
 import cv2
 import numpy as np
 
+from eyespot.estimator.detector.coarse import Coarse
 from eyespot.estimator.detector.ellipse_rays import (
     DESIGN,
     AffineEllipse,
     Patch,
-    ring_variance,
+    octaves_middle,
+    red_share,
+    ring_variances,
     robust_step,
 )
-from eyespot.estimator.detector.levels import Levels, top_counts
-from eyespot.estimator.detector.saturated_flank import hidden_edge
-from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Refine, Saturated, Sharp
+from eyespot.estimator.detector.levels import Levels, background_of, sloping_top, top_counts
+from eyespot.estimator.detector.saturated_flank import hidden_bell, hidden_edge
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Broad, Refine, Saturated, Sharp
 from eyespot.formats.spot import EVEN_LIGHT, NoSpot, OwnHalf, Reason
 
 _CUBIC = np.arange(4)
@@ -89,7 +94,7 @@ class Band:
     ) -> "Band | None":
         """The band that reaches so far (radii, below 1) on either side; None for too few rays."""
         # Samples 0.7 px apart, less than the pixel grid resolves; enough of them for a cubic.
-        side = int(reach * ellipse.axes()[1] / 0.7)
+        side = int(reach * ellipse.axes[1] / 0.7)
         side = min(max(side, 5), 16)
         from_edge = np.arange(-side, side + 1) * (reach / side)
         profiles = patch.unwrapped(ellipse, 1 + from_edge)
@@ -164,7 +169,7 @@ class Band:
     def texture(self) -> float:
         """Part of the variance of the rays' brightness that is the wall's texture, not noise."""
         waves = Refine.LONG_WAVES, Refine.SHORT_WAVES
-        long, short = (ring_variance(self._unevenness, part) for part in waves)
+        long, short = ring_variances(self._unevenness, *waves)
         return max(0.0, 1 - Refine.NOISE_AT_MOST * short / max(long, 1e-30))
 
     def shifts(
@@ -200,7 +205,7 @@ class Band:
         if past_texture:
             # A wall's texture has no direction, so its long waves slope across a contour as much as
             # they do along it, where the rays' brightness shows them.
-            first, second = (ring_variance(self._unevenness, slice(n, n + 1)) for n in (1, 2))
+            first, second = ring_variances(self._unevenness, slice(1, 2), slice(2, 3))
             slopes = math.sqrt((first + 4 * second) / 2) * self.from_edge * self.mean
             slopes = slopes - orthonormal[:, :-1] @ (orthonormal[:, :-1].T @ slopes)
             # A step of the ellipse goes along with slopes of the light. If it counted as scatter,
@@ -235,7 +240,7 @@ class Band:
         c0, c1, c2, c3 = cubic[:, 0].tolist()
         # Undo the blur by interpolation: subtract half its variance, 1/6 px^2 (the mean of t (1-t)
         # over a pixel), times the Laplacian.
-        semi_major, semi_minor, _ = self.ellipse.axes()
+        semi_major, semi_minor, _ = self.ellipse.axes
         half_blur = (1 / 6) / (2 * span**2 * semi_major * semi_minor)
         c0 -= half_blur * (2 * c2 + span * c1)
         c1 -= half_blur * (6 * c3 + span * 2 * c2)
@@ -250,11 +255,6 @@ class Band:
         # Newton's steps may leave the band. Beyond the centre a radius would be negative, and with
         # it every length in units of it.
         return edge if abs(edge) <= float(from_edge[-1]) else None
-
-    def width(self, levels: Levels) -> float:
-        """Edge width of the mean profile, units of the radius (see `Spot.edge_width_px`)."""
-        steepest = max(-float(self.slope.min()), 1e-12 * levels.amplitude)
-        return levels.amplitude / (math.sqrt(2 * math.pi) * steepest)
 
     def refined(
         self,
@@ -278,7 +278,7 @@ class Band:
         level_variance = math.pi / 2 * levels.width**2 * (levels.variance + levels.tail**2 / 4)
         growth = (1 + half) * (1 + float(step[2] + step[3]) / 2)
         return Refined(
-            ellipse=self.ellipse.stepped(step).scaled(1 + half),
+            ellipse=self.ellipse.stepped(step, 1 + half),
             move=max(float(np.abs(step).max()), abs(half)),
             size_variance=half_variance + level_variance,
             centre_variance=centre_variance,
@@ -343,14 +343,46 @@ _SLOPES = np.column_stack([np.ones(RAYS), DESIGN[:, :2]])
 _NEIGHBOURS = np.ones((1, 2 * Sharp.SPOILED_RAYS + 1), np.uint8)
 
 
-def refine_sharp(
+def refine(
+    patch: Patch, coarse: Coarse, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
+) -> Refined | NoSpot:
+    """Refine a contour up to three times, until it and its levels hardly change."""
+    for left in (2, 1, 0):
+        once = _refine_broad if levels.width > Refine.BROAD else _refine_sharp
+        found = once(patch, ellipse, inliers, levels)
+        if isinstance(found, NoSpot) or _settled(found, inliers, levels):
+            return found
+        refined = found
+        seen = refined.levels
+        now: Levels | None = seen
+        if left and not seen.sees_background:  # the edge is wider than was assumed for it
+            around = background_of(coarse, refined.ellipse, seen.width)
+            now = seen.before(*(around or (seen.background, seen.background_radius, seen.scatter)))
+        if now is None:  # the dip at the edge is the wall's texture
+            return NoSpot(Reason.NONE_FOUND)
+        ellipse, inliers, levels = refined.ellipse, refined.bright, now
+    unsettled = refined.size_variance + refined.move**2 / 2  # fringes make it swing
+    return replace(refined, size_variance=unsettled)
+
+
+def _settled(refined: Refined, inliers: np.ndarray, before: Levels) -> bool:
+    """Whether another refinement would hardly change the result."""
+    after = refined.levels
+    same_kind = (after.width > Refine.BROAD) == (before.width > Refine.BROAD)
+    same_kind &= after.width > Refine.SAME_WIDTH * before.width
+    same_rays = np.count_nonzero(refined.bright != inliers) <= 6
+    settled = refined.move < min(Refine.SETTLED * after.width, Refine.SETTLED_BROAD)
+    return settled and bool(same_rays) and same_kind and after.sees_background
+
+
+def _refine_sharp(
     patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
 ) -> Refined | NoSpot:
     """Ellipse of the half-maximum contour, from one that is off by less than the edge's width.
 
     The inliers' rays make the mean profile.
     """
-    reach = max(Sharp.REACH * levels.width, Sharp.REACH_PX / ellipse.axes()[1])
+    reach = max(Sharp.REACH * levels.width, Sharp.REACH_PX / ellipse.axes[1])
     if reach >= 1:  # the pixel grid hides the whole ellipse
         return NoSpot(Reason.TOO_SMALL)
     band = Band.along(patch, ellipse, inliers, reach)
@@ -407,7 +439,7 @@ def refine_sharp(
     counts = top_counts(levels.width)
     kept = counts * sure
     doubt = kept * variance + kept * (1 - kept) * square
-    levels = _sharpened(levels, band, kept * slope, doubt)
+    levels = levels.sharpened(band.from_edge, band.mean, band.slope, kept * slope, doubt)
     inside = max(1 - Sharp.BRIGHTEST_INSIDE * levels.width, 0.0)
     levels = replace(levels, hidden=levels.hidden + inside**2 * (counts - kept) * hidden_square)
     crossing = band.half_crossing(levels.half, Sharp.MIDDLE * levels.width)
@@ -425,7 +457,7 @@ def refine_sharp(
     by_slope = (1 + band.from_edge) * (band.mean - levels.background)
     misled = float(by_slope @ weights) * float(band.mean @ band.mean) / float(by_slope @ band.mean)
     right, down = (-ellipse.shape @ (aside + misled * sure * slope)).tolist()
-    semi_major, semi_minor, _ = ellipse.axes()
+    semi_major, semi_minor, _ = ellipse.axes
     # The half of each side's own light contains neither the slope that counts for the half of the
     # peak nor that slope's variance.
     centre_variance = per_slope**2 * doubt / 2
@@ -457,27 +489,6 @@ def _eroded(mask: np.ndarray) -> np.ndarray:
     return cv2.erode(wide[None], _NEIGHBOURS)[0, beside:-beside].view(bool)
 
 
-def _sharpened(levels: Levels, band: Band, slope: np.ndarray, doubt: float) -> Levels:
-    """The levels with the edge's width, the plateau and its slope as the band shows them."""
-    width = band.width(levels)
-    inner = int(np.count_nonzero(band.from_edge < -Sharp.PLATEAU * width))
-    if inner == 0 or not width > 0:
-        return replace(levels, width=width)
-    radii = 1 + band.from_edge[:inner]
-    # The fraction of a plateau that a Gaussian blur leaves at radii inside the half level's.
-    rim = float(levels.share_of_peak(np.ones(1))[0]) * levels.peak - levels.background
-    height, normal = min(max(rim / levels.amplitude, 0.51), 1.0), NormalDist()
-    middle = normal.inv_cdf(0.5 / height)
-    left = np.array([normal.cdf(middle + (1 - r) / (width * height)) for r in radii.tolist()])
-    light = float(band.mean[:inner].sum()) - levels.background * float((1 - left).sum())
-    peak = light / float(levels.share_of_peak(radii) @ left)
-    if not peak > levels.background:
-        return levels
-    rise = math.hypot(*slope) * max(1 - Sharp.BRIGHTEST_INSIDE * width, 0.0)
-    peak += rise * (peak - levels.background)
-    return replace(levels, width=width, peak=peak, variance=levels.variance + doubt)
-
-
 def _slope(band: Band, found: np.ndarray) -> tuple[np.ndarray, float, float]:
     """Slope of the light across the plateau, over its mean per radius, (2,), and its variance.
 
@@ -492,5 +503,74 @@ def _slope(band: Band, found: np.ndarray) -> tuple[np.ndarray, float, float]:
     slope = fitted[1:, 0] / fitted[0, 0]
     square = float(slope @ slope)
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
-    variance = Sharp.SLOPE_DOUBT * 2 * ring_variance(rest, slice(2, 7)) / RAYS
+    (scatter,) = ring_variances(rest, slice(2, 7))
+    variance = Sharp.SLOPE_DOUBT * 2 * scatter / RAYS
     return slope, variance, max(0.0, 1 - variance / square) if square > 0 else 0.0
+
+
+def _refine_broad(
+    patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray, levels: Levels
+) -> Refined | NoSpot:
+    """As `_refine_sharp`, from an ellipse that is off by less than the flank's width."""
+    top = sloping_top(levels, patch, ellipse, inliers)
+    levels = top.levels
+    half, half_variance = None, 0.0
+    if levels.peak > Saturated.READABLE * patch.ceiling:
+        hidden = hidden_bell(patch, ellipse, inliers, levels)
+        if hidden is None:
+            return NoSpot(Reason.SATURATED)
+        levels, half, half_variance = hidden
+    reach = min(Broad.FLANK * levels.width, Broad.WIDEST)
+    band = Band.along(patch, ellipse, inliers, reach)
+    if band is None:
+        return NoSpot(Reason.NONE_FOUND)
+    offsets, _, weights = band.shifts([band.from_edge * band.slope], past_texture=False)
+    gain = band.gain
+    found = band.lit & (np.abs(offsets) < reach)
+    fitted = robust_step(
+        DESIGN,
+        offsets,
+        found,
+        band.inliers,
+        tolerance=Broad.FORGIVEN * levels.width,
+        limit=max(levels.width, Refine.FURTHEST),
+    )
+    if half is None:
+        half = band.half_crossing(levels.half, reach)
+    if fitted is None or half is None or np.abs(fitted[0]).max() > Refine.LARGEST_STEP:
+        return NoSpot(Reason.NONE_FOUND)
+    levels = replace(levels, width=levels.width_of(band.slope), hidden=0.0)
+    if half_variance == 0:
+        # The wall under the top differs from the wall under the contour by texture of the longest
+        # waves, which the contour shows only as far as they are not the light's own slope.
+        light = np.where(found, gain - 1, 0.0)
+        share, steepness = red_share(light, Broad.TOP_WAVES)
+        # A beam that is no ellipse bends its contour more than texture does, and is as uneven.
+        errors = np.where(fitted[1], offsets - DESIGN @ fitted[0], 0.0)
+        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[0])
+        growth = Broad.TOP_OVER_CONTOUR * octaves_middle(Broad.TOP_WAVES) ** steepness
+        (uneven,) = ring_variances(light, Broad.TOP_WAVES)
+        texture = share * growth * uneven / RAYS
+        variance = levels.variance + texture + Broad.PEAK_ERROR**2
+        levels = replace(levels, variance=variance)
+    # Where the light slopes, brighter rays cross the common level farther out, and the level is
+    # half of a higher peak.
+    per_slope = float(((1 + band.from_edge) * (band.mean - levels.background)) @ weights)
+    right, down = (-per_slope * ellipse.shape @ top.slope).tolist()
+    unsure = top.unsure + float(top.slope @ top.slope) * Broad.OWN_HALF_ERROR**2
+    semi_major, semi_minor, _ = ellipse.axes
+    return band.refined(
+        levels,
+        offsets,
+        found,
+        fitted,
+        half=half,
+        half_variance=half_variance,
+        shaded=np.zeros(RAYS, bool),  # a shadow's rim looks like a broad flank
+        own_half=OwnHalf(
+            right,
+            down,
+            growth=1 + math.sqrt(math.pi / 2) * levels.width * top.raised,
+            more_variance_px2=per_slope**2 * unsure / 2 * semi_major * semi_minor,
+        ),
+    )

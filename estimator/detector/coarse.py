@@ -263,7 +263,7 @@ def _are_lobes(contours: Sequence[np.ndarray], areas: list[float], light: np.nda
 def is_of_lattice(coarse: Coarse, dot: AffineEllipse, half: float) -> bool:
     """Whether two more pieces of light beside a dot are as bright, large and convex as it."""
     light = (coarse.levels > half / coarse.unit).view(np.uint8)
-    semi_axes = dot.axes()[0] / coarse.stride, dot.axes()[1] / coarse.stride
+    semi_axes = dot.axes[0] / coarse.stride, dot.axes[1] / coarse.stride
     area = math.pi * semi_axes[0] * semi_axes[1]
     middle = ((dot.centre - (coarse.x0, coarse.y0)) / coarse.stride).tolist()
     contours, _ = cv2.findContours(light, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)

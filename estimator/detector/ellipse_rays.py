@@ -5,7 +5,7 @@ A `Patch` of light is sampled along the rays of an ellipse; statistics go round 
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import cv2
 import numpy as np
@@ -36,6 +36,7 @@ class AffineEllipse:
         shape = np.array([[c * semi_major, -s * semi_minor], [s * semi_major, c * semi_minor]])
         return cls(np.array([x, y], float), shape)
 
+    @cached_property
     def axes(self) -> tuple[float, float, float]:
         """Semi-major axis, semi-minor axis (px) and angle in (-pi/2, pi/2] (rad)."""
         (p, q), (r, s) = self.shape.tolist()
@@ -67,11 +68,16 @@ class AffineEllipse:
         """The concentric ellipse with all lengths times `factor`."""
         return AffineEllipse(self.centre, self.shape * factor)
 
-    def stepped(self, step: np.ndarray) -> "AffineEllipse":
-        """The ellipse whose edge lies `DESIGN @ step` further out, in units of the radius."""
+    def stepped(self, step: np.ndarray, scale: float = 1.0) -> "AffineEllipse":
+        """The ellipse whose edge lies `DESIGN @ step` further out, in units of the radius.
+
+        Args:
+            scale: factor on all lengths after the step.
+        """
         u, v, p, q, r = step.tolist()
         grown = np.array([[1 + p, r], [r, 1 + q]])
-        return AffineEllipse(self.centre + self.shape @ np.array([u, v]), self.shape @ grown)
+        shape = self.shape @ grown * scale
+        return AffineEllipse(self.centre + self.shape @ np.array([u, v]), shape)
 
     def half_extent(self) -> tuple[float, float]:
         """Half width and half height of the bounding box, px."""
@@ -163,7 +169,7 @@ def covariance_of_axes(ellipse: AffineEllipse, step_covariance: np.ndarray) -> n
     Args:
         step_covariance: 5x5 covariance of the parameters of `AffineEllipse.stepped`.
     """
-    a, b, angle = ellipse.axes()
+    a, b, angle = ellipse.axes
     # The shape whose columns are the semi-major and the semi-minor axis.
     canonical = AffineEllipse.from_axes(0.0, 0.0, a, b, angle).shape
     # n' = V' n labels the same point of the contour with respect to the axes.
@@ -253,14 +259,14 @@ def shares_of_contour(ellipse: AffineEllipse, *masks: np.ndarray) -> list[float]
     return [float(steps @ mask) / length for mask in masks]
 
 
-def ring_variance(values: np.ndarray, harmonics: slice) -> float:
-    """Variance per ray of values round the ring, at the wavelengths of the harmonics.
+def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
+    """Variance per ray of values round the ring, at the wavelengths of each range of harmonics.
 
     Neighbouring rays share pixels and texture, so their plain scatter underestimates the error of a
     mean over the ring; the spectrum at long wavelengths does not.
     """
-    part = values @ _waves(harmonics.start, harmonics.stop)
-    return float(part @ part) * 2 / part.size
+    parts = [values @ _waves(waves.start, waves.stop) for waves in harmonics]
+    return [float(part @ part) * 2 / part.size for part in parts]
 
 
 def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
@@ -276,7 +282,7 @@ def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
         The share of texture in the variance of the long waves; and the power, which so few waves
         leave open by half a power, as much as walls differ: the mean of the frame's and the walls'.
     """
-    longer, shorter = (ring_variance(values, part) for part in (long, Refine.NEXT_WAVES_BROAD))
+    longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
     ratio = math.log(octaves_middle(Refine.NEXT_WAVES_BROAD) / octaves_middle(long))
     seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
     share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)

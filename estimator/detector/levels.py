@@ -2,13 +2,23 @@
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
+from statistics import NormalDist
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
 from eyespot.estimator.detector.coarse import Coarse
-from eyespot.estimator.detector.ellipse_rays import DESIGN, AffineEllipse, Patch
-from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, HalfLevel, Sharp, WideView
+from eyespot.estimator.detector.ellipse_rays import DESIGN, AffineEllipse, Patch, ring_variances
+from eyespot.estimator.detector.tuning import (
+    FEWEST_RAYS,
+    RAYS,
+    Broad,
+    HalfLevel,
+    Sharp,
+    WideView,
+)
 
 RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
 """Radii of the wide view, in units of the ellipse."""
@@ -47,22 +57,22 @@ class Levels:
     half_radius: float
     hidden: float = 0.0
 
-    @property
+    @cached_property
     def amplitude(self) -> float:
         """Peak above background."""
         return self.peak - self.background
 
-    @property
+    @cached_property
     def half(self) -> float:
         """The level of the contour."""
         return (self.peak + self.background) / 2
 
-    @property
+    @cached_property
     def sees_background(self) -> bool:
         """Whether the background was taken beyond the spot's light."""
         return self.background_radius > HalfLevel.FAR_ENOUGH * dark_radius(self.width)
 
-    @property
+    @cached_property
     def tail(self) -> float:
         """A bell's light that may remain where the background was taken, over its amplitude."""
         if self.width < HalfLevel.TAILED or self.sees_background:
@@ -91,6 +101,44 @@ class Levels:
             width=self.width / radius,
             half_radius=self.half_radius / radius,
         )
+
+    def width_of(self, slope: np.ndarray) -> float:
+        """Edge width, units of the radius, of a profile with these slopes by the radius."""
+        steepest = max(-float(slope.min()), 1e-12 * self.amplitude)
+        return self.amplitude / (math.sqrt(2 * math.pi) * steepest)
+
+    def sharpened(
+        self,
+        from_edge: np.ndarray,
+        mean: np.ndarray,
+        fall: np.ndarray,
+        slope: np.ndarray,
+        doubt: float,
+    ) -> "Levels":
+        """The levels with the edge's width, the plateau and its slope as a mean profile shows them.
+
+        Args:
+            from_edge: (n,) radius offsets of its samples.
+            mean, fall: (n,) the profile, and its derivative.
+            slope: (2,) of the plateau, over its mean per radius; `doubt` is its variance.
+        """
+        width = self.width_of(fall)
+        inner = int(np.count_nonzero(from_edge < -Sharp.PLATEAU * width))
+        if inner == 0 or not width > 0:
+            return replace(self, width=width)
+        radii = 1 + from_edge[:inner]
+        # The fraction of a plateau that a Gaussian blur leaves at radii inside the half level's.
+        rim = float(self.share_of_peak(np.ones(1))[0]) * self.peak - self.background
+        height, normal = min(max(rim / self.amplitude, 0.51), 1.0), NormalDist()
+        middle = normal.inv_cdf(0.5 / height)
+        left = np.array([normal.cdf(middle + (1 - r) / (width * height)) for r in radii.tolist()])
+        light = float(mean[:inner].sum()) - self.background * float((1 - left).sum())
+        peak = light / float(self.share_of_peak(radii) @ left)
+        if not peak > self.background:
+            return self
+        rise = math.hypot(*slope) * max(1 - Sharp.BRIGHTEST_INSIDE * width, 0.0)
+        peak += rise * (peak - self.background)
+        return replace(self, width=width, peak=peak, variance=self.variance + doubt)
 
     def share_of_peak(self, radii: np.ndarray) -> np.ndarray:
         """Signal over the peak's inside the edge, at radii inside it."""
@@ -240,3 +288,74 @@ def _top(
     doubt = kept * variance + kept * (1 - kept) * height**2
     hidden = top_counts(width) * (1 - kept) * min(variance, height**2)
     return plateau / (1 - kept + kept * plateau / top), dome, doubt, hidden
+
+
+class SlopingTop(NamedTuple):
+    """The levels with the peak of a top that slopes, and the slope.
+
+    Attributes:
+        slope: of the light across the spot over its height, per radius, (2,).
+        unsure: variance of either component, by what texture may hide.
+        raised: share of the height by which the slope raises the peak.
+    """
+
+    levels: Levels
+    slope: np.ndarray
+    unsure: float = 0.0
+    raised: float = 0.0
+
+
+def sloping_top(
+    levels: Levels, patch: Patch, ellipse: AffineEllipse, inliers: np.ndarray
+) -> SlopingTop:
+    """The levels of a broad flank, with the peak that its top shows.
+
+    A beam that meets the wall obliquely is brighter on the near side, and a focused beam has a
+    cusp: the peak is the maximum of a polynomial in the radius plus a slope across. Texture has
+    cusps and slopes too. So they raise the peak above a parabola's only as far as they exceed what
+    the rest of the rays' spectrum explains (the garrote of Breiman 1995).
+    """
+    top = min(max(1 - Broad.SHOULDER * levels.width, 0.35), 0.9)  # of a bell; inside the edge
+    radii = RADII[: max(int(np.searchsorted(RADII, top)), 8)]
+    inner = np.nan_to_num(patch.unwrapped(ellipse, radii), nan=0.0)
+    seen = (inner > levels.half) & (inner < 2 * levels.peak) & inliers[:, None]
+    if np.count_nonzero(seen) < 10 * Broad.POWERS:
+        return SlopingTop(levels, np.zeros(2))
+    area = seen * radii
+    across = DESIGN[:, :2]
+    slopes = across[:, :1] * radii, across[:, 1:] * radii
+    rings = [np.broadcast_to(radii**k, inner.shape) for k in range(Broad.POWERS)]
+    basis = np.stack([column[seen] for column in (*rings, *slopes)], axis=1)
+    weighted = basis * area[seen][:, None]
+    gram = weighted.T @ basis
+    gram.flat[:: len(gram) + 1] += 1e-6
+    pull = weighted.T @ inner[seen].astype(float)[:, None]
+    _, solution = cv2.solve(gram, pull)
+    powers = np.vander(radii, Broad.POWERS, increasing=True)
+    profile = powers @ solution[: Broad.POWERS, 0]
+    tilt = solution[Broad.POWERS :, 0]
+    left = np.where(seen, inner - profile - (across @ tilt)[:, None] * radii, 0.0)
+    lever = float((area * radii).sum() / RAYS)
+    (uneven,) = ring_variances((left * area).sum(axis=1) / lever, slice(2, 6))
+    pull_variance = uneven / RAYS
+    _, parabola = cv2.solve(gram[np.ix_([0, 2], [0, 2])], pull[[0, 2]])
+    simple = float(parabola[0, 0])
+    steepest = math.hypot(*tilt)
+    highest = int(np.argmax(profile + steepest * radii))
+    rise = float(profile[highest] + steepest * radii[highest]) - simple
+    doubt = Broad.TOP_DOUBT * pull_variance
+    kept = max(0.0, 1 - doubt / rise**2) if rise else 0.0
+    peak = simple + kept * rise
+    height = peak - levels.background
+    if not height > 0:
+        return SlopingTop(levels, np.zeros(2))
+    sure = max(0.0, 1 - doubt / steepest**2) if steepest else 0.0
+    unsure = sure * doubt + (1 - sure) * min(doubt, steepest**2)
+    return SlopingTop(
+        replace(
+            levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2, hidden=0.0
+        ),
+        slope=sure * tilt / height,
+        unsure=unsure / height**2,
+        raised=kept * steepest * float(radii[highest]) / height,
+    )

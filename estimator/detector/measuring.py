@@ -29,7 +29,7 @@ from eyespot.estimator.detector.ellipse_rays import (
     contour_points,
     normals_of,
     refitted,
-    ring_variance,
+    ring_variances,
 )
 from eyespot.estimator.detector.levels import RADII, RADIUS_STEP, background_of
 from eyespot.estimator.detector.pixel_fit import SmallSpot, fit_to_pixels
@@ -70,7 +70,7 @@ class _Moving:
     def stepped(self, step: np.ndarray) -> "_Moving":
         """Changed by five parameters of the ellipse, path, bend, and three logarithms."""
         growth = np.exp(np.clip(step[9:], -0.5, 0.5)).tolist()
-        longest = 0.25 * self.ellipse.axes()[1]
+        longest = 0.25 * self.ellipse.axes[1]
         return _Moving(
             self.ellipse.stepped(np.clip(step[:5], -0.2, 0.2)),
             self.path + np.clip(step[5:7], -longest, longest),
@@ -150,8 +150,8 @@ def at_mid_exposure(patch: Patch, fit: EdgeFit) -> EdgeFit:
         gram.flat[:: Motion.PARAMETERS + 1] *= 1 + 1e-6
         step = np.linalg.lstsq(gram, pull.sum(axis=(0, 1)).astype(float), rcond=None)[0]
         moving = moving.stepped(step)
-        semi_major, semi_minor, _ = moving.ellipse.axes()
-        sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes()[0]
+        semi_major, semi_minor, _ = moving.ellipse.axes
+        sane = shrink / 4 < moving.width < semi_minor and semi_major < 2 * fit.ellipse.axes[0]
         if not (sane and math.hypot(*moving.path) < 4 * semi_minor):
             return neither
         if np.abs(step[:5]).max() < 2e-4:  # 0.01 px at a radius of 60 px
@@ -207,9 +207,9 @@ def _path(patch: Patch, fit: EdgeFit) -> np.ndarray | None:
     beside, ahead = lengths[along_path < Motion.BESIDE], lengths[along_path > Motion.ALONG]
     # The edge of a sharp spot stays sharp beside its path. A bell, whose width texture or a slanted
     # beam makes uneven too, is broad all round.
-    if not (beside.size and ahead.size) or np.median(beside) > Motion.SHARP * fit.ellipse.axes()[1]:
+    if not (beside.size and ahead.size) or np.median(beside) > Motion.SHARP * fit.ellipse.axes[1]:
         return None
-    return min(float(np.median(ahead)), fit.ellipse.axes()[1]) * towards
+    return min(float(np.median(ahead)), fit.ellipse.axes[1]) * towards
 
 
 def _rests(
@@ -307,7 +307,7 @@ def rim_on(region: Region, fit: EdgeFit) -> EdgeFit | None:
                 and rim.levels.width < Reflection.SHARPEST
                 and rim.scatter < Reflection.SMOOTHEST
                 and rim.inliers.mean() > Reflection.SEEN
-                and rim.ellipse.axes()[1] > smallest_px  # smaller blobs are noise
+                and rim.ellipse.axes[1] > smallest_px  # smaller blobs are noise
             ):
                 rims.append(rim)
     return max(rims, key=lambda rim: float(rim.inliers.mean()), default=None)
@@ -337,10 +337,10 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     half = spot.background + spot.amplitude / 2
     rings = np.nan_to_num(contour.unwrapped(spot.ellipse, np.array(Small.RINGS)) - half).T
     along, heights = rings[-1], rings.mean(axis=1) + spot.amplitude / 2
-    corners = max(ring_variance(along, slice(k, k + 1)) for k in range(3, Verdict.CORNERS.stop))
+    corners = max(ring_variances(along, *(slice(k, k + 1) for k in range(3, Verdict.CORNERS.stop))))
     cornered = 2 / RAYS * corners > (Small.CORNERED * spot.amplitude) ** 2
     hollow = heights[0] < 0.5 * heights[1:-1].max()
-    if cornered or hollow or spot.ellipse.axes()[1] > Small.OPENING_PX / 2:
+    if cornered or hollow or spot.ellipse.axes[1] > Small.OPENING_PX / 2:
         return NoSpot(Reason.NONE_FOUND)
     area = math.pi * abs(np.linalg.det(spot.ellipse.shape))
     hidden = np.count_nonzero(left_out) > Saturated.MOST_HIDDEN * area
@@ -360,7 +360,7 @@ def _beside(light: np.ndarray, window: Window, spot: SmallSpot) -> np.ndarray:
     rows, columns = np.indices(light.shape)
     away = np.stack([columns + window.x0, rows + window.y0], axis=-1) - spot.ellipse.centre
     radius = np.hypot(*np.moveaxis(away @ np.linalg.inv(spot.ellipse.shape).T, -1, 0))
-    per_px = 1 / spot.ellipse.axes()[1]
+    per_px = 1 / spot.ellipse.axes[1]
     outside = radius > 1 + Small.FOOT * max(spot.edge_width, per_px)
     rest = np.zeros_like(light)
     ring = (radius / max(per_px, Small.RING / 2)).astype(int)
@@ -411,7 +411,7 @@ def is_coarse(fit: EdgeFit, coarsest: float = Verdict.COARSEST) -> bool:
 
     Either moves an edge by less than the edge is wide.
     """
-    width = math.hypot(fit.levels.width, 1 / fit.ellipse.axes()[1])  # drawn edges: a whole pixel
+    width = math.hypot(fit.levels.width, 1 / fit.ellipse.axes[1])  # drawn edges: a whole pixel
     return fit.scatter > coarsest * width
 
 
@@ -429,7 +429,7 @@ def undistorted(
     straight = refitted(ellipse, camera.undistorted(edges))
     # Its edge may be undistorted where its inside cannot be.
     moved = math.dist(camera.distorted(*straight.centre), ellipse.centre)
-    return straight if moved <= ellipse.axes()[0] else None
+    return straight if moved <= ellipse.axes[0] else None
 
 
 def significance_of(region: Region) -> float:

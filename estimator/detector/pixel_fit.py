@@ -131,7 +131,7 @@ def fit_to_pixels(
         columns = np.concatenate([levels[0] * rows[1:], rows[:1], plane])
         step = Information(columns @ columns.T).solved(columns @ left, damping)
         trial = model.stepped(step)
-        axes = trial.ellipse.axes()
+        axes = trial.ellipse.axes
         if not (axes[1] > 0.5 and axes[0] < 2 * side):
             return None
         # An edge that only pixels blur has the steepest profile there is, however far a step goes.

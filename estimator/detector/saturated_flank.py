@@ -31,7 +31,7 @@ def hidden_edge(
     Returns:
         None if the flank below full scale does not contain half of the peak, or is no blurred step.
     """
-    bins = max(int(2 * reach * ellipse.axes()[1] / 0.25), 8)  # a quarter of a px wide
+    bins = max(int(2 * reach * ellipse.axes[1] / 0.25), 8)  # a quarter of a px wide
     flank = _visible_flank(patch, ellipse, inliers, reach, bins, levels.background)
     if flank is None:
         return None

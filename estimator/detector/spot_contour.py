@@ -84,11 +84,11 @@ class Region:
     @property
     def is_small(self) -> bool:
         """Whether the pixel grid hides too much of profiles along rays."""
-        return self.ellipse.axes()[1] < Small.LARGEST_PX
+        return self.ellipse.axes[1] < Small.LARGEST_PX
 
     def fills_its_ellipse(self) -> float:
         """Fraction of the ellipse round the region that the region takes up."""
-        semi_major, semi_minor, _ = self.ellipse.axes()
+        semi_major, semi_minor, _ = self.ellipse.axes
         return self.area_px / (math.pi * semi_major * semi_minor)
 
 
@@ -163,7 +163,7 @@ def region_at(
     Args:
         ellipse, half, width: of the last spot; its edge's width in radii.
     """
-    small = ellipse.axes()[1] < Small.LARGEST_PX
+    small = ellipse.axes[1] < Small.LARGEST_PX
     if width > Refine.BROAD and not small:
         return None
     stride = 1 if small else Search.STRIDE
@@ -173,7 +173,7 @@ def region_at(
     coarse = coarse_of(frame, window, channel, settings, stride)
     mask = (coarse.levels > half / coarse.unit).view(np.uint8)
     moments = cv2.moments(mask, binaryImage=True)
-    semi_major, semi_minor, _ = ellipse.axes()
+    semi_major, semi_minor, _ = ellipse.axes
     filled = moments["m00"] * stride**2 / (math.pi * semi_major * semi_minor)
     if abs(filled - 1) > Search.LIKE_LAST:
         return None
@@ -208,7 +208,7 @@ def without_texture(patch: Patch, colours: np.ndarray, ellipse: AffineEllipse) -
     """
     light = patch.signal
     height, width = light.shape
-    cell = max(ellipse.axes()[1] / Texture.CELLS, 1.0)
+    cell = max(ellipse.axes[1] / Texture.CELLS, 1.0)
     cells = max(round(width / cell), 1), max(round(height / cell), 1)
     channels = cv2.resize(np.dstack([colours, light]), cells, interpolation=cv2.INTER_AREA)
     channels = np.maximum(channels.reshape(-1, 4), 0)
@@ -377,7 +377,7 @@ def _is_compressed(patch: Patch, ellipse: AffineEllipse, width: float) -> bool:
     rough = patch.signal[1:, 1:] - patch.signal[:-1, 1:] - patch.signal[1:, :-1]
     rough = rough + patch.signal[:-1, :-1]
     cos, sin = Patch(rough, patch.x0 + 0.5, patch.y0 + 0.5).on_circle(ellipse)
-    beyond_px = (np.hypot(cos, sin) - 1 - Sharp.REACH * width) * ellipse.axes()[1]
+    beyond_px = (np.hypot(cos, sin) - 1 - Sharp.REACH * width) * ellipse.axes[1]
     # A glint on the edge is rough, too, but not all round it.
     turn = np.arctan2(sin, cos) / (2 * math.pi)
     sector = np.floor(Saturated.SECTORS * turn).astype(int) % Saturated.SECTORS

@@ -181,7 +181,7 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
             continue
         # A region's centre is good to a radius.
         jump = math.dist(region.ellipse.centre.tolist(), state.at_px)
-        if last is not None and jump >= settings.max_jump_px + region.ellipse.axes()[0]:
+        if last is not None and jump >= settings.max_jump_px + region.ellipse.axes[0]:
             continue
         sighting = sighting_in(region)
         if sighting and (last is None or continues(sighting.spot, last, settings)):
@@ -218,7 +218,7 @@ def _anywhere(
         return found
     for region in small_regions_in(frame, Window.whole(frame), settings):
         sighting = sighting_in(region)
-        semi_major, middle = region.ellipse.axes()[0], region.ellipse.centre.tolist()
+        semi_major, middle = region.ellipse.axes[0], region.ellipse.centre.tolist()
         chosen = state.at_px is not None and math.dist(middle, state.at_px) < semi_major
         if isinstance(sighting, NoSpot):
             failures.append(sighting)
@@ -276,4 +276,4 @@ def outlines_of(
 
 def _outline(ellipse: AffineEllipse) -> Outline:
     x, y = ellipse.centre.tolist()
-    return Outline(x, y, *ellipse.axes())
+    return Outline(x, y, *ellipse.axes)

@@ -14,7 +14,7 @@ from eyespot.estimator.detector.ellipse_rays import (
     AffineEllipse,
     contour_points,
     covariance_of_axes,
-    ring_variance,
+    ring_variances,
     shares_of_contour,
 )
 from eyespot.estimator.detector.measuring import (
@@ -89,7 +89,7 @@ def sighting_in(region: Region) -> Sighting | NoSpot:
 def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     fit, settings = measured.fit, region.settings
     levels = fit.levels
-    semi_major, semi_minor, _ = fit.ellipse.axes()
+    semi_major, semi_minor, _ = fit.ellipse.axes
     ellipse = measured.ellipse or fit.ellipse
     of_steps = fit.step_covariance.copy()
     if settings.uneven_top:
@@ -107,7 +107,7 @@ def _judged(region: Region, measured: MeasuredRegion) -> Sighting | NoSpot:
     discoid = levels.amplitude < 2 * settings.min_contrast * levels.background
     discoid &= levels.width > Verdict.SOFT and is_coarse(fit, Verdict.SOFT_COARSEST)
     significance = levels.amplitude / levels.scatter
-    vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes()[1]) ** 2
+    vague = covariance[3, 3] > (Verdict.VAGUEST * ellipse.axes[1]) ** 2
     # A camera's field stop is a lit disc, too. Beside so large a spot the frame has no room for the
     # rings of its background but the outermost, so that it could not be measured anyway.
     half_width, half_height = fit.ellipse.half_extent()
@@ -154,9 +154,10 @@ def _has_corners(fit: EdgeFit) -> bool:
     """Whether one wave stands out round the contour, as of a polygon."""
     offsets = np.where(fit.found, np.clip(fit.offsets, -Refine.FURTHEST, Refine.FURTHEST), 0.0)
     waves = Verdict.CORNERS
-    strongest = max(ring_variance(offsets, slice(k, k + 1)) for k in range(waves.start, waves.stop))
     every = slice(3, 2 * waves.stop - 2)  # of an outline that is no ellipse, with overtones
-    all_waves = (every.stop - every.start) * ring_variance(offsets, every)
+    alone = (slice(k, k + 1) for k in range(waves.start, waves.stop))
+    mean, *corners = ring_variances(offsets, every, *alone)
+    strongest, all_waves = max(corners), (every.stop - every.start) * mean
     clean = 2 / RAYS * strongest < (Refine.CLEAN * fit.levels.width) ** 2
     return not clean and strongest > Verdict.CORNERED * all_waves
 
@@ -167,7 +168,7 @@ def _is_like_field(fit: EdgeFit, region: Region) -> bool:
     A fundus camera's field is such a disc. It shows a wall, so the light in it is uneven; the
     stray light round it is not.
     """
-    semi_major, semi_minor, _ = fit.ellipse.axes()
+    semi_major, semi_minor, _ = fit.ellipse.axes
     frame = region.frame.shape
     middle = (frame[1] - 1) / 2, (frame[0] - 1) / 2
     levels, uneven = fit.levels, float(np.std(fit.band.gain[fit.bright]))
@@ -187,7 +188,7 @@ def _is_like_field(fit: EdgeFit, region: Region) -> bool:
 
 def _judged_small(region: Region, measured: SmallSpot) -> Sighting | NoSpot:
     settings, seen = region.settings, measured.ellipse
-    semi_major, semi_minor, _ = seen.axes()
+    semi_major, semi_minor, _ = seen.axes
     edges = contour_points(seen, np.zeros(RAYS))
     height, width = region.frame.shape[:2]
     in_frame = float(((edges > -0.5) & (edges < (width - 0.5, height - 0.5))).all(axis=1).mean())
@@ -240,7 +241,7 @@ def _spot(
     own_half: OwnHalf,
 ) -> Spot:
     """The spot of an ellipse; `edge_width` is over the mean of its semi-axes."""
-    semi_major, semi_minor, angle = ellipse.axes()
+    semi_major, semi_minor, angle = ellipse.axes
     x, y = ellipse.centre.tolist()
     return Spot(
         x_px=x,

@@ -33,7 +33,7 @@ from jaxtyping import Float
 from eyespot.estimator.distance.range import Range, TipPose, WallMemory
 from eyespot.estimator.ghost import GHOST_SIGMAS, strongest_ghost
 from eyespot.estimator.pixels.first_frame import Hypothesis
-from eyespot.estimator.pixels.frame_cells import COUNT, SIDES, WallMotion
+from eyespot.estimator.pixels.frame_cells import COUNT, SIDES
 from eyespot.estimator.pixels.frame_model import (
     BLOOM_SIGMA_PX,
     BLUR,
@@ -44,7 +44,7 @@ from eyespot.estimator.pixels.frame_model import (
 from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.formats.spot import Outline, Reason
-from eyespot.optics.wall_light.pose_light import POSE
+from eyespot.optics.wall_light.pose_light import POSE, beam_at_wall
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
@@ -60,15 +60,10 @@ def ambient_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     size = float(np.linalg.norm(solution.newest.shade))
     if size < _EVEN_SHADING:
         return np.zeros((POSE, POSE))
-    shares = []  # of the ambient light in each cell's
-    for frame in solution.frames:
-        ambient = np.exp(frame.log_ambient)
-        shares.append(ambient / (np.maximum(solution.light(frame), 0.0) + ambient))
-    pulls = [
-        solution.answer([_CUBIC_SHARE * size * share * shape for share in shares])
-        for shape in _CUBIC
-    ]
-    return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
+    ambient = np.exp([[frame.log_ambient] for frame in solution.frames])
+    shares = ambient / (np.maximum(solution.lights, 0.0) + ambient)  # of each cell's light
+    pulls = solution.answers(_CUBIC_SHARE * size * shares * _CUBIC[:, None])
+    return pulls.T @ pulls
 
 
 _NEGLIGIBLE_SHARE = 0.01
@@ -88,11 +83,10 @@ def bend_covariance(
     frame, fitted = solution.newest, solution.newest_covariance
     sigmas = np.sqrt(np.diag(covariance))
     sizes = np.array([0.0, 0.0, sigmas[2] / frame.pose.distance, *sigmas[3:]])
-    earlier = [np.zeros(COUNT**2)] * (len(solution.frames) - 1)
-    found = np.zeros((POSE, POSE))
+    changes, found = np.zeros((1, *solution.lights.shape)), np.zeros((POSE, POSE))
     for k in np.flatnonzero(sizes > _NEGLIGIBLE_SHARE):
-        evenly = _even_part(solution, covariance[:, k] / sigmas[k])
-        bend = solution.answer([*earlier, evenly])
+        changes[0, -1] = _even_part(solution, covariance[:, k] / sigmas[k])
+        bend = solution.answers(changes)[0]
         bend -= fitted[:, k] / fitted[k, k] * bend[k]  # the best pose at this distance or turn
         # Where the light says too little, the second order says nothing.
         bend = np.clip(bend, -sigmas, sigmas)
@@ -102,34 +96,29 @@ def bend_covariance(
 
 def _even_part(solution: PoseSolution, change: Float[np.ndarray, "5"]) -> Float[np.ndarray, "n"]:
     """How the newest frame's log light changes by a change of its pose and by its opposite."""
-    model, frame, light = solution.solver.model, solution.newest, []
-    for shift in (change, np.zeros(POSE), -change):
-        pose = model.beam.pose(*frame.pose.moved(shift))
-        if pose is None:
-            return np.zeros(COUNT**2)
-        light.append(model.log_light(frame, solution.light(replace(frame, pose=pose))))
-    ahead, here, back = light
-    return 0.5 * (ahead + back) - here
+    model, frame = solution.solver.model, solution.newest
+    poses = [frame.pose.moved_on(model.beam.wall, shift) for shift in (change, -change)]
+    frames = [replace(frame, pose=pose) for pose in poses if pose is not None]
+    if len(frames) < len(poses):
+        return np.zeros(COUNT**2)
+    ahead, back = model.log_lights(frames, model.lights(frames, solution.own))
+    return 0.5 * (ahead + back) - solution.log_lights[-1]
 
 
 def ghost_pull(solution: PoseSolution) -> Float[np.ndarray, "5"] | None:
     """What a ghost does to the newest pose, in the terms of `POSE`; None if frames show none."""
-    model, lines = solution.solver.model, solution.linear
-    lights = [np.maximum(solution.light(frame), 0.0) for frame in solution.frames]
-    logs = [
-        model.log_light(frame, light) for frame, light in zip(solution.frames, lights, strict=True)
-    ]
+    lines = solution.linear
     found = strongest_ghost(
         np.stack([line.residual for line in lines]),
         np.stack([line.weight for line in lines]),
-        np.reshape(lights, (-1, COUNT, COUNT)),
-        np.exp(logs).reshape(-1, COUNT, COUNT),
+        np.maximum(solution.lights, 0.0).reshape(-1, COUNT, COUNT),
+        np.exp(solution.log_lights).reshape(-1, COUNT, COUNT),
         [np.concatenate([line.slopes, line.shared]) for line in lines],
         side_px=solution.solver.window.side,
     )
     if found is None or found.sigmas < GHOST_SIGMAS:
         return None
-    return solution.answer(list(found.share * found.added))
+    return solution.answers(found.share * found.added[None])[0]
 
 
 _DIFFERENCE_STEP_PX = 0.5  # of the numerical derivative
@@ -141,7 +130,7 @@ _PULL_ERROR_PER_DRIFT = 0.03  # error of the distance's pull, over the drift
 
 
 def drift_covariance(
-    solution: PoseSolution, drifts_px: list[Float[np.ndarray, "2"]]
+    solution: PoseSolution, drifts_px: Float[np.ndarray, "k 2"]
 ) -> Float[np.ndarray, "5 5"]:
     """What a drift of the view may have done to the newest pose, in the terms of `POSE`.
 
@@ -150,25 +139,25 @@ def drift_covariance(
     """
     # How far the newest pose would be off.
     model, own = solution.solver.model, solution.own
-    beam, middle_px = model.beam, model.window.middle_px
-    changes, aside = [], np.zeros(3)
-    for frame, drift in zip(solution.frames, drifts_px, strict=True):
-        length, motion = float(np.linalg.norm(drift)), frame.cells.motion
-        part = _DIFFERENCE_STEP_PX / max(length, _DIFFERENCE_STEP_PX)
-        middle = motion.image_px(middle_px)
-        (here, there), _ = beam.wall_points(np.stack([middle, middle - part * drift]))
-        aside = (there - here) / part
-        other = beam.pose(frame.pose.tip + there - here, frame.pose.axis)
+    beam, middles = model.beam, model.window.middle_px + solution.drifts_px
+    lengths = np.maximum(np.linalg.norm(drifts_px, axis=1, keepdims=True), _DIFFERENCE_STEP_PX)
+    parts = _DIFFERENCE_STEP_PX / lengths
+    points, _ = beam.wall_points(np.concatenate([middles, middles - parts * drifts_px]))
+    here, there = np.split(points, 2)
+    lights = []
+    for frame, step, (right, down) in zip(
+        solution.frames, there - here, (parts * drifts_px).tolist(), strict=True
+    ):
+        other = beam_at_wall(beam.wall, frame.pose.tip + step, frame.pose.axis)
         if other is None:
             return np.zeros((POSE, POSE))
-        right, down = (-part * drift).tolist()
-        drifted = WallMotion(right, down).after(motion)
-        seen, fitted = (
-            model.log_light(frame, beam.irradiance_alone(model.lattice(where), at, own))
-            for where, at in ((drifted, other), (motion, frame.pose))
-        )
-        changes.append((seen - fitted) / part)
-    pull, newest = solution.answer(changes), solution.newest.pose
+        motion = frame.cells.motion
+        drifted = motion._replace(right=motion.right - right, down=motion.down - down)
+        lights.append(beam.irradiance_alone(model.lattice(drifted), other, own))
+    seen = model.log_lights(solution.frames, np.stack(lights))
+    changes = (seen - solution.log_lights) / parts
+    pull, newest = solution.answers(changes[None])[0], solution.newest.pose
+    aside = (there - here)[-1] / parts[-1]
     pull[:2] -= aside @ np.stack([newest.right, newest.down], axis=-1)
     shift = float(np.linalg.norm(pull[:2]))
     # Where the light hardly says anything, a linear forecast has no bound of its own.
@@ -187,7 +176,7 @@ def shake_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     Args:
         solution: of the map's first frame, whose shake is not known.
     """
-    shaken = [drift_covariance(solution, [shift]) for shift in np.eye(2)]
+    shaken = [drift_covariance(solution, shift[None]) for shift in np.eye(2)]
     return np.sum(shaken, axis=0)
 
 
@@ -204,28 +193,28 @@ along one direction, by seven pixels during the exposure; more is defocus, which
 def edge_covariance(solution: PoseSolution) -> Float[np.ndarray, "5 5"]:
     """What such errors may have done to the newest pose, in the terms of `POSE`."""
     newest = solution.newest
-    if newest.blur_px2 < _WIDE_BLUR_PX2 and not newest.saturated:
+    if newest.blur_px2 < _WIDE_BLUR_PX2 and not newest.cells.saturated:
         return np.zeros((POSE, POSE))
     shifts = np.array([_changes(solution, k) for k in range(len(solution.frames))])
     # The edge may be shifted all round, by an oval, or to a side, or wider along one direction.
-    pulls = [solution.answer(list(shifts[:, k])) for k in range(shifts.shape[1])]
     # Where the spot moves on, the wall grows otherwise.
-    still = [np.zeros_like(shifts[0, 0])] * (len(shifts) - 1)
-    pulls += [solution.answer([*still, shifts[-1, k]]) for k in (3, 4)]
-    return np.sum([np.outer(pull, pull) for pull in pulls], axis=0)
+    newest_alone = np.zeros((2, *shifts[:, 0].shape))
+    newest_alone[:, -1] = shifts[-1, 3:5]
+    pulls = solution.answers(np.concatenate([shifts.swapaxes(0, 1), newest_alone]))
+    return pulls.T @ pulls
 
 
 def _changes(solution: PoseSolution, k: int) -> Float[np.ndarray, "7 n"]:
     """How frame k's log light changes by each of these errors."""
     frame, by_blur = solution.frames[k], solution.linear[k].slopes[BLUR]
-    light, solver = solution.light(frame), solution.solver
+    light, solver = solution.lights[k], solution.solver
     side, spot = solver.window.side, lit(light)
     if not spot.any():  # an early, small spot, from which the window has moved on
         return np.zeros((7, light.size))
     radius = side * math.sqrt(np.count_nonzero(spot) / math.pi)
-    light = np.exp(solver.model.log_light(frame, light))
+    light = np.exp(solution.log_lights[k])
     steep = np.hypot(*np.gradient(light.reshape(COUNT, COUNT), side)).ravel()
-    shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_SIGMA_PX * frame.saturated
+    shift = _SHIFT_SHARE * frame.blur_px2 / (2.0 * radius) + BLOOM_SIGMA_PX * frame.cells.saturated
     x, y = solver.window.centres().reshape(-1, 2).T
     angle = np.arctan2(y - y[spot].mean(), x - x[spot].mean())
     # How log reflectance grows across the spot, 1/px; a blurred wall looks more even than it is.
@@ -282,7 +271,7 @@ def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     sharp, widened = beam.sharp, newest.pose.distance + beam.apex_mm
     if math.sqrt(best.shown_covariance[2, 2]) > _VAGUE[sharp] * widened:
         return Reason.NOT_CONVERGED
-    by_beam = best.light(newest)
+    by_beam = best.lights[-1]
     spot = lit(by_beam)
     size = float(np.count_nonzero(spot)) * window.side**2
     seen = math.pi * outline.semi_major_px * outline.semi_minor_px
@@ -291,8 +280,8 @@ def flag_of(hypothesis: Hypothesis | None, outline: Outline) -> Reason | None:
     # A wider blur, or light that hardly shows, makes a spot of anything: of a wet wall's haze.
     explained &= 4.0 * math.pi * newest.blur_px2 < size
     explained &= contrast(by_beam, newest) > _MIN_CONTRAST
-    light, usable = (part.ravel() for part in newest.cells.means(window))
-    if newest.saturated:
+    light, usable, _ = newest.cells.means(window)
+    if newest.cells.saturated:
         explained &= halo(light, spot) < _HALO
     if len(best.frames) == 1:
         explained &= bool(np.mean(usable[spot]) > _VISIBLE)
@@ -330,9 +319,9 @@ def range_of(
     covariance += edge_covariance(solution) + ambient_covariance(solution)
     covariance += bend_covariance(solution, covariance)
     covariance += shake**2 * shaken + np.outer(ghost_pull, ghost_pull)
-    drifts = [drift_px + hypothesis.drift(frame) for frame in solution.frames]
+    drifts = drift_px + solution.drifts_px
     for shift in unknown_px * np.eye(2) if unknown_px else ():
-        covariance += drift_covariance(solution, [shift for _ in drifts])
+        covariance += drift_covariance(solution, np.broadcast_to(shift, drifts.shape))
     if np.any(drifts):
         covariance += drift_covariance(solution, drifts)
     pose = newest.pose

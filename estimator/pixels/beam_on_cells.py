@@ -191,10 +191,6 @@ class BeamLight:
         self.scale_mm_px = microscope.scale_mm_px
         self._middle_px = 0.5 * np.array([microscope.width_px, microscope.height_px])
 
-    def pose(self, tip: np.ndarray, axis: np.ndarray) -> BeamFrame | None:
-        """The pose of a tip and an axis; None if the beam meets no wall ahead of the tip."""
-        return beam_at_wall(self.wall, tip, axis)
-
     @functools.cached_property
     def _sparse(self) -> tuple[np.ndarray, np.ndarray]:
         """Wall points and lines of sight of blocks of pixels, h x w x 3."""
@@ -222,10 +218,11 @@ class BeamLight:
 
         Each side of a cell may be divided into some parts.
         """
-        corner = motion.image_px(window.corner_px)
-        right = window.side / parts * motion.rotation[:, 0]
+        corner, right = window.in_image(motion)
         count = parts * COUNT
-        return square_lattice(self.camera, self.wall, corner=corner, right=right, count=count)
+        return square_lattice(
+            self.camera, self.wall, corner=corner, right=right / parts, count=count
+        )
 
     def irradiance(
         self,
@@ -317,7 +314,7 @@ class BeamLight:
         """
         window = CellWindow.around(self._middle_px, _USUAL_REACH_PX)
         (point,), (normal,) = self.wall_points(self._middle_px[None])
-        pose = self.pose(point + normal, -normal)
+        pose = beam_at_wall(self.wall, point + normal, -normal)
         assert pose is not None, "the middle of an image shows the wall"
         for cells in _LENGTHS:
             length = cells * window.side * self.scale_mm_px

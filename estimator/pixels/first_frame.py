@@ -13,7 +13,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from eyespot.estimator.camera_noise import CameraNoise
 from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep
@@ -35,7 +34,7 @@ from eyespot.estimator.pixels.frame_pixels import FramePixels, Mix, Reference, e
 from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver, together
 from eyespot.estimator.pixels.texture import TextureVariances, texture_of
 from eyespot.formats.spot import Outline
-from eyespot.optics.wall_light.pose_light import BeamFrame
+from eyespot.optics.wall_light.pose_light import BeamFrame, beam_at_wall
 
 REACH = (2.0, 1.2)
 """Of the window over the half-maximum ellipse, for light without and with a sharp edge: farther out
@@ -110,18 +109,18 @@ class Hypothesis:
         """Variance of the newest frame's shift, of both sides together."""
         return float(np.trace(self.solution.newest_states(SHIFT)))
 
-    @property
+    @cached_property
     def moved_px(self) -> float:
         """How far the wall has moved in the image since the frame before.
 
         Less the errors of both frames' shifts, by which a wall of which little is seen would seem
         to move on, ever farther.
         """
-        middle = self.solution.newest.cells.motion.image_px(self.solution.solver.window.middle_px)
+        middle = self.solution.solver.window.middle_px + self.solution.drifts_px[-1]
         along_wall = self.step.image_px(middle) - middle
         return math.sqrt(max(float(along_wall @ along_wall) - 2.0 * self.shift_variance_px2, 0.0))
 
-    @property
+    @cached_property
     def shake_px(self) -> float:
         """How far the image may jump from frame to frame, as it did of late."""
         return max(min(self.moved_px, MOVES_ON_PX), _SHAKE_DECAY * self.shake_before_px)
@@ -130,7 +129,7 @@ class Hypothesis:
     def outline(self) -> Outline:
         """The half-maximum ellipse of the newest frame's light, good to a part of a cell."""
         centres = self.solution.solver.window.centres().reshape(-1, 2)
-        places = centres[lit(self.solution.light(self.solution.newest))]
+        places = centres[lit(self.solution.lights[-1])]
         middle = self.solution.newest.cells.motion.image_px(places.mean(axis=0))
         # Half of an axis is twice the standard deviation along it.
         variances, axes = np.linalg.eigh(4.0 * np.cov(places.T))
@@ -139,11 +138,6 @@ class Hypothesis:
         angle = math.atan2(axes[1, 1], axes[0, 1])
         return Outline(x, y, semi_major, semi_minor, angle, measured=False)
 
-    def drift(self, frame: FrameState) -> Float[np.ndarray, "2"]:
-        """How far the wall has moved in the image from the map's begin to a frame, px."""
-        middle = self.solution.solver.window.middle_px
-        return frame.cells.motion.image_px(middle) - middle
-
     def drifted(self, shake_px: float) -> bool:
         """Whether the wall has moved since the map's begin, beyond errors and a shake of the image.
 
@@ -151,7 +145,7 @@ class Hypothesis:
             shake_px: standard deviation of the shake along each side, in the first frame and now.
         """
         variance = self.shift_variance_px2 + 4.0 * shake_px**2
-        return math.hypot(*self.drift(self.solution.newest)) > max(
+        return math.hypot(*self.solution.drifts_px[-1]) > max(
             _DRIFTED_PX, _SURELY * math.sqrt(variance)
         )
 
@@ -166,8 +160,8 @@ class Hypothesis:
 
 def lit_px2(solution: PoseSolution) -> float:
     """Area of the window's wall that any frame of a solution lights."""
-    seen = [lit(solution.light(frame)) for frame in solution.frames]
-    return float(np.count_nonzero(np.any(seen, axis=0))) * solution.solver.window.side**2
+    seen = lit(solution.lights).any(axis=0)
+    return float(np.count_nonzero(seen)) * solution.solver.window.side**2
 
 
 def distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
@@ -206,22 +200,22 @@ def scanned_starts(
 ) -> list[FrameState]:
     """The frame at the poses that are the likeliest along each direction, best first."""
     found: list[tuple[float, FrameState]] = []
-    spot_px2 = np.pi * spot.semi_major_px * spot.semi_minor_px
-    model = solver.model
-    point = solver.beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
+    spot_px2, beam = np.pi * spot.semi_major_px * spot.semi_minor_px, solver.beam
+    point = beam.wall_points(np.array([[spot.x_px, spot.y_px]]))[0][0]
     for axis in axes:
-        costs, states = np.full(_DISTANCES_MM.size + 2, np.inf), {}
-        for k, distance in enumerate(_DISTANCES_MM, 1):
-            pose = solver.beam.pose(point - distance * axis, axis)
-            scanned = None if pose is None else model.scanned(frame_at(pose), own)
-            if scanned is not None:
-                states[k], cost = scanned
-                cells = np.count_nonzero(lit(model.light(states[k], own)))
-                size = cells * model.window.side**2 / spot_px2
-                costs[k] = cost + (np.log(max(size, _TINY)) / _SIZE[solver.beam.sharp]) ** 2
-        for k, state in states.items():
+        poses = [beam_at_wall(beam.wall, point - d * axis, axis) for d in _DISTANCES_MM]
+        meeting = {k: frame_at(pose) for k, pose in enumerate(poses, 1) if pose is not None}
+        scanned = dict(zip(meeting, solver.model.scanned([*meeting.values()], own), strict=True))
+        suited = {k: one for k, one in scanned.items() if one is not None}
+        costs = np.full(_DISTANCES_MM.size + 2, np.inf)
+        lights = np.reshape([one.light for one in suited.values()], (-1, COUNT**2))
+        lit_cells = np.count_nonzero(lit(lights), axis=1)
+        for (k, one), count in zip(suited.items(), lit_cells, strict=True):
+            size = count * solver.window.side**2 / spot_px2
+            costs[k] = one.cost + (np.log(max(size, _TINY)) / _SIZE[beam.sharp]) ** 2
+        for k, one in suited.items():
             if costs[k] <= min(costs[k - 1], costs[k + 1]):
-                found.append((costs[k], state))
+                found.append((costs[k], one.state))
     found.sort(key=lambda one: one[0])
     return [state for _, state in found[:_MAX_STARTS]]
 
@@ -235,9 +229,9 @@ def mirrored_start(solver: PoseSolver, frame: FrameState, own: np.ndarray) -> Fr
     pose = frame.pose
     normal = np.cross(pose.right, pose.down)
     axis = 2.0 * (pose.axis @ normal) * normal - pose.axis
-    other = solver.beam.pose(pose.spot - pose.distance * axis, axis)
-    scanned = None if other is None else solver.model.scanned(replace(frame, pose=other), own)
-    return None if scanned is None else scanned[0]
+    other = beam_at_wall(solver.beam.wall, pose.spot - pose.distance * axis, axis)
+    frames = [] if other is None else [replace(frame, pose=other)]
+    return next((one.state for one in solver.model.scanned(frames, own) if one), None)
 
 
 def likely_axes(beam: BeamLight, spot: Outline) -> Iterator[np.ndarray]:
@@ -319,7 +313,7 @@ def explained_alone(
     picture = replace(picture, usable=usable)
     if not beam.sharp:
         picture = without_tool(picture, beam, best.newest.pose)
-    clear = contrast(best.light(best.frames[0]), best.frames[0]) > _CLEAR_SIGMAS
+    clear = contrast(best.lights[0], best.frames[0]) > _CLEAR_SIGMAS
     if clear and not (noise.sheet.jpeg or picture.saturated.any()):
         mix = evener_mix(picture.channels, usable, window, best, mix)
     cells = picture.cells(mix)

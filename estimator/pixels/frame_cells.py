@@ -5,13 +5,14 @@ the microscope drifts, a point of the map is elsewhere in the image. So a window
 shifted and turned into the image, and the pixels of each of its cells are averaged there.
 """
 
+import functools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from scipy import ndimage
 
 
@@ -149,6 +150,14 @@ class CellWindow(NamedTuple):
         """Middle of the lattice."""
         return self.corner_px + 0.5 * COUNT * self.side
 
+    def in_image(self, motion: WallMotion) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """After a motion of the wall, where the corner is in the image, and a cell's upper side."""
+        return motion.image_px(self.corner_px), self.side * motion.rotation[:, 0]
+
+    def middles_after(self, motions: Sequence[WallMotion]) -> Float[np.ndarray, "k 2"]:
+        """Where the middle is in the image after motions of the wall, px."""
+        return np.stack([motion.image_px(self.middle_px) for motion in motions])
+
     def centres(self) -> Float[np.ndarray, "count count 2"]:
         """Centres of the cells, px."""
         along = self.side * (np.arange(COUNT) + 0.5)
@@ -174,6 +183,23 @@ def rolled(values: Float[np.ndarray, "*k n"], right: int, down: int) -> Float[np
     return ndimage.shift(grids, (0, -down, -right), order=0).reshape(values.shape)
 
 
+class CellMeans(NamedTuple):
+    """A frame's light in the cells of a window.
+
+    Attributes:
+        light: its mean, full wells.
+        usable: whether the cell is in the image and all of it usable.
+        sigma: standard deviation of as much light by the camera's noise, full wells.
+    """
+
+    light: Float[np.ndarray, "n"]
+    usable: Bool[np.ndarray, "n"]
+    sigma: Float[np.ndarray, "n"]
+
+
+_KEPT_WINDOWS = 2  # whose means a frame keeps: the newest, and one in which others are fitted
+
+
 class CellLight:
     """A frame's light, ready to be averaged over cells.
 
@@ -183,6 +209,11 @@ class CellLight:
         variance: of a pixel with some light, full wells².
         motion: of the wall, in whose pixels the windows are.
         ceiling: light of a pixel at full scale, if those of the spot are; infinite if not.
+
+    Attributes:
+        saturated: whether the spot is at full scale.
+        means: the light in the cells of a window, see `_means`. A fit asks for it again at each of
+            its states, so those of the last windows are kept.
     """
 
     def __init__(
@@ -193,32 +224,41 @@ class CellLight:
         motion: WallMotion = STILL,
         ceiling: float = math.inf,
     ) -> None:
-        self.ceiling = ceiling
-        self.shape, self.variance, self.motion, self._corner = light.shape, variance, motion, (0, 0)
+        self.ceiling, self.saturated = ceiling, ceiling < math.inf
+        self.variance, self.motion = variance, motion
+        corner = 0, 0
         light, bad = light.astype(np.float32), (~usable).astype(np.float32)
         if motion != STILL:
             middle = 0.5 * np.array(light.shape[1::-1])
             left, top = np.round(motion.map_px(middle) - middle).astype(int).tolist()
-            self._corner = left, top
-            light = motion.on_map(light, self._corner, outside=0.0)
-            bad = motion.on_map(bad, self._corner, outside=1.0)
-        self._light = cv2.integral(light, sdepth=cv2.CV_64F)
-        self._bad = cv2.integral((bad > 0).astype(np.uint8), sdepth=cv2.CV_32S)
-
-    def means(
-        self, window: CellWindow
-    ) -> tuple[Float[np.ndarray, "count count"], Bool[np.ndarray, "count count"]]:
-        """Mean light of each cell, and whether the cell is in the image and all of it usable."""
-        left, top = self._corner
-        rows = window.top - top + window.side * np.arange(COUNT + 1)
-        columns = window.left - left + window.side * np.arange(COUNT + 1)
-        height, width = self.shape
-        at = np.ix_(np.clip(rows, 0, height), np.clip(columns, 0, width))
-
-        def sums(integral: np.ndarray) -> np.ndarray:
-            return np.diff(np.diff(integral[at], axis=0), axis=1)
-
-        inside = np.logical_and.outer(
-            (rows[:-1] >= 0) & (rows[1:] <= height), (columns[:-1] >= 0) & (columns[1:] <= width)
+            corner = left, top
+            light = motion.on_map(light, corner, outside=0.0)
+            bad = motion.on_map(bad, corner, outside=1.0)
+        integrals = (
+            cv2.integral(light, sdepth=cv2.CV_64F),
+            cv2.integral((bad > 0).astype(np.uint8), sdepth=cv2.CV_32S),
         )
-        return sums(self._light) / window.side**2, inside & (sums(self._bad) == 0)
+        means = functools.partial(_means, *integrals, corner, variance)
+        self.means: Callable[[CellWindow], CellMeans] = functools.lru_cache(_KEPT_WINDOWS)(means)
+
+
+def _means(
+    light: Float[np.ndarray, "h+1 w+1"],
+    bad: Int[np.ndarray, "h+1 w+1"],
+    corner: tuple[int, int],
+    variance: Callable[[np.ndarray], np.ndarray],
+    window: CellWindow,
+) -> CellMeans:
+    """What the cells of a window show, from the integrals of light and of bad pixels."""
+    left, top = corner
+    rows = window.top - top + window.side * np.arange(COUNT + 1)
+    columns = window.left - left + window.side * np.arange(COUNT + 1)
+    height, width = light.shape[0] - 1, light.shape[1] - 1
+    at = np.ix_(np.clip(rows, 0, height), np.clip(columns, 0, width))
+    inside = np.logical_and.outer(
+        (rows[:-1] >= 0) & (rows[1:] <= height), (columns[:-1] >= 0) & (columns[1:] <= width)
+    )
+    mean, spoilt = (np.diff(np.diff(sums[at], axis=0), axis=1).ravel() for sums in (light, bad))
+    mean = mean / window.side**2
+    sigma = np.sqrt(variance(np.maximum(mean, 0.0))) / window.side
+    return CellMeans(mean, inside.ravel() & (spoilt == 0), sigma)

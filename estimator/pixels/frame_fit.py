@@ -30,7 +30,7 @@ from eyespot.estimator.pixels.frame_cells import (
     WallMotion,
     rolled,
 )
-from eyespot.estimator.pixels.frame_model import FrameState, Linear, share
+from eyespot.estimator.pixels.frame_model import FrameState, Linear
 from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
 
 FARTHEST = 6
@@ -96,6 +96,7 @@ _MISFIT_GROWTH = 1.2  # growth of the mean square from which the wall is looked 
 _RECUT_SHIFT_PX = 0.1  # a frame's cells are cut anew where the wall has moved by more
 _THREADS = 2
 _NEW_MODEL_SHARE = 0.01  # share of a frame's light that is worth a new model
+_DARK = 1e-6  # sum of the cells' light, 1/mm², below which a frame shows none
 _LINEAR = 0.01
 """Change of a distance over it, or turn, up to which a frame's model is linear: a spot's edge is
 wrong by 1e-4 of its radius then."""
@@ -196,11 +197,9 @@ def moved(
     new = rolled(np.ones(COUNT**2), right, down) == 0
     kept = [(state, line.after(right, down)) for state, line in kept]
     solver = solver.with_map_of(kept)
-    lit = [
-        k
-        for k, (state, _) in enumerate(kept)
-        if share(solver.model.light(state, own), new) > _NEW_MODEL_SHARE
-    ]
+    lights = solver.model.lights([state for state, _ in kept], own)
+    shares = lights[:, new].sum(axis=1) / np.maximum(lights.sum(axis=1), _DARK)
+    lit = np.flatnonzero(shares > _NEW_MODEL_SHARE)
     for k, fresh in zip(lit, modelled(solver, [kept[k][0] for k in lit], own), strict=True):
         kept[k] = fresh
     return solver, kept
@@ -245,12 +244,13 @@ def _off_wall_at_start(
         return np.zeros(line.weight.size)
     place, along = _START_PX * solver.beam.scale_mm_px, _START_ALONG * frame.pose.distance
     shifts = np.diag([place, place, along, 0.0, 0.0])
-    seen = []
-    for shift in (shifts[-1], *shifts[:3], *-shifts[:3]):  # the first is none
-        pose = solver.beam.pose(*frame.pose.moved(shift)) or frame.pose
-        light = solver.model.light(replace(frame, pose=pose), own)
-        seen.append(solver.model.log_light(frame, light))
-    changes = np.array(seen) - seen[0]
+    wall = solver.beam.wall
+    near = [
+        replace(frame, pose=frame.pose.moved_on(wall, shift) or frame.pose)
+        for shift in (shifts[-1], *shifts[:3], *-shifts[:3])  # the first is none
+    ]
+    seen = solver.model.log_lights(near, solver.model.lights(near, own))
+    changes = seen - seen[0]
     residual = line.residual - np.clip(line.residual, changes.min(axis=0), changes.max(axis=0))
     return _grown(_off_wall(solver, line._replace(residual=residual)))
 
@@ -322,7 +322,11 @@ def fit_wherever(
         # With the weights that the solution's other parts have.
         line = solver.model.linear(newest, solution.own)
         line = line._replace(weight=solution.linear[-1].weight)
-        solution.frames[-1], solution.linear[-1] = newest, line
+        solution = replace(
+            solution,
+            frames=[*solution.frames[:-1], newest],
+            linear=[*solution.linear[:-1], line],
+        )
     return solution, mean_square, other_wall
 
 

@@ -14,6 +14,7 @@ this order:
 
 import functools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -107,6 +108,12 @@ def motion_between(
         precision=np.repeat([place, math.hypot(_TURN_SIGMA_RAD, _FRAME_ERROR * angle)], [3, 2])
         ** -2.0,
     )
+
+
+def robot_motions(frames: Sequence["FrameState"]) -> list[RobotMotion | None]:
+    """What the robot says of the later frames and the first one."""
+    first, *later = frames
+    return [motion_between((first.pose, first.robot), (one.pose, one.robot)) for one in later]
 
 
 _BLOOM_PX, BLOOM_SIGMA_PX = 0.45, 0.1
@@ -210,7 +217,9 @@ class Linear(NamedTuple):
 
     def after(self, right: int, down: int) -> "Linear":
         """The model after the window has moved by some cells; new cells have no weight."""
-        return Linear(*(rolled(part, right, down) for part in self))
+        rows = rolled(np.vstack(self), right, down)
+        shared = 1 + len(self.slopes)
+        return Linear(rows[0], rows[1:shared], rows[shared:-1], rows[-1])
 
 
 class StatePrior(NamedTuple):
@@ -257,11 +266,6 @@ class FrameState:
     shift_sigma: float = 1e-3
 
     @property
-    def saturated(self) -> bool:
-        """Whether the spot is at full scale."""
-        return self.cells.ceiling < math.inf
-
-    @property
     def axis_off(self) -> float:
         """How far the axis is from the robot's, in standard deviations; 0 if it says nothing."""
         if self.direction is None:
@@ -281,7 +285,7 @@ class FrameState:
         precision[SHADE, SHADE] = np.diag(_SHADE**-2)
         pull[SHADE] = np.array(self.shade) / -(_SHADE**2)
         cost += float(np.sum(np.square(self.shade / _SHADE)))
-        if self.saturated:
+        if self.cells.saturated:
             blur = _SATURATED_PX2
             cost += (self.blur_px2 / blur) ** 2
         else:
@@ -329,6 +333,19 @@ _BRIGHTER, _DIM = 0.75, 0.2
 light, of which the dimmer ones show the ambient light."""
 
 
+class Scanned(NamedTuple):
+    """A frame with the gain and ambient light that suit its pose.
+
+    Attributes:
+        cost: -2 log likelihood, up to a constant of the frame, as if texture were noise.
+        light: irradiance of the cells per unit power, 1/mm².
+    """
+
+    state: FrameState
+    cost: float
+    light: Float[np.ndarray, "n"]
+
+
 class FrameModel:
     """Models frames on the cells of a window.
 
@@ -349,7 +366,7 @@ class FrameModel:
 
     def linear(self, frame: FrameState, own: np.ndarray) -> Linear:
         """A frame's model at its state."""
-        light, usable = (part.ravel() for part in frame.cells.means(self.window))
+        light, usable, sigma = frame.cells.means(self.window)
         seen = self.beam.irradiance(
             self.window,
             frame.cells.motion,
@@ -365,7 +382,7 @@ class FrameModel:
         value = np.maximum(seen.value, 0.0)
         of_beam = np.concatenate([seen.slopes, seen.bend[None], seen.tails[None]])
         by_gain, uncovered = np.ones(value.size), np.ones(value.size)
-        if frame.saturated:
+        if frame.cells.saturated:
             room, pixel_mm = self._room(frame, ambient), self.beam.scale_mm_px
             value, over, cover, of_beam = covered(value, room, of_beam, pixel_mm=pixel_mm)
             uncovered = 1.0 - cover
@@ -376,9 +393,8 @@ class FrameModel:
         model = np.exp(frame.log_gain) * total
         shaped = frame.blur_px2 / (frame.blur_px2 + _SHAPED_PX2)
         error = np.hypot(_SMEAR * seen.by_motion, _BLURRED * shaped * seen.by_blur) / total
-        weight = self._weight(frame, light, usable, model, error=error)
-        deviation = np.sqrt(frame.cells.variance(np.maximum(light, 0.0))) / self.window.side
-        light = np.maximum(light, np.maximum(deviation, _MIN_SIGNAL))
+        weight = self._weight(frame.cells, usable, model, error=error)
+        light = np.maximum(light, np.maximum(sigma, _MIN_SIGNAL))
         grain = np.zeros((2, total.size)) if self.grain is None else self.grain
         by_beam, by_ambient = of_beam / total, ambient * uncovered / total
         return Linear(
@@ -397,11 +413,19 @@ class FrameModel:
             weight=weight,
         )
 
-    def log_light(self, frame: FrameState, light: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-        """Logarithm of a frame's light over its gain, where the beam's is some before the blur."""
+    def log_lights(
+        self, frames: Sequence[FrameState], lights: Float[np.ndarray, "k n"]
+    ) -> Float[np.ndarray, "k n"]:
+        """Logarithm of frames' light over their gains, where the beam's is some before the blur."""
+        both = zip(frames, lights, strict=True)
+        return np.stack([self._log_light(frame, light) for frame, light in both])
+
+    def _log_light(
+        self, frame: FrameState, light: Float[np.ndarray, "n"]
+    ) -> Float[np.ndarray, "n"]:
         light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
         light, ambient = np.maximum(light, 0.0), math.exp(frame.log_ambient)
-        if frame.saturated:
+        if frame.cells.saturated:
             light, *_ = covered(light, self._room(frame, ambient))
         return np.log(light + ambient)
 
@@ -411,20 +435,44 @@ class FrameModel:
         """Light of the beam that takes a cell to full scale, beside the ambient light."""
         return np.full(COUNT**2, frame.cells.ceiling * math.exp(-frame.log_gain)) - ambient
 
-    def light(self, frame: FrameState, own: np.ndarray) -> Float[np.ndarray, "n"]:
-        """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
-        return self.beam.irradiance_alone(self.lattice(frame.cells.motion), frame.pose, own)
+    def lights(self, frames: Sequence[FrameState], own: np.ndarray) -> Float[np.ndarray, "k n"]:
+        """Irradiance of the cells in frames per unit power, 1/mm², without motion and blur."""
+        irradiance, lattice = self.beam.irradiance_alone, self.lattice
+        lights = [irradiance(lattice(one.cells.motion), one.pose, own) for one in frames]
+        return np.array(lights).reshape(-1, COUNT**2)
 
-    def scanned(self, frame: FrameState, own: np.ndarray) -> tuple[FrameState, float] | None:
-        """A frame with the gain and ambient light that suit its pose, and its cost.
+    def scanned(self, frames: Sequence[FrameState], own: np.ndarray) -> list[Scanned | None]:
+        """A frame at several poses, with the gain and ambient light that suit them.
 
-        None if the beam lights no cell that is usable.
+        None for those in which the beam lights no cell that is usable.
+        """
+        both = zip(frames, self.lights(frames, own), strict=True)
+        suited = [self._suited(frame, light) for frame, light in both]
+        found = [one for one in suited if one is not None]
+        if not found:
+            return [None for _ in frames]
+        cells, models = frames[0].cells, np.stack([model for _, model, _ in found])
+        light, usable, _ = cells.means(self.window)
+        weights = self._weight(cells, usable, models)
+        # Here the texture counts as noise without correlation: this finds starts, not poses.
+        spread = 1.0 / np.where(usable, weights, 1.0) + self.texture.variance
+        residuals = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(models, _MIN_SIGNAL))
+        squares = np.minimum(np.square(residuals) / spread, _MAX_SQUARED_RESIDUAL)
+        costs = iter(np.where(usable, squares, 0.0).sum(axis=-1).tolist())
+        return [
+            None if one is None else Scanned(one[0], next(costs) + one[0].prior.cost, one[2])
+            for one in suited
+        ]
+
+    def _suited(
+        self, frame: FrameState, irradiance: Float[np.ndarray, "n"]
+    ) -> tuple[FrameState, Float[np.ndarray, "n"], Float[np.ndarray, "n"]] | None:
+        """A frame with the gain and ambient light that suit its pose, its model, its irradiance.
 
         Where something hides the spot or casts a shadow on it, it is darker. So the gain is that of
         the brighter cells.
         """
-        light, usable = (part.ravel() for part in frame.cells.means(self.window))
-        irradiance = self.light(frame, own)
+        light, usable, _ = frame.cells.means(self.window)
         lit = usable & (irradiance > 0.5 * irradiance.max(where=usable, initial=_NO_LIGHT))
         if not lit.any():
             return None
@@ -432,60 +480,49 @@ class FrameModel:
         gain = offset = 0.0
         for _ in range(2):
             gain = float(np.quantile((light - offset)[lit] / irradiance[lit], _BRIGHTER))
-            gain *= _START_SATURATION if frame.saturated else 1.0
+            gain *= _START_SATURATION if frame.cells.saturated else 1.0
             offset = float(np.median((light - gain * irradiance)[dim]))
         gain = max(gain, _MIN_SIGNAL)
         ambient = np.clip(offset / gain, 1e-4, _START_AMBIENT)
         suited = replace(frame, log_gain=float(np.log(gain)), log_ambient=float(np.log(ambient)))
         model = np.maximum(irradiance, 0.0)
-        if frame.saturated:
+        if frame.cells.saturated:
             model, *_ = covered(model, self._room(suited, ambient))
-        model = gain * (model + ambient)
-        weight = self._weight(suited, light, usable, model)
-        # Here the texture counts as noise without correlation: this finds starts, not poses.
-        spread = 1.0 / np.where(usable, weight, 1.0) + self.texture.variance
-        residual = np.log(np.maximum(light, _MIN_SIGNAL) / np.maximum(model, _MIN_SIGNAL))
-        squares = np.minimum(np.square(residual) / spread, _MAX_SQUARED_RESIDUAL)
-        return suited, float(np.sum(np.where(usable, squares, 0.0))) + suited.prior.cost
+        return suited, gain * (model + ambient), irradiance
 
     def _weight(
         self,
-        frame: FrameState,
-        light: np.ndarray,
-        usable: np.ndarray,
-        model: np.ndarray,
+        cells: CellLight,
+        usable: Bool[np.ndarray, "n"],
+        model: Float[np.ndarray, "*k n"],
         *,
-        error: np.ndarray | float = 0.0,
-    ) -> np.ndarray:
+        error: Float[np.ndarray, "n"] | float = 0.0,
+    ) -> Float[np.ndarray, "*k n"]:
         """1 over the variances of the cells' log light, by camera, image model and its error."""
+        light, grids = cells.means(self.window).light, model.reshape(-1, COUNT, COUNT)
         # The level is that of both, so that neither a wrong model nor a dark cell has too much
         # weight.
         level = np.maximum(np.sqrt(np.maximum(light, _MIN_SIGNAL) * model), _MIN_SIGNAL)
-        variance = frame.cells.variance(level) / self.window.side**2 / level**2
-        slope = np.hypot(*np.gradient(np.log(model).reshape(COUNT, COUNT))).ravel()
+        variance = cells.variance(level) / self.window.side**2 / level**2
+        slope = np.hypot(*np.gradient(np.log(grids), axis=(1, 2))).reshape(model.shape)
         # Light enters at the bright side of a cell, where the reflectance differs.
         aside = np.minimum(slope / 12.0, 0.5) * self.side_mm
         variance += np.square(error) + _FLOOR**2 + 0.5 * self.texture.variogram(aside)
         # As many pixels as a side is long are cut by a sharp edge, if the cell is one between a
         # brighter and a darker one. Its light is wrong then, and all the more its logarithm.
-        brighter = maximum_filter(model.reshape(COUNT, COUNT), 3).ravel()
-        darker = minimum_filter(model.reshape(COUNT, COUNT), 3).ravel()
+        brighter = maximum_filter(grids, (1, 3, 3)).reshape(model.shape)
+        darker = minimum_filter(grids, (1, 3, 3)).reshape(model.shape)
         step = 2.0 * np.sqrt((brighter - model) * (model - darker))
-        cut = CUT if frame.saturated else self.beam.cut
+        cut = CUT if cells.saturated else self.beam.cut
         variance += np.square(cut * step / level) / self.window.side**3
         return np.where(usable, 1.0 / variance, 0.0)
 
 
-def lit(light: Float[np.ndarray, "n"]) -> Bool[np.ndarray, "n"]:
+def lit(light: Float[np.ndarray, "*k n"]) -> Bool[np.ndarray, "*k n"]:
     """Cells in which a beam's light is above half of its maximum."""
-    return light > 0.5 * light.max()
+    return light > 0.5 * light.max(axis=-1, keepdims=True)
 
 
 def contrast(light: Float[np.ndarray, "n"], frame: FrameState) -> float:
     """A beam's light in a frame over the ambient light, where it is brightest."""
     return float(light.max() / np.exp(frame.log_ambient))
-
-
-def share(light: Float[np.ndarray, "n"], cells: Bool[np.ndarray, "n"]) -> float:
-    """How much of a beam's light falls on some cells."""
-    return float(light[cells].sum() / max(light.sum(), _MIN_SIGNAL))

@@ -12,6 +12,7 @@ edge, and before a pose is known it cannot be distinguished from one at that edg
 are dark well within the spot.
 """
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -64,13 +65,6 @@ class Mix:
         """The mixture's light."""
         return channels @ self.weights.astype(channels.dtype)
 
-    def variance(
-        self, noise: CameraNoise, light: Float[np.ndarray, "*n"]
-    ) -> Float[np.ndarray, "*n"]:
-        """Variance of a pixel's light in the mixture."""
-        of_channels = noise.channel_variance(np.multiply.outer(self.shares, light))
-        return np.tensordot(self.weights**2, of_channels, 1)
-
 
 def evener_mix(
     channels: Float[np.ndarray, "h w c"],
@@ -86,16 +80,13 @@ def evener_mix(
         mix: of that fit, which stays if a channel is dark.
     """
     line, frame = solution.linear[-1], solution.newest
-    light = frame.cells.means(window)[0].ravel()
-    parts, seen = zip(
-        *(
-            CellLight(np.ascontiguousarray(channels[..., c]), usable, np.zeros_like).means(window)
-            for c in range(channels.shape[-1])
-        ),
-        strict=True,
-    )
-    bright = (line.weight > 0) & seen[0].ravel() & (light > _LIT_SHARE * light.max())
-    own = np.stack([part.ravel()[bright] for part in parts])
+    light = frame.cells.means(window).light
+    parts = [
+        CellLight(np.ascontiguousarray(channels[..., c]), usable, np.zeros_like).means(window)
+        for c in range(channels.shape[-1])
+    ]
+    bright = (line.weight > 0) & parts[0].usable & (light > _LIT_SHARE * light.max())
+    own = np.stack([part.light[bright] for part in parts])
     if np.count_nonzero(bright) < _MIN_LIT_CELLS or not own.min() > 0:
         return mix
     residuals = np.log(own) - np.log(light[bright]) + line.residual[bright]
@@ -142,12 +133,11 @@ class Reference:
         cells = CellLight(
             ambient.light(self._channels),
             self._usable,
-            lambda light: ambient.variance(self._noise, light),
+            functools.partial(self._noise.mixture_variance, ambient.weights, ambient.shares),
         )
 
         def known(window: CellWindow) -> tuple[np.ndarray, np.ndarray]:
-            light, usable = (part.ravel() for part in cells.means(window))
-            sigma = np.sqrt(cells.variance(np.maximum(light, 0.0))) / window.side
+            light, usable, sigma = cells.means(window)
             clear = usable & (light > _CLEAR_SIGMAS * sigma)
             if np.count_nonzero(clear) < _MIN_CLEAR_CELLS:
                 return np.zeros((COUNT**2, COUNT**2)), np.zeros(COUNT**2)
@@ -277,7 +267,7 @@ class FramePixels:
         return CellLight(
             mix.light(self.channels),
             self.usable if saturated else self.usable & ~full,
-            lambda light: mix.variance(self.noise, light),
+            functools.partial(self.noise.mixture_variance, mix.weights, mix.shares),
             motion,
             float(mix.weights @ self.ends) if saturated else math.inf,
         )

@@ -28,6 +28,7 @@ from eyespot.estimator.pixels.frame_model import FrameState
 from eyespot.estimator.pixels.frame_pixels import Mix
 from eyespot.estimator.pixels.pose_solver import Kept, PoseSolution, PoseSolver
 from eyespot.formats.spot import Outline
+from eyespot.optics.wall_light.pose_light import beam_at_wall
 
 _STAYS_PX = 0.1
 """Shift of a wall that keeps still; one that moved may move as far again."""
@@ -153,18 +154,14 @@ def _start(
 
     None if it lights nothing there that is seen.
     """
-    prior = (last.log_ambient, _AMBIENT_STAYS)
-    found = []
-    for factor in _OTHER_DISTANCES:
-        axis = last.pose.axis
-        pose = solver.beam.pose(point - factor * last.pose.distance * axis, axis)
-        if pose is not None:
-            frame = replace(
-                last, cells=cells, pose=pose, direction=None, ambient_prior=prior, sweep=sweep
-            )
-            found.append(solver.model.scanned(frame, own))
-    best = min(filter(None, found), key=lambda one: one[1], default=None)
-    return None if best is None else replace(best[0], log_ambient=last.log_ambient)
+    prior, axis = (last.log_ambient, _AMBIENT_STAYS), last.pose.axis
+    distances = [factor * last.pose.distance for factor in _OTHER_DISTANCES]
+    poses = [beam_at_wall(solver.beam.wall, point - d * axis, axis) for d in distances]
+    last = replace(last, cells=cells, direction=None, ambient_prior=prior, sweep=sweep)
+    frames = [replace(last, pose=pose) for pose in poses if pose is not None]
+    found = filter(None, solver.model.scanned(frames, own))
+    best = min(found, key=lambda one: one.cost, default=None)
+    return None if best is None else replace(best.state, log_ambient=last.log_ambient)
 
 
 def _kept(solution: PoseSolution, before: Kept) -> Kept:
@@ -180,6 +177,7 @@ def _kept(solution: PoseSolution, before: Kept) -> Kept:
         for (state, line), (_, old) in zip(kept, before, strict=True)
     ]
     pose, solver = newest[0].pose, solution.solver
+    spot = pose.spot
     apex_mm = solver.beam.apex_mm
     outgrown = (pose.distance + apex_mm) / _OUTGROWN
     if len(kept) > 1 and kept[0][0].pose.distance + apex_mm < outgrown:
@@ -187,7 +185,7 @@ def _kept(solution: PoseSolution, before: Kept) -> Kept:
     radius = 0.5 * COUNT * solver.model.side_mm / REACH[solver.beam.sharp]
     apart = [
         max(
-            float(np.linalg.norm(pose.spot - state.pose.spot)) / radius / _KEYFRAME_SHIFT,
+            float(np.linalg.norm(spot - state.pose.spot)) / radius / _KEYFRAME_SHIFT,
             abs(math.log(pose.distance / state.pose.distance)) / _KEYFRAME_GROWTH,
         )
         for state, _ in kept

@@ -36,7 +36,7 @@ from eyespot.estimator.pixels.frame_model import (
     FrameState,
     Linear,
     RobotMotion,
-    motion_between,
+    robot_motions,
 )
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE
@@ -77,9 +77,22 @@ class PoseSolution:
         """-2 log likelihood of all frames; an outlier has its price, too."""
         return self.solver.deviance(self.cost, self.linear, self.factor)
 
-    def light(self, frame: FrameState) -> Float[np.ndarray, "n"]:
-        """Irradiance of the cells in a frame per unit power, 1/mm², without motion and blur."""
-        return self.solver.model.light(frame, self.own)
+    @functools.cached_property
+    def lights(self) -> Float[np.ndarray, "k n"]:
+        """Irradiance of the cells per unit power, 1/mm², without motion and blur, by frame."""
+        return self.solver.model.lights(self.frames, self.own)
+
+    @functools.cached_property
+    def log_lights(self) -> Float[np.ndarray, "k n"]:
+        """Logarithm of the light over the gain, by frame, see `FrameModel.log_lights`."""
+        return self.solver.model.log_lights(self.frames, self.lights)
+
+    @functools.cached_property
+    def drifts_px(self) -> Float[np.ndarray, "k 2"]:
+        """How far the wall has moved in the image from the map's begin to each frame."""
+        window = self.solver.window
+        motions = [frame.cells.motion for frame in self.frames]
+        return window.middles_after(motions) - window.middle_px
 
     @property
     def chi_squared(self) -> float:
@@ -94,7 +107,7 @@ class PoseSolution:
         total += self.solver.texture_cost(self.texture_map)
         return float(total / max(sum(np.count_nonzero(line.weight) for line in self.linear), 1))
 
-    @property
+    @functools.cached_property
     def newest_covariance(self) -> Float[np.ndarray, "5 5"]:
         """Of the newest pose."""
         return self.newest_states(slice(POSE))
@@ -115,23 +128,22 @@ class PoseSolution:
         newest = self.covariance[at : at + OWN, at : at + OWN]
         return newest[states, states]
 
-    @property
+    @functools.cached_property
     def newest(self) -> FrameState:
         """The newest frame."""
         return self.frames[-1]
 
-    def answer(self, changes: list[Float[np.ndarray, "n"]]) -> Float[np.ndarray, "5"]:
-        """How the newest pose moves if the log light of all frames' cells changes."""
-        weighted = [line.weight * more for line, more in zip(self.linear, changes, strict=True)]
-        texture_map = solved(self.factor, np.sum(weighted, axis=0))
-        pulls, shared = [], np.zeros(len(self.own))
-        for line, pull in zip(self.linear, weighted, strict=True):
-            rest = pull - line.weight * texture_map
-            pulls.append(line.slopes @ rest)
-            shared += line.shared @ rest
+    def answers(self, changes: Float[np.ndarray, "m k n"]) -> Float[np.ndarray, "m 5"]:
+        """How the newest pose moves, by each of some changes of all frames' log light."""
+        weights = np.stack([line.weight for line in self.linear])
+        weighted = changes * weights
+        texture_maps = solved(self.factor, weighted.sum(axis=1).T).T
+        rest = weighted - weights * texture_maps[:, None]
+        pulls = [rest[:, k] @ line.slopes.T for k, line in enumerate(self.linear)]
+        shared = sum(rest[:, k] @ line.shared.T for k, line in enumerate(self.linear))
         at = OWN * (len(self.linear) - 1)
-        states = self.covariance[at : at + OWN] @ np.concatenate([*pulls, shared])
-        return states[:POSE]
+        states = np.concatenate([*pulls, shared], axis=1) @ self.covariance[at : at + POSE].T
+        return np.asarray(states)
 
     def left_out(self, trust: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
         """Residuals of the newest frame's cells against the other data, in standard deviations.
@@ -263,20 +275,20 @@ class PoseSolver:
         change, damping, converged = np.zeros(size), _DAMPING, False
         line = self.model.linear(frame, own) if line is None else line
         lines = [*(line for _, line in kept), line._replace(weight=line.weight * trust)]
-        motions = _motions(frames)
+        motions = robot_motions(frames) if kept else []
         hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
         information = Information(hessian)
-        small = _ROUGH if frame.saturated else _SMALL
+        small = _ROUGH if frame.cells.saturated else _SMALL
         for _ in range(steps):
             # How far the minimum is, the step without damping says: one with it is always short.
             limits = {
                 blur: (-frame.blur_px2, np.inf),  # no image is sharper than sharp
                 blur + 1: (LEAST_KURTOSIS - frame.kurtosis, MOST_KURTOSIS - frame.kurtosis),
             }
-            step = information.solved_within(gradient, 0.0, limits)
+            step, damped = information.solved_within(gradient, (0.0, damping), limits)
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
-                step = information.solved_within(gradient, damping, limits)
+                step = damped
             moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
@@ -295,7 +307,9 @@ class PoseSolver:
                 here = change + step
                 here[OWN * newest : OWN * (newest + 1)] = 0.0
                 then = [*frames[:-1], moved]
-                new_motions = [*motions[:-1], *_motions([frames[0], moved])] if kept else motions
+                new_motions = motions
+                if kept:
+                    new_motions = [*motions[:-1], *robot_motions([frames[0], moved])]
                 new_cost = self._cost(then, trial, new_motions, new_own, here, factor)
             if trial is None or not new_cost <= cost + 1e-9 * abs(cost):
                 if distance < small:
@@ -340,7 +354,7 @@ class PoseSolver:
         frames, lines = [state for state, _ in kept], [line for _, line in kept]
         factor = self._factor(lines)
         change = np.zeros(OWN * len(kept) + len(own))
-        cost = self._cost(frames, lines, _motions(frames), own, change, factor)
+        cost = self._cost(frames, lines, robot_motions(frames), own, change, factor)
         return self.deviance(cost, lines, factor)
 
     def deviance(self, cost: float, lines: list[Linear], factor: Factor) -> float:
@@ -429,7 +443,7 @@ class PoseSolver:
             return None
         if not np.abs(change[[GAIN, AMBIENT]]).max() < 5.0:
             return None
-        pose = self.beam.pose(*frame.pose.moved(change))
+        pose = frame.pose.moved_on(self.beam.wall, change)
         if pose is None:
             return None
         return replace(
@@ -460,12 +474,6 @@ def _shifted(line: Linear, step: np.ndarray, k: int, size: int) -> Linear:
     own = step[OWN * k : OWN * (k + 1)]
     shared = step[size - len(line.shared) :]
     return line._replace(residual=line.residual - own @ line.slopes - shared @ line.shared)
-
-
-def _motions(frames: list[FrameState]) -> list[RobotMotion | None]:
-    """What the robot says of the later frames and the first one."""
-    first, *later = frames
-    return [motion_between((first.pose, first.robot), (one.pose, one.robot)) for one in later]
 
 
 def _motions_after(

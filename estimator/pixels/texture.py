@@ -63,7 +63,7 @@ class TextureVariances:
         decorrelated = 1.0 - _alike(np.asarray(apart_mm))
         return np.asarray(2.0 * np.tensordot(self.variances, decorrelated, axes=1))
 
-    @property
+    @functools.cached_property
     def variance(self) -> float:
         """Of a point's log reflectance."""
         return float(np.sum(self.variances))

@@ -139,7 +139,7 @@ class PixelRanger:
         """Forget the wall, but not what is known of the light."""
         if self._hypotheses:
             first = self._hypotheses[0]
-            self._drift = self._drift + first.drift(first.solution.newest)
+            self._drift = self._drift + first.solution.drifts_px[-1]
         self._hypotheses = []
 
     def distance(

@@ -59,6 +59,10 @@ class BeamFrame(NamedTuple):
         spot = self.spot + change[0] * self.right + change[1] * self.down
         return spot - (self.distance + change[2]) * axis, axis
 
+    def moved_on(self, wall: optics.Surface, change: Float[np.ndarray, "5"]) -> "BeamFrame | None":
+        """The beam after a change; None if it meets no wall ahead of the tip any more."""
+        return beam_at_wall(wall, *self.moved(change))
+
 
 class Steps(NamedTuple):
     """Places of a beam that moves, relative to a pose.

@@ -20,7 +20,6 @@ from eyespot.formats.inputs import InputError
 from eyespot.optics.viewing.projection import PathCamera, coaxial_falloff
 from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.scene_keys import GAUGE_DIAMETER_MM, Phantom
-from eyespot.scenes.rendering.loaded_scene import rigid_transform
 from eyespot.scenes.walls.picture import PICTURE_MM, PICTURE_PX, wall_picture
 from eyespot.scenes.world.world import World
 
@@ -107,7 +106,7 @@ def wall(world: World) -> Any:
     surface = _surface(scene, reflectance)
     if scene.phantom.kind == "plane":
         pole = world.wall.frame_at(eccentricity=0.0, azimuth=0.0)
-        place = rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
+        place = _rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
         half = np.diag([PICTURE_MM / 2, PICTURE_MM / 2, 1.0, 1.0])
         to_world = mi.ScalarTransform4f(place @ half)
         return {"type": "rectangle", "to_world": to_world, "bsdf": surface}
@@ -246,6 +245,14 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     }
 
 
+def _rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Rigid transform, 4 x 4, that maps the origin to `origin` and +z to `direction`."""
+    first, second = (np.asarray(v) for v in optics.perpendicular_frame(direction))
+    matrix = np.eye(4)
+    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = first, second, direction, origin
+    return matrix
+
+
 def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray], None]:
     """Function that moves the tip and axis of a loaded scene."""
     parameters = mi.traverse(mitsuba_scene)
@@ -253,7 +260,7 @@ def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray]
     def move(tip: np.ndarray, axis: np.ndarray) -> None:
         values = {"source.tip": mi.Point3f(tip), "source.axis": mi.Vector3f(axis)}
         if scene.instrument.visible:
-            values["instrument.to_world"] = mi.Transform4f(rigid_transform(tip, axis))
+            values["instrument.to_world"] = mi.Transform4f(_rigid_transform(tip, axis))
         parameters.update(values)
 
     return move
@@ -319,7 +326,7 @@ def _second_tool(scene: Scene) -> dict[str, Any]:
         [across * math.cos(azimuth), across * math.sin(azimuth), math.cos(polar)]
     )
     inwards = np.array(tool.tip_mm) - trocar
-    place = rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
+    place = _rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
     radius = GAUGE_DIAMETER_MM[tool.gauge] / 2
     return {
         "tool_shapes": _rods(("tool", radius, -_SHAFT_MM, 0.0, _SHAFT_REFLECTANCE)),

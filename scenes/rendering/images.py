@@ -10,6 +10,7 @@ from eyespot.scenes.description.scene import Scene
 from eyespot.scenes.description.scene_keys import SceneError
 from eyespot.scenes.machine.variant import load_mitsuba
 from eyespot.scenes.world.exposure import uniform_irradiance
+from eyespot.scenes.world.motion import Poses
 from eyespot.scenes.world.world import Moment, World
 
 # Far below the eye and pointing away: the tip is not visible, and its beam lights nothing.
@@ -50,7 +51,8 @@ class Images:
     def __init__(self, world: World, *, variant: str) -> None:
         scene = world.scene
         self._mi = variant_for(scene, variant)
-        from eyespot.scenes.rendering import build, reach  # Mitsuba's plugins need the variant
+        # Mitsuba's plugins need the variant.
+        from eyespot.scenes.rendering import build, loaded_scene, reach
 
         self.world = world
         uniform = uniform_irradiance(world)
@@ -58,6 +60,7 @@ class Images:
         self.mitsuba_scene = self._mi.load_dict(content)
         self._move = build.mover(scene, self.mitsuba_scene)
         self._unsettle = reach.unsettler(world, self.mitsuba_scene, uniform=uniform)
+        self._still, self._shifts = scene.unrest.still, scene.unrest.shifts
         self._reflexes = self._reflexes_at(np.zeros(2))
         self.random = (
             scene.source.kind == "photons"
@@ -66,11 +69,14 @@ class Images:
         )
         # Scalar variants cannot render arrays of pixels.
         self._in_arrays = not (self.random or variant.startswith("scalar"))
+        # A cone has a sharp edge, and each sample of it the mean over a square.
+        smooth, samples = scene.source.kind == "lens", scene.microscope.samples
+        self._pixels = loaded_scene.pixel_means(self.mitsuba_scene, samples=samples, smooth=smooth)
         self._reach = None
-        if scene.unrest.still and self._in_arrays:
+        if self._still and self._in_arrays:
             self._move(PARKED_MM, DOWN)
-            self._still = self._whole_image(seed=0)
-            self._reach = reach.Reach(world, self.mitsuba_scene, wall=self._still[1])
+            self._unlit = self._whole_image(seed=0)
+            self._reach = reach.Reach(world, self.mitsuba_scene, wall=self._unlit[1])
 
     @property
     def by_colour(self) -> list["Images"]:
@@ -95,18 +101,25 @@ class Images:
         if self._reach is None:
             radiance, wall = self._whole_image(seed)
         else:
-            radiance, wall = (still.copy() for still in self._still)
+            radiance, wall = (part.copy() for part in self._unlit)
             pixels = self._reach.pixels(tip=tip, axis=axis)
             radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
         reflexes = self._reflexes
-        if moment is not None and self.world.scene.unrest.shifts:
+        if moment is not None and self._shifts:
             reflexes = self._reflexes_at(moment.view_px)
         return (radiance if reflexes is None else radiance + reflexes), wall
+
+    def mean(self, poses: Poses, moments: Sequence[Moment], seeds: Sequence[int]) -> np.ndarray:
+        """Mean radiance of the images of some poses, see `at`."""
+        total = np.zeros(1)
+        for tip, axis, moment, seed in zip(*poses, moments, seeds, strict=True):
+            total = total + self.at(tip=tip, axis=axis, seed=seed, moment=moment)[0]
+        return total / np.float32(len(seeds))
 
     def place(self, *, tip: np.ndarray, axis: np.ndarray, moment: Moment | None = None) -> None:
         """Bring the loaded scene into the state of one pose; see `at`."""
         self._move(tip, axis)
-        if moment is not None and not self.world.scene.unrest.still:
+        if moment is not None and not self._still:
             self._unsettle(moment)
 
     def _reflexes_at(self, view_px: np.ndarray) -> np.ndarray | None:
@@ -114,14 +127,6 @@ class Images:
         if self.world.reflections is None:
             return None
         return self.world.reflections.image(view_px)[..., None].astype(np.float32)
-
-    def _pixels(self, pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        from eyespot.scenes.rendering.loaded_scene import pixel_means
-
-        # A cone has a sharp edge, and each sample of it the mean over a square.
-        smooth = self.world.scene.source.kind == "lens"
-        samples = self.world.scene.microscope.samples
-        return pixel_means(self.mitsuba_scene, pixels, samples=samples, smooth=smooth)
 
     def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
         if self._in_arrays:
@@ -161,6 +166,11 @@ class ColourImages:
         seen = [own.at(tip=tip, axis=axis, seed=seed, moment=moment) for own in self.by_colour]
         radiance = np.stack([image[..., k] for k, (image, _) in enumerate(seen)], axis=-1)
         return radiance, seen[1][1]
+
+    def mean(self, poses: Poses, moments: Sequence[Moment], seeds: Sequence[int]) -> np.ndarray:
+        """Mean radiance of the images of some poses, as `Images.mean`."""
+        seen = [own.mean(poses, moments, seeds) for own in self.by_colour]
+        return np.stack([image[..., k] for k, image in enumerate(seen)], axis=-1)
 
 
 def images_of(world: World, *, variant: str) -> Images | ColourImages:

@@ -1,31 +1,16 @@
-"""A loaded Mitsuba scene: its wall, and radiance along lines of sight, in pixels and within them.
+"""Radiance of a loaded Mitsuba scene: along lines of sight, in pixels and within them.
 
 Import after `load_mitsuba`. Pixels and places within pixels lie on a regular grid.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-
-from eyespot import optics
-
-
-def rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rigid transform, 4 x 4, that maps the origin to `origin` and +z to `direction`."""
-    first, second = (np.asarray(v) for v in optics.perpendicular_frame(direction))
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = first, second, direction, origin
-    return matrix
-
-
-def wall_shape(mitsuba_scene: Any) -> Any:
-    """The wall of a Mitsuba scene."""
-    return next(shape for shape in mitsuba_scene.shapes() if shape.id() == "wall")
 
 
 def radiance_along(mitsuba_scene: Any, *, start: np.ndarray, direction: np.ndarray) -> np.ndarray:
@@ -57,11 +42,10 @@ def _seen_at(mitsuba_scene: Any, place: Any) -> tuple[Any, Any]:
     return light * part, seen[0]
 
 
-@dr.syntax
 def pixel_means(
-    mitsuba_scene: Any, pixels: np.ndarray, *, samples: int, smooth: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means of radiance over pixels, by samples on a square grid.
+    mitsuba_scene: Any, *, samples: int, smooth: bool
+) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
+    """Function of n pixels' indices: means of radiance over them, by samples on a square grid.
 
     On an even grid the values are those of `mi.render` with a box filter and a stratified sampler
     without jitter. The squares that its n x n samples stand for lie within the pixel, so it suits
@@ -72,28 +56,41 @@ def pixel_means(
 
     Args:
         mitsuba_scene: a scene with `SpotIntegrator`.
-        pixels: indices of n pixels, counted along rows from the top left.
         samples: samples per pixel, rounded up to a square as in Mitsuba's sampler.
         smooth: whether the samples are spread like that.
 
     Returns:
-        Radiance, n x 3, and the fraction of each pixel that shows the wall, n.
+        The function. It takes indices that count along rows from the top left, and gives the
+        radiance, n x 3, and the fraction of each pixel that shows the wall, n.
     """
     side = math.isqrt(samples - 1) + 1
-    index, width = mi.UInt32(pixels), mitsuba_scene.sensors()[0].film().size()[0]
-    middle = mi.Vector2f(index % width, index // width) + 0.5
     apart = 1 / math.sqrt(side**2 - 1) if smooth and side > 1 else 1 / side
-    radiance, wall = dr.zeros(mi.Color3f, pixels.size), dr.zeros(mi.Float, pixels.size)
-    sample = mi.UInt32(0)
+
+    # So Python traces the plugins once for all poses, which is a fifth of a pose's time. Numbers of
+    # the plugins that no pose changes are constants of the recording, which serves one scene.
+    recorded = dr.freeze(_means)
+
+    def means(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        radiance, wall = recorded(mitsuba_scene, mi.UInt32(pixels), side, apart)
+        return np.array(radiance).T, np.array(wall)
+
+    return means
+
+
+@dr.syntax
+def _means(mitsuba_scene: Any, index: Any, side: int, apart: float) -> tuple[Any, Any]:
+    """Mean radiance of pixels by side x side samples, and the mean of where the wall is seen."""
+    width = mitsuba_scene.sensors()[0].film().size()[0]
+    middle = mi.Vector2f(index % width, index // width) + 0.5
+    wall = mi.Float(index) * 0
+    radiance, sample = mi.Color3f(wall), mi.UInt32(0)
     while sample < side * side:
         place = middle + apart * (mi.Vector2f(sample % side, sample // side) + 0.5 - side / 2)
         light, seen = _seen_at(mitsuba_scene, place)
         radiance += light
         wall += seen
         sample += 1
-    colours, part = dr.ravel(radiance / side**2), wall / side**2
-    dr.eval(colours, part)  # in one kernel
-    return np.array(colours).reshape(-1, 3), np.array(part)
+    return radiance / side**2, wall / side**2
 
 
 def fine_image(

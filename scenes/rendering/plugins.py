@@ -12,7 +12,6 @@ import drjit as dr
 import mitsuba as mi
 
 from eyespot import optics
-from eyespot.scenes.rendering.loaded_scene import wall_shape
 from eyespot.scenes.rendering.photons import Glass
 
 # float32 does not resolve the direction between two wall points nearer than this. Ignoring such
@@ -153,6 +152,11 @@ class LensEmitter(_PointEmitter):
             self.tip + frame.to_world(mi.Vector3f(ray.o)), frame.to_world(ray.d), time
         )
         return placed, mi.Color3f(self.power) & out & active
+
+
+def wall_shape(mitsuba_scene):
+    """The wall of a Mitsuba scene."""
+    return next(shape for shape in mitsuba_scene.shapes() if shape.id() == "wall")
 
 
 class SpotIntegrator(mi.SamplingIntegrator):

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from eyespot.scenes.description.scene_keys import GAUGE_DIAMETER_MM
-from eyespot.scenes.rendering.loaded_scene import wall_shape
+from eyespot.scenes.rendering.plugins import wall_shape
 from eyespot.scenes.world.world import Moment, World
 
 

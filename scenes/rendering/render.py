@@ -146,14 +146,10 @@ class Renderer:
     ) -> np.ndarray:
         """Mean radiance at the middles of some of `count` equal parts of a frame's exposure."""
         times = exposure_s * ((np.array(parts) + 0.5) / count - 0.5) + self.world.times[frame]
-        poses = self.world.motion.at(times)
-        total = np.zeros(1)
-        for part, time, tip, axis in zip(parts, times, *poses, strict=True):
-            # Light that is sampled randomly needs a different seed in every sub-frame.
-            seed = frame + (count + part) * self.world.times.size
-            moment = self.world.unrest.at(frame, time)
-            total = total + self.images.at(tip=tip, axis=axis, seed=seed, moment=moment)[0]
-        return total / np.float32(len(parts))
+        # Light that is sampled randomly needs a different seed in every sub-frame.
+        seeds = [frame + (count + part) * self.world.times.size for part in parts]
+        moments = self.world.unrest.during(frame, times)
+        return self.images.mean(self.world.motion.at(times), moments, seeds)
 
     def _shift(self, frame: int, exposure_s: float) -> tuple[float, float, float]:
         """Motion of the spot's contour and of the tip's image during an exposure, px.
@@ -213,8 +209,8 @@ class Renderer:
         times = self.world.times[frame] + exposure_s * places
         usable = wall.reflectance > _LEAST_REFLECTANCE
         lit = np.zeros_like(wall.unlit)
-        for time, tip, axis in zip(times, *self.world.motion.at(times), strict=True):
-            pose = tip, axis, self.world.unrest.at(frame, time)
+        moments = self.world.unrest.during(frame, times)
+        for pose in zip(*self.world.motion.at(times), moments, strict=True):
             seen = self._fine(wall.window, wall.factor, pose)
             usable &= ~np.isnan(seen)
             lit += seen

@@ -62,6 +62,10 @@ class UnrestPath:
         view = self._shake[frame] + time * self._drift
         return Moment(view, time * self._rate, float(self._power[frame]))
 
+    def during(self, frame: int, times: np.ndarray) -> list[Moment]:
+        """The states at several times of a frame's exposure, s."""
+        return [self.at(frame, time) for time in times]
+
     def views(self, times: np.ndarray) -> np.ndarray:
         """Shifts of the image at the middles of all frames' exposures, n x 2, px."""
         return self._shake + times[:, None] * self._drift

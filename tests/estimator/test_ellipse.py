@@ -22,7 +22,7 @@ angles = st.floats(-math.pi / 2 + 1e-3, math.pi / 2 - 1e-3)
 
 @given(minor=axes, ratio=st.floats(1.01, 3), angle=angles)
 def test_axes_and_angle_come_back(minor, ratio, angle):
-    a, b, back = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle).axes()
+    a, b, back = AffineEllipse.from_axes(3, 4, minor * ratio, minor, angle).axes
     # float64 through squares of lengths: 1e-9 relative, the angle divided by the axes' difference.
     assert a == pytest.approx(minor * ratio, rel=1e-9)
     assert b == pytest.approx(minor, rel=1e-9)
@@ -31,7 +31,7 @@ def test_axes_and_angle_come_back(minor, ratio, angle):
 
 def test_vertical_major_axis_has_angle_plus_half_pi():
     for angle in (math.pi / 2, -math.pi / 2):
-        assert AffineEllipse.from_axes(0, 0, 2, 1, angle).axes()[2] == pytest.approx(math.pi / 2)
+        assert AffineEllipse.from_axes(0, 0, 2, 1, angle).axes[2] == pytest.approx(math.pi / 2)
 
 
 def _radius(ellipse: AffineEllipse, about: AffineEllipse) -> np.ndarray:
@@ -72,7 +72,7 @@ def test_refit_of_exact_points_is_exact():
     points = truth.centre + (truth.shape @ np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])).T
     found = refitted(start, points)
     np.testing.assert_allclose(found.centre, truth.centre, atol=1e-6)
-    np.testing.assert_allclose(found.axes(), truth.axes(), atol=1e-6)
+    np.testing.assert_allclose(found.axes, truth.axes, atol=1e-6)
 
 
 def test_covariance_of_axes_is_the_step_covariance_propagated():
@@ -86,7 +86,7 @@ def test_covariance_of_axes_is_the_step_covariance_propagated():
     samples = []
     for step in steps:
         moved = ellipse.stepped(step)
-        samples.append([*moved.centre, *moved.axes()])
+        samples.append([*moved.centre, *moved.axes])
     predicted = covariance_of_axes(ellipse, root @ root.T)
     sampled = np.cov(np.array(samples).T)
     scale = np.sqrt(np.outer(predicted.diagonal(), predicted.diagonal()))

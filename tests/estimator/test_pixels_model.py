@@ -27,7 +27,12 @@ from eyespot.estimator.pixels.tracker import _like
 from eyespot.formats.spot import Outline
 from eyespot.optics.wall_light.cells import square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
-from eyespot.optics.wall_light.pose_light import BeamFrame, Steps, irradiance_and_slopes
+from eyespot.optics.wall_light.pose_light import (
+    BeamFrame,
+    Steps,
+    beam_at_wall,
+    irradiance_and_slopes,
+)
 from tests.support.drawn.made_up import a_microscope
 
 HALF_ANGLE, APEX, SCALE = math.atan(1 / 20), -5.117, 0.0067
@@ -108,7 +113,9 @@ def test_cells_with_an_unusable_pixel_and_cells_outside_of_the_image_are_left_ou
     usable = np.ones((200, 200), bool)
     usable[57, 83] = False
     cells = CellLight(np.full((200, 200), 0.25), usable, np.zeros_like)
-    light, kept = cells.means(CellWindow(left=40, top=30, side=7))
+    light, kept, _ = (
+        part.reshape(COUNT, COUNT) for part in cells.means(CellWindow(left=40, top=30, side=7))
+    )
     assert not kept[(57 - 30) // 7, (83 - 40) // 7]
     assert not kept[-1].any()  # 30 + 26 * 7 = 212 px
     assert np.count_nonzero(~kept[:24, :22]) == 1
@@ -241,7 +248,7 @@ def cone_beam(*, sharp):
         pinhole_height_mm=math.inf,
     )
     beam = BeamLight(CONE, microscope, np.zeros((2, 0)), sharp=sharp)
-    return beam, beam.pose(np.array([-0.28, -0.18, -8.5]), AXIS)
+    return beam, beam_at_wall(beam.wall, np.array([-0.28, -0.18, -8.5]), AXIS)
 
 
 def test_a_beam_that_lights_nothing_of_the_window_suits_no_frame():
@@ -253,7 +260,8 @@ def test_a_beam_that_lights_nothing_of_the_window_suits_no_frame():
     for below, lit in ((0.0, True), (500.0, False)):
         window = CellWindow.around(CENTRE + np.array([0.0, below]), 60.0)
         model = FrameModel(beam, window, TextureVariances.usual())
-        assert (model.scanned(frame, NONE) is not None) == lit
+        (found,) = model.scanned([frame], NONE)
+        assert (found is not None) == lit
 
 
 @pytest.mark.parametrize("blur_px2", [0.1, 0.2499, 0.2501, 0.5])

@@ -62,7 +62,7 @@ def test_four_samples_make_no_image_sharper_than_hundreds_do(renderer):
     def image(samples: int) -> np.ndarray:
         rows, columns = np.mgrid[120:360, 180:460]  # around the spot
         pixels = (640 * rows + columns).astype(np.uint32).ravel()
-        radiance, _ = pixel_means(renderer.mitsuba_scene, pixels, samples=samples, smooth=True)
+        radiance, _ = pixel_means(renderer.mitsuba_scene, samples=samples, smooth=True)(pixels)
         return radiance[:, 0].reshape(rows.shape)
 
     few, many = image(4), image(256)
