@@ -72,7 +72,6 @@ def without_tool(picture: FramePixels, beam: BeamLight, pose: BeamFrame) -> Fram
 
 _UNDECIDED_DIFFERENCE = 16.0
 """Difference of -2 log likelihoods that keeps a second pose possible: four standard deviations."""
-_ONE_POSE_SIGMAS = 3.0  # standard deviations within which two poses are one
 _SHAKE_DECAY = 0.9  # the share of the shake that is expected to last until the next frame
 MOVES_ON_PX = 4.0
 """Motion of the wall from frame to frame above which it moves on; a microscope shakes by 1 or 2."""
@@ -149,14 +148,6 @@ class Hypothesis:
             _DRIFTED_PX, _SURELY * math.sqrt(variance)
         )
 
-    def differs(self, other: "Hypothesis") -> bool:
-        """Whether the newest pose is another one."""
-        mine, its = self.solution.newest.pose, other.solution.newest.pose
-        turned = mine.axis - its.axis
-        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
-        sigmas = np.sqrt(np.diag(other.solution.newest_covariance))[2:]
-        return bool((np.abs(change) > _ONE_POSE_SIGMAS * sigmas).any())
-
 
 def lit_px2(solution: PoseSolution) -> float:
     """Area of the window's wall that any frame of a solution lights."""
@@ -172,7 +163,7 @@ def distinct(hypotheses: list[Hypothesis]) -> list[Hypothesis]:
     kept = [best]
     for hypothesis in others:
         near = hypothesis.solution.deviance - best.solution.deviance < _UNDECIDED_DIFFERENCE
-        if near and all(hypothesis.differs(other) for other in kept):
+        if near and all(hypothesis.solution.differs(other.solution) for other in kept):
             kept.append(hypothesis)
     return kept
 
@@ -308,6 +299,9 @@ def explained_alone(
     mirrored = mirrored_start(solver, best.frames[0], own)
     if mirrored is not None:
         found.append(robust_fit(solver, [], mirrored, own, steps=_STEPS_FIRST)[0])
+    # Several starts may lead to one pose.
+    found.sort(key=lambda one: one.deviance)
+    found = [one for k, one in enumerate(found) if all(map(one.differs, found[:k]))]
     # Again with this wall's texture, in the channels in which it has the least.
     usable = picture.usable & ~window.pixels(outliers(best), picture.usable.shape)
     picture = replace(picture, usable=usable)

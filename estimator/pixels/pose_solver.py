@@ -43,6 +43,7 @@ from eyespot.optics.wall_light.pose_light import POSE
 
 Kept = list[tuple[FrameState, Linear]]
 """Earlier frames with their models, which are fitted again with each new one."""
+_ONE_POSE_SIGMAS = 3.0  # standard deviations within which two poses are one
 Factor = tuple[np.ndarray, bool]
 """A Cholesky factor, as `scipy.linalg.cho_factor` has it."""
 
@@ -132,6 +133,14 @@ class PoseSolution:
     def newest(self) -> FrameState:
         """The newest frame."""
         return self.frames[-1]
+
+    def differs(self, other: "PoseSolution") -> bool:
+        """Whether the newest pose is another one."""
+        mine, its = self.newest.pose, other.newest.pose
+        turned = mine.axis - its.axis
+        change = np.array([mine.distance - its.distance, turned @ its.first, turned @ its.second])
+        sigmas = np.sqrt(np.diag(other.newest_covariance))[2:]
+        return bool((np.abs(change) > _ONE_POSE_SIGMAS * sigmas).any())
 
     def answers(self, changes: Float[np.ndarray, "m k n"]) -> Float[np.ndarray, "m 5"]:
         """How the newest pose moves, by each of some changes of all frames' log light."""
