@@ -137,7 +137,7 @@ def write_card(labelled: LabelledSet) -> None:
         (*about, *np.quantile(labels[column], [0.0, 0.5, 1.0]))
         for column, about in QUANTITIES.items()
     ]
-    asked = asked_and_drawn(labelled)
+    parameters, pairs = asked_and_drawn(labelled)
     histograms(labels, labelled.folder / "histograms.png")
     samples(images, labelled.folder / "samples.png")
     text = (
@@ -153,8 +153,8 @@ def write_card(labelled: LabelledSet) -> None:
             ranges=ranges,
             bounded="bound_semi_minor_px" in labels,
             varied=sorted(labelled.stacks[0].parameters),
-            parameters=page.rows_of(asked.parameters),
-            pairs=page.rows_of(asked.pairs),
+            parameters=page.rows_of(parameters),
+            pairs=page.rows_of(pairs),
             left_out=labelled.description.get("left_out", []),
         )
     )

@@ -139,14 +139,14 @@ def test_the_card_says_which_combinations_are_missing():
         if lens == "b" or tilt < 20
     ]
     names: dict[str, Any] = {"name": "x", "licence": "y", "description": {"spec": {"vary": vary}}}
-    found = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
-    tilt, lens = found.parameters.itertuples(index=False)
+    parameters, pairs = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
+    tilt, lens = parameters.itertuples(index=False)
     assert (tilt.asked, tilt.drawn) == ("uniform, 0 to 40", "0.5 to 39.5")
     # Of 60 stacks 40 tilt by less than 20 degrees, half of the interval; a step is 1/60.
     assert tilt.difference == pytest.approx(40 / 60 - 0.5, abs=1 / 60)
     assert lens.drawn == "a: 20, b: 40"
     assert lens.difference == pytest.approx(2 / 3 - 1 / 2)
-    (pair,) = found.pairs.itertuples(index=False)
+    (pair,) = pairs.itertuples(index=False)
     assert (pair.cell, pair.asked, pair.drawn) == ("20 to 40 with a", 0.25, 0.0)
 
 
