@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullLocator
 
-from eyespot.formats.report_page import PALETTE, templates
+from eyespot.formats.report_page import PALETTE, UNITS, templates, unit_at_end
 from eyespot.formats.report_page import STYLE as STYLE_OF_FITS
 
 # Style, small multiples and files of figures.
@@ -232,14 +232,6 @@ class Column(NamedTuple):
         return number(value * self.scale, self.digits)
 
 
-_UNITS = {
-    "_mm_px": "mm/px",
-    "_mm_s": "mm/s",
-    "_s": "s",
-    "_mm": "mm",
-    "_px": "px",
-    "_deg": "°",
-}
 _SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} | {
     "numerical aperture": "NA"
 }
@@ -247,8 +239,8 @@ _SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} 
 
 def column_of(name: str, values: pd.Series) -> Column:
     """A column headed as in its CSV file, with four digits of its largest value."""
-    unit = next((unit for unit in _UNITS if name.endswith(unit)), "")
-    heading = name.removesuffix(unit).replace("_", " ")
+    unit = unit_at_end(name)
+    heading = name.removesuffix(f"_{unit}").replace("_", " ")
     for words, symbol in _SYMBOLS.items():
         heading = heading.replace(words, symbol)
     digits = 0
@@ -258,7 +250,7 @@ def column_of(name: str, values: pd.Series) -> Column:
             digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 6))
             while digits and (sizes.round(digits) == sizes.round(digits - 1)).all():
                 digits -= 1
-    return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
+    return Column(f"{heading}, {UNITS[unit]}" if unit else heading, digits)
 
 
 class Table:
