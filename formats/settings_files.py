@@ -125,9 +125,11 @@ def _siblings(model: type[BaseModel], location: Sequence[int | str]) -> list[str
     """The known keys of the table that contains a key."""
     for part in location[:-1]:
         field = model.model_fields.get(str(part))
-        if field is None or not isinstance(field.default, BaseModel):
+        kinds = (type(field.default), *get_args(field.annotation)) if field else ()
+        tables = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+        if not tables:
             return []
-        model = type(field.default)
+        model = tables[0]
     return [field.alias or name for name, field in model.model_fields.items()]
 
 

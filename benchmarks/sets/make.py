@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
@@ -43,7 +43,6 @@ from eyespot.benchmarks.sets.spec import (
     draw,
     impossible_report,
     load_spec,
-    refuse_impossible,
 )
 from eyespot.benchmarks.sets.workers import cores, local_workers, running_scheduler
 from eyespot.estimator.run.options import OUT
@@ -103,17 +102,8 @@ _USUAL_LEVEL = 0.1
 """Mean level of an image over full scale: little of it is lit."""
 
 
-class CostEstimate(NamedTuple):
-    """Expected cost of a set without its data card."""
-
-    stacks: int
-    images: int
-    size_bytes: float
-    processor_s: float
-
-
-def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
-    """Number and size of a set's images, and the processor time of usual ones.
+def estimate(planned: Sequence[PlannedStack]) -> tuple[int, float, float]:
+    """Number and bytes of a set's images, and the processor time of usual ones, s.
 
     Traced light, bounds and colours with their own lines of sight take longer.
     """
@@ -125,7 +115,7 @@ def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
         images += count
         size += count * _PNG_EXCESS * scenes.noise_bytes(scene, level=_USUAL_LEVEL)
         seconds += _START_S + count * _IMAGE_S * pixels * microscope.samples / (640 * 480 * 4)
-    return CostEstimate(len(planned), images, size, seconds)
+    return images, size, seconds
 
 
 # Uploads a set to a repository of the Hugging Face Hub.
@@ -206,11 +196,10 @@ def make_set(
         SetError: `out` contains something else.
         InputError: the disk has too little space.
         OSError: the disk is full or cannot be written; what is done is kept.
-        SceneError: see `refuse_impossible`.
+        SceneError: see `draw`.
     """
     out = Path(out).absolute()
     drawn = draw(spec, scenes.check_scene)
-    refuse_impossible(spec, drawn)
     if drawn.impossible:
         say(f"Left out: {impossible_report(drawn)}")
     planned = drawn.stacks
@@ -420,15 +409,14 @@ def make(
     count = workers or cores()
     if dry_run:
         drawn = draw(settings, scenes.check_scene)
-        refuse_impossible(settings, drawn)
         if drawn.impossible:
             print(f"Left out: {impossible_report(drawn)}")
-        found = estimate(drawn.stacks[part - 1 :: parts])
-        processor, wall = duration(found.processor_s), duration(found.processor_s / count)
+        share = drawn.stacks[part - 1 :: parts]
+        images, size, seconds = estimate(share)
         print(
-            f"{found.images:,} images in {found.stacks:,} stacks, "
-            f"{decimal(round(found.size_bytes))}, about {processor} of processor time, {wall} with "
-            f"{count} workers on one core each."
+            f"{images:,} images in {len(share):,} stacks, {decimal(round(size))}, about "
+            f"{duration(seconds)} of processor time, {duration(seconds / count)} with {count} "
+            "workers on one core each."
         )
         return
     if out is None:

@@ -32,7 +32,7 @@ from eyespot.formats.inputs import (
     read_toml,
     shortened,
 )
-from eyespot.formats.settings_files import parsed_change, problem_sentence
+from eyespot.formats.settings_files import parsed_change, problems_of
 from eyespot.scenes import Scene, SceneError, changed
 from eyespot.scenes.description.scene_keys import OutsideWindow
 
@@ -278,19 +278,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
-        problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
-        raise SpecError(at_most_three(problems)) from error
-
-
-def _sentence(problem: Any) -> str:
-    path = [str(part) for part in problem["loc"]]
-    return problem_sentence(problem, path, siblings=lambda: _siblings(path[:-1]))
-
-
-def _siblings(path: list[str]) -> list[str]:
-    tables: dict[str, type[BaseModel]] = {"splits": Splits, "adverse": Adverse, "unseen": Unseen}
-    model = tables.get(".".join(path), SetSpec)
-    return [field.alias or name for name, field in model.model_fields.items()]
+        raise SpecError(problems_of(error, where, SetSpec)) from error
 
 
 # From a spec to the scenes of all stacks, spread evenly over the distributions.
@@ -339,27 +327,9 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
     """The stacks of a set, in order, without those that the spec leaves out.
 
     Raises:
-        SceneError: as `draw`; or a scene is impossible and the spec does not leave such out.
+        SceneError: as `draw`.
     """
-    drawn = draw(spec, check)
-    refuse_impossible(spec, drawn)
-    return drawn.stacks
-
-
-def refuse_impossible(spec: SetSpec, drawn: Draw) -> None:
-    """Refuse a set that would not be distributed as its spec says.
-
-    Raises:
-        SceneError: how many scenes fail which condition, and the window that shows all spots.
-    """
-    if drawn.impossible and not drawn.stacks:
-        raise SceneError(impossible_report(drawn))
-    if drawn.impossible and spec.impossible == "refuse":
-        raise SceneError(
-            f"{impossible_report(drawn)} A set without them would not be distributed as its spec "
-            'says. Narrow [vary], or write impossible = "leave out"; the data card then shows what '
-            "is missing."
-        )
+    return draw(spec, check).stacks
 
 
 def impossible_report(drawn: Draw) -> str:
@@ -401,6 +371,8 @@ def draw(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
 
     Raises:
         InputError: too many stacks.
+        SceneError: a scene is impossible, and the spec does not leave such out, or all are: how
+            many fail which condition, and the window that shows all spots.
     """
     groups: list[tuple[str, str | None, int, dict[str, Any]]] = [
         (split, None, count, {}) for split, count in spec.splits
@@ -450,6 +422,14 @@ def draw(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
             except SceneError as problem:
                 values = {key: value for of in own for key, value in of.items() if key in labelled}
                 found.impossible.append(ImpossibleStack(split, name, values, problem))
+    if found.impossible and not found.stacks:
+        raise SceneError(impossible_report(found))
+    if found.impossible and spec.impossible == "refuse":
+        raise SceneError(
+            f"{impossible_report(found)} A set without them would not be distributed as its spec "
+            'says. Narrow [vary], or write impossible = "leave out"; the data card then shows what '
+            "is missing."
+        )
     return found
 
 
