@@ -102,48 +102,18 @@ def limit_lines(axes: Axes, limit: float) -> None:
         axes.axhline(end, color=VERMILION, lw=0.8, ls="--")
 
 
-class CutOut(NamedTuple):
-    """A part of an image around a spot, with the true ellipse and the measured one.
+def draw_spots(
+    axes: Axes, image: np.ndarray, bits: int, *spots: tuple[Sequence[float], dict[str, Any]]
+) -> None:
+    """Draw an image with ellipses, each with its look; of more than 8 bits without the lowest ones.
 
-    Ellipses are x, y, semi-major and semi-minor axis (px) and angle (rad); `half` is half of the
-    side of the part, px.
+    Ellipses are x, y, semi-major and semi-minor axis (px) and angle (rad).
     """
-
-    image: np.ndarray
-    half: int
-    true: Sequence[float]
-    measured: Sequence[float]
-    caption: str
-
-
-def cut_outs(shown: Sequence[CutOut]) -> Figure:
-    """Parts of images side by side; the true ellipses are white, the measured ones blue."""
-    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN / len(shown) + 0.3), layout="constrained")
-    axes = figure.subplots()
-    for n, one in enumerate(shown):
-        left, top = (round(place) - one.half for place in one.true[:2])
-        side = 2 * one.half
-        bits = max(int(one.image.max()).bit_length(), 8)
-        image = in_8_bits(one.image.reshape(*one.image.shape[:2], -1), bits)
-        padded = np.pad(image, ((side, side), (side, side), (0, 0)))
-        part = padded[top + side :, left + side :][:side, :side]
-        axes.imshow(part, extent=(n, n + 1, 1, 0), cmap="gray")
-        for ellipse, colour, width in ((one.true, "white", 2.5), (one.measured, BLUE, 1.0)):
-            x, y, major, minor, angle = ellipse
-            # Integer coordinates are the centres of pixels.
-            centre = n + (x - left + 0.5) / side, (y - top + 0.5) / side
-            axes_of_it = 2 * major / side, 2 * minor / side
-            style: dict[str, Any] = {"fill": False, "color": colour, "lw": width}
-            axes.add_patch(Ellipse(centre, *axes_of_it, angle=math.degrees(angle), **style))
-        axes.text(n + 0.5, 1.02, one.caption, ha="center", va="top")
-    axes.set(xlim=(0, len(shown)), ylim=(1, 0))
+    axes.imshow((image >> (bits - 8)).astype(np.uint8), cmap="gray", vmin=0, vmax=255)
+    for (x, y, major, minor, angle), look in spots:
+        style = {"angle": math.degrees(angle), "fill": False} | look
+        axes.add_patch(Ellipse((x, y), 2 * major, 2 * minor, **style))
     axes.set_axis_off()
-    return figure
-
-
-def in_8_bits(image: np.ndarray, bits: int) -> np.ndarray:
-    """An image of 8 or more bits without the lowest ones, for which 8 bits have no room."""
-    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
