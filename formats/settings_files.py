@@ -6,7 +6,7 @@ changes one, and an unknown key names the nearest known one.
 
 import difflib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Any, get_args
 
 import tomli_w
@@ -71,6 +71,18 @@ def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
     for part in reversed(path):
         value = {part: value}
     return value
+
+
+def by_dotted_name(table: Mapping[str, Any], *, whole: Collection[str] = ()) -> dict[str, Any]:
+    """The values of nested tables by dotted key; a table with one key of `whole` is a value."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping) and not value.keys() & set(whole):
+            below = by_dotted_name(value, whole=whole)
+            found |= {f"{name}.{key}": own for key, own in below.items()}
+        else:
+            found[name] = value
+    return found
 
 
 def merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:

@@ -25,9 +25,9 @@ from distributed import Client
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
 from eyespot.benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
 from eyespot.benchmarks.rivals.pupil import PACKAGE
+from eyespot.benchmarks.run_folder import versions, write_json
 from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
 from eyespot.benchmarks.sets.workers import cores, local_workers
-from eyespot.benchmarks.study import versions, write_json
 from eyespot.estimator import Frame, Ranger, open_source
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress

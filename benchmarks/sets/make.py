@@ -9,7 +9,6 @@ import errno
 import fcntl
 import importlib
 import importlib.metadata
-import json
 import math
 import os
 import re
@@ -26,6 +25,7 @@ from distributed import Client, Future, as_completed
 from rich.filesize import decimal
 
 from eyespot import scenes
+from eyespot.benchmarks.run_folder import claim
 from eyespot.benchmarks.sets import card
 from eyespot.benchmarks.sets.read import (
     SCHEMA,
@@ -48,10 +48,10 @@ from eyespot.benchmarks.sets.workers import cores, local_workers, running_schedu
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import duration, say
 from eyespot.estimator.run.progress_bar import progress as bar
-from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
+from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.stack import StackWriter
-from eyespot.formats.whole_files import BeingWrittenError, require_space, sweep, write_text
+from eyespot.formats.whole_files import BeingWrittenError, require_space, sweep
 from eyespot.scenes.commands import Changes
 
 # What a worker does: it renders one stack.
@@ -193,8 +193,8 @@ def make_set(
             same time on any machine.
 
     Raises:
-        SetError: `out` contains something else.
-        InputError: the disk has too little space.
+        SetError: a stack cannot be rendered, or Dask is gone.
+        InputError: `out` contains something else, or the disk has too little space.
         OSError: the disk is full or cannot be written; what is done is kept.
         SceneError: see `draw`.
     """
@@ -321,36 +321,9 @@ def _claim(out: Path, spec: SetSpec, drawn: Draw) -> None:
         content["left_out"] = [
             {**one._asdict(), "problem": str(one.problem)} for one in drawn.impossible
         ]
-    text = json.dumps(content, indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)
-    file = out / "set.json"
     with _alone_in(out):
-        if file.is_file():
-            with in_file(file, SetError):
-                there = read_text(file)
-                found = object_in(there)
-            if there != text:
-                raise SetError(_difference(out, found, content))
-            return
-        sweep(out)
-        if any(out.iterdir()):
-            raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
-        write_text(file, text)
-
-
-def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
-    if found.get("spec") != wanted["spec"]:
-        name = shortened(found.get("name"))
-        return f"{out} contains a set of another spec, {name}. Choose another --out."
-    there, here = found.get("versions"), wanted["versions"]
-    if isinstance(there, dict) and there != here:
-        names = [name for name in {**here, **there} if there.get(name) != here.get(name)]
-        other, ours = ({name: each.get(name) for name in names} for each in (there, here))
-        return (
-            f"{out} was started with other versions: {shortened(other)} instead of "
-            f"{shortened(ours)}. Install those, or choose another --out."
-        )
-    return f"{out / 'set.json'} was changed after it was written. Choose another --out."
+        claim(out / "set.json", content, of="a set", command="eyespot dataset make")
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from eyespot.formats.inputs import (
     read_toml,
     shortened,
 )
-from eyespot.formats.settings_files import parsed_change, problems_of
+from eyespot.formats.settings_files import by_dotted_name, parsed_change, problems_of
 from eyespot.scenes import Scene, SceneError, changed
 from eyespot.scenes.description.scene_keys import OutsideWindow
 
@@ -126,18 +126,6 @@ Change = Annotated[
 ]
 
 
-def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values and distributions of a nested table, by dotted scene key."""
-    found: dict[str, Any] = {}
-    for name, value in table.items():
-        key = f"{prefix}{name}"
-        if isinstance(value, Mapping) and _kind(value) == "value":
-            found |= by_dotted_name(value, f"{key}.")
-        else:
-            found[key] = value
-    return found
-
-
 HISTORY = {
     1: "the format of eyespot 0.1",
     2: "scenes are of format 2, with cones no wider than their fibre; a file without `schema` has "
@@ -154,7 +142,7 @@ class SpecError(InputError):
 
 
 def _dotted(table: Any) -> Any:
-    return by_dotted_name(table) if isinstance(table, Mapping) else table
+    return by_dotted_name(table, whole=KINDS) if isinstance(table, Mapping) else table
 
 
 _Count = Annotated[int, Field(ge=0, le=4096)]

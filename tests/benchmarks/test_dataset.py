@@ -21,6 +21,7 @@ from eyespot.benchmarks.sets.make import estimate, make_set
 from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
+from eyespot.formats.inputs import InputError
 from eyespot.scenes import SceneError
 from tests.support.command_line import EYESPOT, run
 from tests.support.drawn.drawn_sets import digests
@@ -171,23 +172,23 @@ def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_s
 )
 def test_a_damaged_set_is_not_continued(spec, tmp_path, text):
     (tmp_path / "set.json").write_text(text, errors="surrogateescape")
-    with pytest.raises(SetError, match=r"set\.json: |a set of another spec, None"):
+    with pytest.raises(InputError, match=r"set\.json: |a set with other settings"):
         make_set(spec, tmp_path, workers=nobody())
     assert [path.name for path in tmp_path.iterdir()] == ["set.json"]
 
 
 def test_a_folder_with_another_set_or_something_else_is_refused(spec, spec_file, copy, tmp_path):
     other = load_spec(spec_file, ["spot.incidence_deg = 20.0"])
-    with pytest.raises(SetError, match="contains a set of another spec"):
+    with pytest.raises(InputError, match=r"spot\.incidence_deg': None instead of 20"):
         make_set(other, copy, workers=nobody())
     description = json.loads((copy / "set.json").read_text())
     description["versions"]["mitsuba"] = "3.0.0"
     (copy / "set.json").write_text(json.dumps(description, indent=1) + "\n")
-    with pytest.raises(SetError, match=r"started with other versions: .*3\.0\.0"):
+    with pytest.raises(InputError, match=r"versions\.mitsuba': '3\.0\.0' instead of"):
         make_set(spec, copy, workers=nobody())
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
-    with pytest.raises(SetError, match="contains other files"):
+    with pytest.raises(InputError, match="has files that are not from `eyespot dataset make`"):
         make_set(spec, tmp_path / "mine", workers=nobody())
 
 
