@@ -20,6 +20,7 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
+from dask.system import cpu_count
 from distributed import Client
 
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
@@ -27,7 +28,7 @@ from eyespot.benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
 from eyespot.benchmarks.rivals.pupil import PACKAGE
 from eyespot.benchmarks.run_folder import versions, write_json
 from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
-from eyespot.benchmarks.sets.workers import cores, local_workers
+from eyespot.benchmarks.sets.workers import local_workers
 from eyespot.estimator import Frame, Ranger, open_source
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress
@@ -90,7 +91,7 @@ def run(
         raise InputError("none of the entries can run on this machine. Name another --entry.")
     with (
         written_whole(out) as whole,
-        local_workers(min(workers or cores(), len(stacks))) as client,
+        local_workers(min(workers or cpu_count(), len(stacks))) as client,
         progress("Measuring stacks", total=len(stacks)) as advance,
     ):
         whole.mkdir()
@@ -238,7 +239,7 @@ def tune(
     found: dict[str, Any] = {}
     with (
         written_whole(out) as partial,
-        local_workers(workers or cores()) as client,
+        local_workers(workers or cpu_count()) as client,
         progress("Tuning", total=len(able)) as advance,
     ):
         for name in able:

@@ -21,6 +21,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
+from dask.system import cpu_count
 from distributed import Client, Future, as_completed
 from rich.filesize import decimal
 
@@ -44,7 +45,7 @@ from eyespot.benchmarks.sets.spec import (
     impossible_report,
     load_spec,
 )
-from eyespot.benchmarks.sets.workers import cores, local_workers, running_scheduler
+from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import duration, say
 from eyespot.estimator.run.progress_bar import progress as bar
@@ -379,7 +380,7 @@ def make(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
             "only one of them."
         )
-    count = workers or cores()
+    count = workers or cpu_count()
     if dry_run:
         drawn = draw(settings, scenes.check_scene)
         if drawn.impossible:
