@@ -12,20 +12,20 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
     ValidationError,
     model_validator,
 )
+from pydantic import Strict as StrictType
 from scipy.stats import qmc
 
 from eyespot.formats.inputs import (
     FOLDER_NAME,
     InputError,
+    Strict,
     at_most_three,
     check_schema,
     in_file,
@@ -39,10 +39,6 @@ from eyespot.scenes.description.scene_keys import OutsideWindow
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
 _LARGEST = 1e12  # With ends up to this, an interval's width and quotient are finite.
-
-
-class _SpecTable(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -73,34 +69,26 @@ def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _tuple(value: object) -> object:
-    """TOML's lists as the tuples of the models."""
-    return tuple(value) if isinstance(value, list) else value
+# Lax, because TOML has lists for tuples.
+_Interval = Annotated[tuple[float, float], StrictType(False), AfterValidator(_ordered)]
 
 
-_Interval = Annotated[
-    tuple[float, float],
-    BeforeValidator(_tuple, json_schema_input_type=tuple[float, float]),
-    AfterValidator(_ordered),
-]
-
-
-class Uniform(_SpecTable):
+class Uniform(Strict):
     """Uniform distribution on an interval."""
 
     uniform: _Interval
 
 
-class LogUniform(_SpecTable):
+class LogUniform(Strict):
     """Log-uniform distribution: the logarithm is uniform."""
 
     log_uniform: Annotated[_Interval, AfterValidator(_positive)]
 
 
-class Choice(_SpecTable):
+class Choice(Strict):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], BeforeValidator(_tuple), AfterValidator(_finite)] = Field(
+    choice: Annotated[tuple[Any, ...], StrictType(False), AfterValidator(_finite)] = Field(
         min_length=2, max_length=4096
     )
 
@@ -150,7 +138,7 @@ _Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
 
 
-class Splits(_SpecTable):
+class Splits(Strict):
     """Number of stacks in each split."""
 
     train: _Count = Field(0, description="Number of stacks.")
@@ -158,7 +146,7 @@ class Splits(_SpecTable):
     test: _Count = Field(0, description="Number of stacks.")
 
 
-class Adverse(_SpecTable):
+class Adverse(Strict):
     """The split with difficult conditions."""
 
     stacks: _Count = Field(description="Number of stacks per condition.")
@@ -169,14 +157,14 @@ class Adverse(_SpecTable):
     )
 
 
-class Unseen(_SpecTable):
+class Unseen(Strict):
     """The split that shows what no other split shows, such as walls of another generator."""
 
     stacks: _Count = Field(description="Number of stacks.")
     changes: _Changes = Field(min_length=1, description="Values or distributions.")
 
 
-class SetSpec(_SpecTable):
+class SetSpec(Strict):
     """The spec of a labelled set."""
 
     schema_version: Literal[1, 2] = Field(
