@@ -283,7 +283,7 @@ class Report:
     lead: str
     first: Sequence[str | Table | Picture] = ()
     claims: Sequence[Claim]
-    sections: Sequence[Section]
+    sections: Sequence[Section] = ()
     data: Mapping[str, pd.DataFrame | None] = field(default_factory=dict)
 
 
