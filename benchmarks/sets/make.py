@@ -31,7 +31,6 @@ from eyespot.benchmarks.sets import card
 from eyespot.benchmarks.sets.read import (
     SCHEMA,
     LabelledSet,
-    SetError,
     SetStack,
     read_set,
     verify_set,
@@ -194,8 +193,8 @@ def make_set(
             same time on any machine.
 
     Raises:
-        SetError: a stack cannot be rendered, or Dask is gone.
-        InputError: `out` contains something else, or the disk has too little space.
+        InputError: `out` contains something else, the disk has too little space, a stack cannot be
+            rendered, or Dask is gone.
         OSError: the disk is full or cannot be written; what is done is kept.
         SceneError: see `draw`.
     """
@@ -259,7 +258,7 @@ def _render(
         if busy:
             time.sleep(_BETWEEN_TRIES_S)
     if problems:
-        raise SetError(
+        raise InputError(
             "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
         )
 
@@ -274,12 +273,12 @@ def _finished(futures: Sequence[Future], client: Client) -> Iterator[Future]:
     """The futures as they finish.
 
     Raises:
-        SetError: the scheduler or all workers are gone.
+        InputError: the scheduler or all workers are gone.
     """
     left, seen_s = set(futures), math.inf
 
-    def gone(who: str) -> SetError:
-        return SetError(
+    def gone(who: str) -> InputError:
+        return InputError(
             f"{who}; {len(left)} stacks are still missing. Start the scheduler and its workers "
             "again, then run the same command: it continues the set."
         )

@@ -125,10 +125,6 @@ SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 _NAMED = resources.files("eyespot.benchmarks.sets") / "named"
 
 
-class SpecError(InputError):
-    """A spec is missing, invalid or impossible; the text says what to change."""
-
-
 def _dotted(table: Any) -> Any:
     return by_dotted_name(table, whole=KINDS) if isinstance(table, Mapping) else table
 
@@ -227,21 +223,21 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
         changes: scene keys that get the same value in all stacks, each "table.key=value".
 
     Raises:
-        SpecError: the spec is missing or invalid.
+        InputError: the spec is missing or invalid.
     """
     where = shortened(str(source))[1:-1]
     path = _NAMED / f"{source}.toml" if str(source) in named_specs() else Path(source)
     try:
-        with in_file(where, SpecError):
+        with in_file(where):
             content = read_toml(Path(str(path)))
             check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
         if isinstance(scene_file := content.get("scene"), str):
             path = Path(source).parent / scene_file
-            with in_file(path, SpecError):
+            with in_file(path):
                 keys = by_dotted_name(read_toml(path))
             content["scene"] = {k: v for k, v in keys.items() if k not in ("schema", *SEED_KEYS)}
     except OSError as error:
-        raise SpecError(
+        raise InputError(
             f"{shortened(str(error.filename))[1:-1]}: cannot be read ({error.strerror}). Give the "
             f"path of a spec, or one of {', '.join(named_specs())}."
         ) from error
@@ -254,7 +250,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
-        raise SpecError(problems_of(error, where, SetSpec)) from error
+        raise InputError(problems_of(error, where, SetSpec)) from error
 
 
 # From a spec to the scenes of all stacks, spread evenly over the distributions.

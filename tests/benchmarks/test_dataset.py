@@ -18,7 +18,7 @@ from distributed import Client
 
 from eyespot.benchmarks.sets import make
 from eyespot.benchmarks.sets.make import estimate, make_set
-from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
+from eyespot.benchmarks.sets.read import read_set, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
 from eyespot.formats.inputs import InputError
@@ -159,7 +159,7 @@ def test_what_one_shard_has_made_the_next_leaves_and_the_last_one_finishes_the_s
     out = tmp_path / "set"
     first = make_set(spec, out, workers=here(), shard=(2, 2))
     assert [f"{stack.split}/{stack.name}" for stack in first.missing] == STACKS[::2]
-    with pytest.raises(SetError, match="stack train/0000 is missing"):
+    with pytest.raises(InputError, match="stack train/0000 is missing"):
         verify_set(out)
     before = (out / "train" / "0001" / "manifest.json").stat().st_mtime_ns
     assert not make_set(spec, out, workers=here(), shard=(1, 2)).missing
@@ -198,7 +198,7 @@ def test_verify_names_every_file_that_is_missing_changed_or_does_not_belong(copy
     frame.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
     (copy / "test" / "0000" / "masks" / "000001.png").unlink()
     (copy / "notes.txt").touch()
-    with pytest.raises(SetError) as caught:
+    with pytest.raises(InputError) as caught:
         verify_set(copy)
     told = str(caught.value).splitlines()
     assert len(told) == 3
