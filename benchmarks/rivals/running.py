@@ -13,6 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -30,8 +31,10 @@ from eyespot.benchmarks.run_folder import versions, write_json
 from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
 from eyespot.benchmarks.sets.workers import local_workers
 from eyespot.estimator import Frame, Ranger, open_source
+from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress
+from eyespot.estimator.run.reader import Reading
 from eyespot.formats.inputs import InputError, in_file, read_text
 from eyespot.formats.manifest import fingerprint
 from eyespot.formats.microscope import read_microscope
@@ -138,17 +141,8 @@ def measure_stack(
             seconds.append(time.process_time() + made.seconds_elsewhere - began)
             if ranger is not None and isinstance(result, Spot):
                 found = ranger.distance(result, frame=frame.image, exposure_s=frame.exposure_s)
-            records.append(
-                SpotRecord(
-                    frame=frame.index,
-                    file_name=frame.file_name,
-                    time_s=frame.time_s,
-                    mode=name,
-                    result=result,
-                    distance_mm=found.distance_mm if found else math.nan,
-                    sigma_distance_mm=found.sigma_mm if found else math.nan,
-                )
-            )
+            record = record_of(frame, Reading(name, result, found))
+            records.append(replace(record, measured_with=""))  # entry.json says it
         yield name, exposure, records, seconds
 
 
