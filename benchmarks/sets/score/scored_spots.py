@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,6 +23,7 @@ from eyespot.benchmarks.sets.read import (
     true_beam,
 )
 from eyespot.estimator import SubpixelSettings, open_source, track_whole_source
+from eyespot.estimator.detector.verdict import continues
 from eyespot.estimator.run.progress_bar import say
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import (
@@ -242,12 +244,9 @@ def track_set(
 
 def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
     """Whether at least half of the true spots can be followed from the one before."""
-    limits = SubpixelSettings()
-    spots = [(of.half_max_x_px, of.half_max_y_px, of.half_max_semi_minor_px) for of in labels]
-    x, y, size = np.array(spots).T
-    jump, growth = np.hypot(np.diff(x), np.diff(y)), np.abs(np.diff(np.log(size)))
-    near = (jump <= limits.max_jump_px) & (growth <= math.log(limits.max_growth))
-    return bool(2 * near.sum() >= near.size)
+    true = ([getattr(of, f"half_max_{name}") for name in _PARAMETERS] for of in labels)
+    steps, limits = [*pairwise(plain_spot(*ellipse) for ellipse in true)], SubpixelSettings()
+    return 2 * sum(continues(spot, last, limits) for last, spot in steps) >= len(steps)
 
 
 def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
