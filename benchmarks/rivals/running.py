@@ -34,7 +34,6 @@ from eyespot.estimator import Frame, Ranger, open_source
 from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress
-from eyespot.estimator.run.reader import Reading
 from eyespot.formats.inputs import InputError, in_file, read_text
 from eyespot.formats.manifest import fingerprint
 from eyespot.formats.microscope import read_microscope
@@ -137,11 +136,14 @@ def measure_stack(
         records, seconds = [], []
         for frame in frames(stack.folder, exposure=exposure):
             began = time.process_time() + made.seconds_elsewhere
-            result, found = made.read(frame)
+            reading = made.read(frame)._replace(mode=name)
             seconds.append(time.process_time() + made.seconds_elsewhere - began)
-            if ranger is not None and isinstance(result, Spot):
-                found = ranger.distance(result, frame=frame.image, exposure_s=frame.exposure_s)
-            record = record_of(frame, Reading(name, result, found))
+            if ranger is not None and isinstance(reading.result, Spot):
+                found = ranger.distance(
+                    reading.result, frame=frame.image, exposure_s=frame.exposure_s
+                )
+                reading = reading._replace(range=found)
+            record = record_of(frame, reading)
             records.append(replace(record, measured_with=""))  # entry.json says it
         yield name, exposure, records, seconds
 
