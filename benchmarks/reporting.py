@@ -95,13 +95,6 @@ def small_multiples(
     return figure
 
 
-def limit_lines(axes: Axes, limit: float) -> None:
-    """Zero, and dashed lines at both signs of a limit."""
-    axes.axhline(0, color=GREY, lw=0.8)
-    for end in (-limit, limit):
-        axes.axhline(end, color=VERMILION, lw=0.8, ls="--")
-
-
 def draw_spots(
     axes: Axes, image: np.ndarray, bits: int, *spots: tuple[Sequence[float], dict[str, Any]]
 ) -> None:
