@@ -127,13 +127,16 @@ def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
 # Numbers as text.
 
 
+def typeset(text: str) -> str:
+    """A text with true minus signs, none for zero, and dashes for NaN and infinity."""
+    text = re.sub(r"[+-]?\b(nan|inf)\b", "–", text)
+    text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
+    return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+
+
 def number(value: float, digits: int = 2) -> str:
-    """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
-    if not math.isfinite(value):
-        return "–"
-    text = format(value, f".{digits}f")
-    is_zero = not any(digit in text for digit in "123456789")
-    return text.lstrip("+-") if is_zero else text.replace("-", "−")
+    """A rounded value, typeset."""
+    return typeset(f"{value:.{digits}f}")
 
 
 def listed(values: float | Iterable[float], spec: str) -> str:
@@ -170,10 +173,8 @@ class Claim:
 
     @property
     def text(self) -> str:
-        """The sentence with true minus signs, none for zero, and dashes for NaN and infinity."""
-        text = re.sub(r"[+-]?\b(nan|inf)\b", "–", self.sentence)
-        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
-        return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+        """The sentence, typeset."""
+        return typeset(self.sentence)
 
 
 class Column(NamedTuple):
