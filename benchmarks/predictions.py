@@ -128,7 +128,7 @@ class Plan(Strict):
 def read_plan(path: Path) -> Plan:
     """The plan of a file; InputError if it is none, or was changed since it was made."""
     remedy = "Restore the file."
-    with in_file(path, InputError):
+    with in_file(path):
         content = object_in(read_text(path, most_bytes=_MOST_BYTES))
         check_schema(content.get("schema"), HISTORY, remedy=remedy)
         plan = validated(Plan, content, remedy=remedy)

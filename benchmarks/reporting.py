@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullLocator
 
-from eyespot.formats.report_page import PALETTE, templates
+from eyespot.formats.report_page import PALETTE, UNITS, templates, unit_at_end
 from eyespot.formats.report_page import STYLE as STYLE_OF_FITS
 
 # Style, small multiples and files of figures.
@@ -95,55 +95,18 @@ def small_multiples(
     return figure
 
 
-def limit_lines(axes: Axes, limit: float) -> None:
-    """Zero, and dashed lines at both signs of a limit."""
-    axes.axhline(0, color=GREY, lw=0.8)
-    for end in (-limit, limit):
-        axes.axhline(end, color=VERMILION, lw=0.8, ls="--")
+def draw_spots(
+    axes: Axes, image: np.ndarray, bits: int, *spots: tuple[Sequence[float], dict[str, Any]]
+) -> None:
+    """Draw an image with ellipses, each with its look; of more than 8 bits without the lowest ones.
 
-
-class CutOut(NamedTuple):
-    """A part of an image around a spot, with the true ellipse and the measured one.
-
-    Ellipses are x, y, semi-major and semi-minor axis (px) and angle (rad); `half` is half of the
-    side of the part, px.
+    Ellipses are x, y, semi-major and semi-minor axis (px) and angle (rad).
     """
-
-    image: np.ndarray
-    half: int
-    true: Sequence[float]
-    measured: Sequence[float]
-    caption: str
-
-
-def cut_outs(shown: Sequence[CutOut]) -> Figure:
-    """Parts of images side by side; the true ellipses are white, the measured ones blue."""
-    figure = Figure(figsize=(_WIDTH_IN, _WIDTH_IN / len(shown) + 0.3), layout="constrained")
-    axes = figure.subplots()
-    for n, one in enumerate(shown):
-        left, top = (round(place) - one.half for place in one.true[:2])
-        side = 2 * one.half
-        bits = max(int(one.image.max()).bit_length(), 8)
-        image = in_8_bits(one.image.reshape(*one.image.shape[:2], -1), bits)
-        padded = np.pad(image, ((side, side), (side, side), (0, 0)))
-        part = padded[top + side :, left + side :][:side, :side]
-        axes.imshow(part, extent=(n, n + 1, 1, 0), cmap="gray")
-        for ellipse, colour, width in ((one.true, "white", 2.5), (one.measured, BLUE, 1.0)):
-            x, y, major, minor, angle = ellipse
-            # Integer coordinates are the centres of pixels.
-            centre = n + (x - left + 0.5) / side, (y - top + 0.5) / side
-            axes_of_it = 2 * major / side, 2 * minor / side
-            style: dict[str, Any] = {"fill": False, "color": colour, "lw": width}
-            axes.add_patch(Ellipse(centre, *axes_of_it, angle=math.degrees(angle), **style))
-        axes.text(n + 0.5, 1.02, one.caption, ha="center", va="top")
-    axes.set(xlim=(0, len(shown)), ylim=(1, 0))
+    axes.imshow((image >> (bits - 8)).astype(np.uint8), cmap="gray", vmin=0, vmax=255)
+    for (x, y, major, minor, angle), look in spots:
+        style = {"angle": math.degrees(angle), "fill": False} | look
+        axes.add_patch(Ellipse((x, y), 2 * major, 2 * minor, **style))
     axes.set_axis_off()
-    return figure
-
-
-def in_8_bits(image: np.ndarray, bits: int) -> np.ndarray:
-    """An image of 8 or more bits without the lowest ones, for which 8 bits have no room."""
-    return (image >> (bits - 8)).astype(np.uint8)
 
 
 def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
@@ -164,13 +127,16 @@ def save_figure(figure: Figure, path: Path, *, inline: str = "svg") -> str:
 # Numbers as text.
 
 
+def typeset(text: str) -> str:
+    """A text with true minus signs, none for zero, and dashes for NaN and infinity."""
+    text = re.sub(r"[+-]?\b(nan|inf)\b", "–", text)
+    text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
+    return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+
+
 def number(value: float, digits: int = 2) -> str:
-    """The value with a true minus sign; zero has no sign; infinite values and NaN are a dash."""
-    if not math.isfinite(value):
-        return "–"
-    text = format(value, f".{digits}f")
-    is_zero = not any(digit in text for digit in "123456789")
-    return text.lstrip("+-") if is_zero else text.replace("-", "−")
+    """A rounded value, typeset."""
+    return typeset(f"{value:.{digits}f}")
 
 
 def listed(values: float | Iterable[float], spec: str) -> str:
@@ -207,10 +173,8 @@ class Claim:
 
     @property
     def text(self) -> str:
-        """The sentence with true minus signs, none for zero, and dashes for NaN and infinity."""
-        text = re.sub(r"[+-]?\b(nan|inf)\b", "–", self.sentence)
-        text = re.sub(r"(?<![\w.])[+-](?=0(\.0+)?(?!\.?\d))", "", text)
-        return re.sub(r"(?<![\w.])-(?=[\d.])", "−", text)
+        """The sentence, typeset."""
+        return typeset(self.sentence)
 
 
 class Column(NamedTuple):
@@ -232,14 +196,6 @@ class Column(NamedTuple):
         return number(value * self.scale, self.digits)
 
 
-_UNITS = {
-    "_mm_px": "mm/px",
-    "_mm_s": "mm/s",
-    "_s": "s",
-    "_mm": "mm",
-    "_px": "px",
-    "_deg": "°",
-}
 _SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} | {
     "numerical aperture": "NA"
 }
@@ -247,8 +203,8 @@ _SYMBOLS = {"delta k": "δk", "r squared": "R²", "rmse": "RMSE", "z f": "z_F"} 
 
 def column_of(name: str, values: pd.Series) -> Column:
     """A column headed as in its CSV file, with four digits of its largest value."""
-    unit = next((unit for unit in _UNITS if name.endswith(unit)), "")
-    heading = name.removesuffix(unit).replace("_", " ")
+    unit = unit_at_end(name)
+    heading = name.removesuffix(f"_{unit}").replace("_", " ")
     for words, symbol in _SYMBOLS.items():
         heading = heading.replace(words, symbol)
     digits = 0
@@ -258,7 +214,7 @@ def column_of(name: str, values: pd.Series) -> Column:
             digits = int(np.clip(3 - math.floor(math.log10(sizes.max())), 0, 6))
             while digits and (sizes.round(digits) == sizes.round(digits - 1)).all():
                 digits -= 1
-    return Column(f"{heading}, {_UNITS[unit]}" if unit else heading, digits)
+    return Column(f"{heading}, {UNITS[unit]}" if unit else heading, digits)
 
 
 class Table:
@@ -321,7 +277,7 @@ class Report:
     lead: str
     first: Sequence[str | Table | Picture] = ()
     claims: Sequence[Claim]
-    sections: Sequence[Section]
+    sections: Sequence[Section] = ()
     data: Mapping[str, pd.DataFrame | None] = field(default_factory=dict)
 
 

@@ -1,13 +1,9 @@
 """One run of a study: its request, its scene, its stacks, its folder."""
 
 import functools
-import importlib.metadata
-import json
 import math
 import os
-import platform
 import shlex
-import shutil
 import time
 import weakref
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -24,25 +20,18 @@ from eyespot import scenes
 from eyespot.benchmarks.model_error import Geometry
 from eyespot.benchmarks.paper import SUBPIXEL, Photographer, track_stack
 from eyespot.benchmarks.reporting import STYLE, Report, write_page
-from eyespot.benchmarks.sets.spec import by_dotted_name
+from eyespot.benchmarks.run_folder import claim, published, versions, write_json
 from eyespot.benchmarks.workspace import scene_of_rig, workspace_of_scene
 from eyespot.estimator import Reader
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
 from eyespot.estimator.run.progress_bar import progress, say
-from eyespot.formats.inputs import InputError, in_file, object_in, read_text, read_toml, shortened
+from eyespot.formats.inputs import InputError, read_toml
 from eyespot.formats.rig import read_rig
 from eyespot.formats.rig_keys import WorkspaceKeys
-from eyespot.formats.settings_files import change_of
+from eyespot.formats.settings_files import by_dotted_name, change_of
 from eyespot.formats.stack import Stack, StackWriter, read_stack
-from eyespot.formats.whole_files import (
-    errors_named,
-    lock,
-    refuse_foreign,
-    require_space,
-    sweep,
-    write_text,
-)
+from eyespot.formats.whole_files import lock, require_space
 from eyespot.scenes import Scene, SceneError
 from eyespot.scenes.description.scene_keys import OutsideWindow
 from eyespot.scenes.world.true_calibration import true_calibration
@@ -134,8 +123,14 @@ class Study:
             **({} if self.rig is None else {"workspace": self.space.model_dump(mode="json")}),
             **self.options,
         }
-        claimed = claim(self.folder, settings, command=start)
-        self._let_go = weakref.finalize(self, os.close, claimed)
+        self.folder.mkdir(parents=True, exist_ok=True)
+        locked = lock(self.folder.resolve(), of=self.folder)
+        self._let_go = weakref.finalize(self, os.close, locked)
+        try:
+            claim(self.folder / "run.json", settings, of="a run", command=start)
+        except BaseException:
+            self._let_go()
+            raise
         say(
             f"Running {start} into {out}: minutes with --quick, else a quarter of an hour to hours."
             " If it is stopped, the same command continues it."
@@ -291,47 +286,6 @@ def require_possible(trials: Mapping[str, Scene]) -> None:
     )
 
 
-_PACKAGES = (
-    "eyespot mitsuba drjit jax equinox optimistix numpy opencv-python-headless scikit-image "
-    "matplotlib"
-).split()
-_MAX_KEYS_IN_MESSAGE = 2
-
-
-def claim(out: Path, settings: Mapping[str, Any], *, command: str) -> int:
-    """Use an empty folder, or one of an earlier run with the same settings, and write run.json.
-
-    No other run may use the folder until `os.close` of the file descriptor that is returned, or the
-    end of this process. The command is for the message.
-
-    Raises:
-        BeingWrittenError: another process uses the folder.
-        InputError: the folder has a run with other settings, or other files.
-    """
-    out.mkdir(parents=True, exist_ok=True)
-    handle, file = lock(out.resolve(), of=out), out / "run.json"
-    try:
-        if file.exists():
-            with in_file(file):
-                found = object_in(read_text(file))
-            if found != settings:
-                raise InputError(
-                    f"{out} has a run with other settings: {_difference(found, settings)}. "
-                    "Choose another --out, or remove the folder."
-                )
-        sweep(out)
-        if not file.exists():
-            if any(out.iterdir()):
-                raise InputError(
-                    f"{out} has files that are not from `{command}`. Choose another --out."
-                )
-            write_text(file, json.dumps(settings) + "\n")
-    except BaseException:
-        os.close(handle)
-        raise
-    return handle
-
-
 def finished_stack(
     scene: Scene, folder: Path, *, progress: Callable[[], None] = lambda: None
 ) -> Stack:
@@ -347,61 +301,3 @@ def finished_stack(
     for _ in range(scenes.frame_count(scene)):
         progress()
     return stack
-
-
-@contextmanager
-def published(out: Path) -> Iterator[Path]:
-    """A folder whose files move into `out`, which is claimed, if the block ends without an error.
-
-    The files of an earlier report are replaced.
-
-    Raises:
-        InputError: a link, or no file, has the name of a file of the report.
-    """
-    folder = out / ".report.unfinished"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
-    try:
-        with errors_named(folder, out):
-            yield folder
-            for path in sorted(folder.rglob("*")):
-                target = out / path.relative_to(folder)
-                if path.is_dir() and not target.is_symlink():
-                    target.mkdir(exist_ok=True)
-                else:
-                    refuse_foreign(target)
-                    os.replace(path, target)
-    finally:
-        shutil.rmtree(folder)
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write JSON, with null for numbers that are not finite."""
-    text = json.dumps(_finite(value), indent=1, allow_nan=False, ensure_ascii=False)
-    path.write_text(text + "\n", encoding="utf-8", errors="backslashreplace")
-
-
-def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that results depend on."""
-    found = {"python": platform.python_version()}
-    return found | {name: importlib.metadata.version(name) for name in _PACKAGES}
-
-
-def _difference(found: Mapping[str, Any], asked: Mapping[str, Any]) -> str:
-    """The first keys in which two requests differ, each with both values."""
-    there, here = by_dotted_name(found), by_dotted_name(asked)
-    keys = [key for key in {**there, **here} if there.get(key) != here.get(key)]
-    said = [
-        f"{shortened(key)}: {shortened(there.get(key))} instead of {shortened(here.get(key))}"
-        for key in keys[:_MAX_KEYS_IN_MESSAGE]
-    ]
-    more = f", and {len(keys)} in all" if len(keys) > _MAX_KEYS_IN_MESSAGE else ""
-    return ", ".join(said) + more
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

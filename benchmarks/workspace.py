@@ -9,12 +9,7 @@ from jaxtyping import Float
 
 from eyespot import optics
 from eyespot.benchmarks.model_error import Geometry
-from eyespot.formats.calibration import (
-    CONE_MODELS,
-    LENS_PARAMETERS,
-    Calibration,
-    read_calibration,
-)
+from eyespot.formats.calibration import CONE_MODELS, LENS_PARAMETERS, Calibration, read_calibration
 from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError, Strict
 from eyespot.formats.rig import Rig
@@ -224,22 +219,21 @@ def _rounded_down(value: float) -> str:
 # The scene of a rig, for studies that render.
 
 _SAME_IN_A_SCENE = {
-    **{f"microscope.{name}": f"microscope.{name}" for name in ("width_px", "height_px")},
-    "microscope.scale_mm_px": "microscope.scale_mm_px",
-    "microscope.pinhole_height_mm": "microscope.pinhole_height_mm",
-    "microscope.distortion": "microscope.distortion",
     "wall.kind": "phantom.kind",
     "wall.radius_mm": "phantom.radius_mm",
     "wall.medium": "source.medium",
-    "instrument.fibre_diameter_mm": "instrument.fibre_diameter_mm",
-    "instrument.fibre_length_mm": "instrument.fibre_length_mm",
-    "instrument.visible": "instrument.visible",
-    "camera.bit_depth": "camera.bit_depth",
-    "camera.black_level_dn": "camera.black_level_dn",
-    "camera.response": "camera.response",
-    "unrest.shake_px": "unrest.shake_px",
 }
 """Keys of a rig file, and those of a scene that mean the same."""
+_SAME_IN_A_SCENE |= {
+    f"{table}.{key}": f"{table}.{key}"
+    for table, keys in {
+        "microscope": "width_px height_px scale_mm_px pinhole_height_mm distortion",
+        "instrument": "fibre_diameter_mm fibre_length_mm visible",
+        "camera": "bit_depth black_level_dn response",
+        "unrest": "shake_px",
+    }.items()
+    for key in keys.split()
+}
 _OF_THE_CONE = {
     "beam.half_angle_deg",
     "beam.numerical_aperture",

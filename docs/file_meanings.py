@@ -34,10 +34,6 @@ MEANINGS = {
         **{name: f"Table [{name}]." for name in named("eyespot.formats.rig:Rig").model_fields},
         **COMMON,
     },
-    "plain-spots": {
-        f"sigma_{name}": f"Standard deviation of `{name}`."
-        for name in ("x_px", "y_px", "semi_major_px", "semi_minor_px", "angle_rad")
-    },
     "budget": {"cause": "One of the [causes](messages.md).", "unit": "Of the quantity."},
     "glue-lens": {"lens": "The drop."},
     "viewing-lens": {

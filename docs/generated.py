@@ -11,10 +11,11 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from docs.failures import cell, failures_page
+from docs.failures import failures_page, table
 from docs.schemas import KINDS, FileKind, rows_of, schema_of
 from eyespot import command_line
 from eyespot.benchmarks.explore import drawing, state_of
+from eyespot.formats.report_page import UNITS, unit_at_end
 from eyespot.scenes import Scene
 
 _PICTURES = {
@@ -28,28 +29,6 @@ _PICTURES = {
     "viewing": 11,
 }
 """Pictures of the gallery's example of scenes that show what a table of the scene does."""
-
-_UNITS = {
-    "mw_mm2": "mW/mm²",
-    "mm2_sr_mj": "mm² sr/mJ",
-    "mm_px": "mm/px",
-    "mm_s": "mm/s",
-    "deg_s": "°/s",
-    "per_mm": "1/mm",
-    "mm": "mm",
-    "deg": "°",
-    "px2": "px²",
-    "px": "px",
-    "ms": "ms",
-    "hz": "Hz",
-    "nm": "nm",
-    "mw": "mW",
-    "s": "s",
-    "d": "D",
-    "e": "electrons",
-    "dn": "DN",
-}
-"""Units by the end of a key's name."""
 
 
 def write_pages(folder: Path) -> None:
@@ -66,11 +45,6 @@ def write_pages(folder: Path) -> None:
         _write(folder / name, "\n".join(lines) + "\n")
     for kind in KINDS:
         _write(folder / _schema_name(kind), json.dumps(schema_of(kind), indent=1) + "\n")
-
-
-def unit_of(key: str) -> str:
-    """The unit that the end of a key's name says; empty if it says none."""
-    return next((unit for end, unit in _UNITS.items() if key.endswith(f"_{end}")), "")
 
 
 def _write(path: Path, text: str) -> None:
@@ -119,7 +93,7 @@ def _scene_keys() -> Iterator[str]:
                 picture = f"images/sphx_glr_plot_scenes_{_PICTURES[name]:03}.png"
                 yield f"```{{image}} ../../auto_gallery/scenes/{picture}\n:width: 320px"
                 yield f":alt: An example of [{name}]\n```\n"
-            yield from _table(model)
+            yield from table("key | unit | default | meaning", _keys(model))
 
 
 def _models_in(annotation: Any) -> list[type[BaseModel]]:
@@ -129,13 +103,11 @@ def _models_in(annotation: Any) -> list[type[BaseModel]]:
     return [found for part in getattr(annotation, "__args__", ()) for found in _models_in(part)]
 
 
-def _table(model: type[BaseModel]) -> Iterator[str]:
-    yield "| key | unit | default | meaning |"
-    yield "|---|---|---|---|"
+def _keys(model: type[BaseModel]) -> Iterator[tuple[str, str, str, str]]:
     for key, field in model.model_fields.items():
         default = "" if field.is_required() else f"`{json.dumps(field.default, default=str)}`"
         about = field.description or "Which kind of this table it is."
-        yield f"| `{key}` | {unit_of(key)} | {default} | {cell(about)} |"
+        yield f"`{key}`", UNITS.get(unit_at_end(key), ""), default, about
 
 
 def _files() -> Iterator[str]:
@@ -152,11 +124,8 @@ def _files() -> Iterator[str]:
         yield f"{kind.about} Schema: {{download}}`{_schema_name(kind)} <{_schema_name(kind)}>`.\n"
         if kind.slug == "scene":
             continue
-        yield "| key | type | required | meaning |"
-        yield "|---|---|---|---|"
-        for key, type_name, required, meaning in rows_of(schema):
-            must = "yes" if required else ""
-            yield f"| `{key}` | {cell(type_name)} | {must} | {cell(meaning)} |"
+        keys = ((f"`{k}`", type_, "yes" * must, about) for k, type_, must, about in rows_of(schema))
+        yield from table("key | type | required | meaning", keys)
 
 
 def _schema_name(kind: FileKind) -> str:

@@ -96,6 +96,7 @@ KINDS = (
         "plain-spots",
         "Plain spots: a row (CSV)",
         "Spots of any tracker, for `eyespot score`.",
+        models=("eyespot.benchmarks.sets.score.scored_spots:PlainRow",),
         meanings=("eyespot.formats.spots:SpotRecord", "eyespot.formats.spot:Spot"),
     ),
     FileKind(
@@ -136,8 +137,7 @@ KINDS = (
         "entry",
         "Entry of a leaderboard (`entry.json`)",
         "What an entrant says of its tracker; `eyespot score --entries` reads it.",
-        models=("eyespot.benchmarks.sets.score.scored_spots:_About",),
-        meanings=("eyespot.benchmarks.sets.score.scored_spots:ScoredEstimator",),
+        models=("eyespot.benchmarks.sets.score.scored_spots:ScoredEstimator",),
     ),
     FileKind(
         "glue-lens",
@@ -169,7 +169,7 @@ def schema_of(kind: FileKind) -> dict[str, Any]:
     schema = made() if made else _of_models(kind)
     if kind.slug in ("eye", "viewing-lens"):
         schema = _with_origin(schema)
-    if kind.slug == "spots":  # empty cells
+    if kind.slug in ("spots", "plain-spots"):  # empty cells
         for name in schema["properties"].keys() - schema["required"]:
             column = schema["properties"][name]
             said = {key: column.pop(key) for key in ("description", "default") if key in column}
@@ -180,8 +180,8 @@ def schema_of(kind: FileKind) -> dict[str, Any]:
     explained |= MEANINGS.get(kind.slug, {})
     for part in _parts(schema):
         for key, value in part.get("properties", {}).items():
-            if isinstance(value, dict) and key in explained:
-                value.setdefault("description", explained[key])
+            if isinstance(value, dict) and key in explained:  # several keys may share a value
+                part["properties"][key] = {"description": explained[key]} | value
     return {"$schema": DIALECT, **schema, "title": kind.title}
 
 
@@ -255,13 +255,6 @@ def _stack() -> dict[str, Any]:
     }
 
 
-def _plain_spots() -> dict[str, Any]:
-    from eyespot.benchmarks.sets.score import scored_spots as plain_spots
-
-    columns = {name: _or_null(_NUMBER) for name in plain_spots.COLUMNS} | {"file_name": _TEXT}
-    return _object(columns, required=iter(["file_name"]))
-
-
 def _budget() -> dict[str, Any]:
     from eyespot.estimator.distance.budget import Cause
 
@@ -322,7 +315,6 @@ def _glue_lens() -> dict[str, Any]:
 _BY_HAND = {
     "stack": _stack,
     "kinematics": lambda: _object({name: {**_NUMBER} for name in KINEMATICS}),
-    "plain-spots": _plain_spots,
     "budget": _budget,
     "glue-lens": _glue_lens,
 }

@@ -236,10 +236,12 @@ def dataset(
     Raises:
         InputError: the spec is wrong.
     """
+    from dask.system import cpu_count
+
     from eyespot.benchmarks.sets.make import make_set
     from eyespot.benchmarks.sets.spec import load_spec
-    from eyespot.benchmarks.sets.workers import cores, local_workers
+    from eyespot.benchmarks.sets.workers import local_workers
 
     settings = load_spec(str(spec), tuple(changes))
     with quiet(bars=progress):
-        return make_set(settings, Path(out), workers=local_workers(cores()))
+        return make_set(settings, Path(out), workers=local_workers(cpu_count()))

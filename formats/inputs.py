@@ -248,6 +248,7 @@ def validated(model: type[_Model], content: object, *, remedy: str) -> _Model:
 
 _RULES = {
     "string_type": "must be text",
+    "string_too_short": "must not be empty",
     "list_type": "must be a list",
     "tuple_type": "must be a list",
     "dict_type": "must be an object",

@@ -5,6 +5,7 @@ pinhole's height and the eye's radius come with the call.
 """
 
 import math
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -347,15 +348,12 @@ def read_microscope(
     *,
     pinhole_height_mm: float | None = None,
     eye_radius_mm: float | None = None,
-    plane_normal: tuple[float, float, float] | None = None,
 ) -> MicroscopeFile:
     """Read a microscope from a stack's microscope.json or from a camera calibration.
 
     Args:
         pinhole_height_mm: z_F above the eyeball's centre, for calibrations, which lack it.
         eye_radius_mm: r, for calibrations, which lack it.
-        plane_normal: of a plane wall, for files that lack it, such as calibrations; None: the
-            file's, or the eyeball.
 
     Raises:
         InputError: the file is neither, of another schema, contradicts itself, lacks
@@ -370,13 +368,8 @@ def read_microscope(
         with suppress(InputError):  # or else it is YAML or XML
             content = object_in(text)
         if "schema" not in content:
-            return _from_calibration(content or calibration_in(text), given, plane_normal)
-        twice = [name for name, value in given.items() if value is not None]
-        if plane_normal is not None:
-            # A file of a version that did not know planes has no such key.
-            twice += ["plane_normal"] * ("plane_normal" in content)
-            content["plane_normal"] = list(plane_normal)
-        if twice:
+            return _from_calibration(content or calibration_in(text), given)
+        if twice := [name for name, value in given.items() if value is not None]:
             raise InputError(
                 f"{twice[0]} is in the file already. Leave it out of the call, or edit the file."
             )
@@ -452,11 +445,7 @@ def _check_agreement(microscope: MicroscopeFile) -> None:
         )
 
 
-def _from_calibration(
-    content: dict[str, Any],
-    given: dict[str, float | None],
-    plane_normal: tuple[float, float, float] | None,
-) -> MicroscopeFile:
+def _from_calibration(content: dict[str, Any], given: Mapping[str, float | None]) -> MicroscopeFile:
     camera, size = camera_of(content)
     for name, value in given.items():
         if value is None or not math.isfinite(value):
@@ -484,6 +473,5 @@ def _from_calibration(
         "pinhole_height_mm": height,
         "eye_radius_mm": radius,
         "curve": "linear",
-        "plane_normal": plane_normal,
     }
     return validated(MicroscopeFile, values, remedy="Calibrate the camera, or correct the value.")

@@ -22,6 +22,35 @@ STYLE: dict[Any, Any] = {
 }
 
 
+UNITS = {
+    "mw_mm2": "mW/mm²",
+    "mm2_sr_mj": "mm² sr/mJ",
+    "mm_px": "mm/px",
+    "mm_s": "mm/s",
+    "deg_s": "°/s",
+    "per_mm": "1/mm",
+    "mm": "mm",
+    "deg": "°",
+    "rad": "rad",
+    "px2": "px²",
+    "px": "px",
+    "ms": "ms",
+    "hz": "Hz",
+    "nm": "nm",
+    "mw": "mW",
+    "s": "s",
+    "d": "D",
+    "e": "electrons",
+    "dn": "DN",
+}
+"""Units by the end of a name of a key or a column."""
+
+
+def unit_at_end(name: str) -> str:
+    """The one of `UNITS` that a name ends with; empty if there is none."""
+    return next((end for end in UNITS if name.endswith(f"_{end}")), "")
+
+
 def templates(package: str) -> jinja2.Environment:
     """The templates of a package, beside the style `page.css` that they include."""
     places = (package, "eyespot.formats")

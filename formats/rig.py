@@ -7,19 +7,14 @@ uncertainties of eyespot 0.1 and 0.2 is taken where a rig file is asked for.
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
 import tomli_w
-from pydantic import (
-    ConfigDict,
-    Field,
-    ValidationError,
-    model_validator,
-)
+from pydantic import ConfigDict, Field, ValidationError, model_validator
 from pydantic.json_schema import SkipJsonSchema
 
 from eyespot.formats.camera_sheet import CameraSheet, Response
@@ -227,7 +222,7 @@ class Rig(Strict):
 
     def over(self, base: "Rig") -> "Rig":
         """This rig, with the keys that it does not set from another one, such as a stack's own."""
-        own, other = (rig._content(rig.folder.absolute()) for rig in (self, base))
+        own, other = (rig._content(rig.folder.absolute().joinpath) for rig in (self, base))
         content = merged(other, own)
         whole = self.microscope.calibration or self.microscope.scale_mm_px or self.seen
         if whole:
@@ -235,12 +230,12 @@ class Rig(Strict):
         seen = self.seen if whole else base.seen
         return rig_in(content | {"seen": seen}, where=self.where, folder=Path())
 
-    def _content(self, folder: Path | None = None) -> dict[str, Any]:
-        """The keys that were set, with the names of files as seen from the working folder."""
+    def _content(self, path_of: Callable[[str], object] = str) -> dict[str, Any]:
+        """The keys that were set, with other names of files."""
         content = self.model_dump(mode="json", by_alias=True, exclude_unset=True, exclude_none=True)
         for table in ("microscope", "beam"):
-            if folder is not None and (name := content.get(table, {}).get("calibration")):
-                content[table]["calibration"] = str(folder / name)
+            if name := content.get(table, {}).get("calibration"):
+                content[table]["calibration"] = str(path_of(name))
         return content
 
     def toml(self, folder: Path) -> str:
@@ -251,10 +246,7 @@ class Rig(Strict):
         """
         if self.seen is not None:
             raise InputError("a rig whose microscope is an object has no file. State its numbers.")
-        content = self._content()
-        for table in ("microscope", "beam"):
-            if name := content.get(table, {}).get("calibration"):
-                content[table]["calibration"] = os.path.relpath(self.folder / name, folder)
+        content = self._content(lambda name: os.path.relpath(self.folder / name, folder))
         return tomli_w.dumps({"schema": SCHEMA} | content)
 
     def with_noise(self, sheet: CameraSheet) -> "Rig":

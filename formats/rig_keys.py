@@ -6,26 +6,12 @@ are made.
 
 from typing import Annotated, Literal, Self
 
-from pydantic import (
-    AfterValidator,
-    AllowInfNan,
-    Field,
-    model_validator,
-)
+from pydantic import AfterValidator, AllowInfNan, Field, model_validator
 from pydantic import Strict as StrictType
 
 from eyespot.formats.camera_sheet import CameraSheet
-from eyespot.formats.inputs import (
-    InputError,
-    Strict,
-)
-from eyespot.formats.settings_files import (
-    DirectionKey,
-    NumberKey,
-    PairKey,
-    ShareKey,
-    SigmaKey,
-)
+from eyespot.formats.inputs import InputError, Strict
+from eyespot.formats.settings_files import DirectionKey, NumberKey, PairKey, ShareKey, SigmaKey
 from eyespot.formats.stated import USUAL_SHAKE_PX
 
 Medium = Literal["air", "water", "vitreous"]

@@ -6,7 +6,7 @@ changes one, and an unknown key names the nearest known one.
 
 import difflib
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Annotated, Any, get_args
 
 import tomli_w
@@ -73,6 +73,18 @@ def nested(path: Sequence[str], value: Any) -> dict[str, Any]:
     return value
 
 
+def by_dotted_name(table: Mapping[str, Any], *, whole: Collection[str] = ()) -> dict[str, Any]:
+    """The values of nested tables by dotted key; a table with one key of `whole` is a value."""
+    found: dict[str, Any] = {}
+    for name, value in table.items():
+        if isinstance(value, Mapping) and not value.keys() & set(whole):
+            below = by_dotted_name(value, whole=whole)
+            found |= {f"{name}.{key}": own for key, own in below.items()}
+        else:
+            found[name] = value
+    return found
+
+
 def merged(content: Mapping[str, Any], change: Mapping[str, Any]) -> dict[str, Any]:
     """The content with the changed values."""
     found = dict(content)
@@ -125,9 +137,11 @@ def _siblings(model: type[BaseModel], location: Sequence[int | str]) -> list[str
     """The known keys of the table that contains a key."""
     for part in location[:-1]:
         field = model.model_fields.get(str(part))
-        if field is None or not isinstance(field.default, BaseModel):
+        kinds = (type(field.default), *get_args(field.annotation)) if field else ()
+        tables = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+        if not tables:
             return []
-        model = type(field.default)
+        model = tables[0]
     return [field.alias or name for name, field in model.model_fields.items()]
 
 

@@ -25,7 +25,7 @@ from eyespot.benchmarks.studies.pose import PRIOR_DEG, drawn_prior
 from eyespot.estimator.distance.range import TipPose
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.options import Options
-from eyespot.estimator.run.reader import Reader, Reading
+from eyespot.estimator.run.reader import Reader
 from eyespot.estimator.sources.opening import open_source
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.poses import Pose, PoseTrack, read_poses
@@ -71,7 +71,7 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
                 **errors_of(pose, labels),
                 "half_maximum_px": at_pose,
                 "subpixel_px": spot.semi_minor_px - true_px if spot else math.nan,
-                "doubt": doubt_of_pose(read),
+                "doubt": read.doubt,
                 "seconds": seconds,
             }
         )
@@ -102,13 +102,6 @@ def noisy_poses(stack: Stack, rng: np.random.Generator) -> PoseTrack:
         x, y, z = (turned / np.linalg.norm(turned)).tolist()
         told.append(Pose.along((x, y, z), time_s=pose.time_s, position_mm=pose.position_mm))
     return PoseTrack(told)
-
-
-def doubt_of_pose(read: Reading) -> str:
-    """Why the pose is doubtful or missing; empty if all is well, even where there is no spot."""
-    if read.range is None:
-        return read.doubt
-    return read.range.flag.value if read.range.flag else ""
 
 
 def errors_of(pose: TipPose | None, labels: FrameLabels) -> dict[str, float]:

@@ -14,16 +14,13 @@ from skimage.measure import EllipseModel, find_contours, ransac
 
 from eyespot.benchmarks.rivals.pupil import PupilDetector, why_unavailable
 from eyespot.benchmarks.sets.read import Mode, own_reader, plain_spot
-from eyespot.estimator import Frame, Range
+from eyespot.estimator import Frame, Reading
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import InputError
 from eyespot.formats.microscope import MicroscopeFile
-from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason
 
 # What an entry is: a frame goes in, an ellipse or a miss comes out.
-
-Answer = tuple[Spot | NoSpot, Range | None]
-"""The spot, or why there is none; and the distance, of an entry that has its own way to it."""
 
 
 class Entry:
@@ -46,7 +43,7 @@ class Entry:
         An entry without a memory has nothing to do.
         """
 
-    def read(self, frame: Frame) -> Answer:
+    def read(self, frame: Frame) -> Reading:
         """Measure a frame."""
         raise NotImplementedError
 
@@ -54,7 +51,7 @@ class Entry:
         """End what it has started."""
 
 
-NO_SPOT: Answer = NoSpot(Reason.NONE_FOUND), None
+NO_SPOT = Reading("", NoSpot(Reason.NONE_FOUND))
 
 
 _FEWEST_POINTS = 6
@@ -73,7 +70,7 @@ class OpenCV(Entry):
     level: float
     blur_px: float = 2.0
 
-    def read(self, frame: Frame) -> Answer:
+    def read(self, frame: Frame) -> Reading:
         """The ellipse of the largest bright region."""
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
         if self.blur_px:
@@ -97,7 +94,7 @@ class OpenCV(Entry):
         if not (math.isfinite(x + y) and 0 < width < math.inf and 0 < height < math.inf):
             return NO_SPOT
         axes = width / 2 + _INSIDE_PX, height / 2 + _INSIDE_PX
-        return plain_spot(x, y, *axes, math.radians(degrees)), None
+        return Reading("", plain_spot(x, y, *axes, math.radians(degrees)))
 
 
 _BLOB_CELL_PX, _BLOB_BLUR_CELLS = 8, 1.5
@@ -160,7 +157,7 @@ class Ransac(Entry):
     inlier_px: float = 2.0
     trials: int = 100
 
-    def read(self, frame: Frame) -> Answer:
+    def read(self, frame: Frame) -> Reading:
         """The ellipse of the edges around the brightest blob."""
         square = square_around_blob(frame.image)
         if square is None:
@@ -188,7 +185,7 @@ class Ransac(Entry):
         if not (model and _is_sane(model, side)):
             return NO_SPOT
         (x, y), axes = model.center, model.axis_lengths
-        return plain_spot(x + left, y + top, axes[0], axes[1], model.theta), None
+        return Reading("", plain_spot(x + left, y + top, axes[0], axes[1], model.theta))
 
 
 def _is_sane(model: EllipseModel, side: int) -> bool:
@@ -208,7 +205,7 @@ class Pupil(Entry):
         sizes = {"pupil_size_min": 10, "pupil_size_max": largest}
         self._detector = PupilDetector(sizes | constants)
 
-    def read(self, frame: Frame) -> Answer:
+    def read(self, frame: Frame) -> Reading:
         """The ellipse of the brightest region."""
         n = self._smaller
         grey = cv2.cvtColor(frame.image, cv2.COLOR_RGB2GRAY)
@@ -219,7 +216,7 @@ class Pupil(Entry):
             return NO_SPOT
         *place, first, second, angle = found
         x, y = ((at + 0.5) * n - 0.5 for at in place)
-        return plain_spot(x, y, n * first, n * second, angle), None
+        return Reading("", plain_spot(x, y, n * first, n * second, angle))
 
     def close(self) -> None:
         """End the detector's process."""
@@ -242,10 +239,9 @@ class EyespotMode(Entry):
             self._mode, microscope, click=click, beam=beam, constants=self._constants
         )
 
-    def read(self, frame: Frame) -> Answer:
+    def read(self, frame: Frame) -> Reading:
         """Measure the next frame."""
-        reading = self._reader.read(frame, name=frame.file_name)
-        return reading.result, reading.range
+        return self._reader.read(frame, name=frame.file_name)
 
 
 class Kind(NamedTuple):

@@ -13,6 +13,7 @@ import statistics
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,15 +21,17 @@ from typing import Annotated, Any
 import numpy as np
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
+from dask.system import cpu_count
 from distributed import Client
 
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
 from eyespot.benchmarks.rivals.entries import KINDS, Entry, chosen, unavailable
 from eyespot.benchmarks.rivals.pupil import PACKAGE
+from eyespot.benchmarks.run_folder import versions, write_json
 from eyespot.benchmarks.sets.read import SetStack, exposures_of, stacks_of, true_beam
-from eyespot.benchmarks.sets.workers import cores, local_workers
-from eyespot.benchmarks.study import versions, write_json
+from eyespot.benchmarks.sets.workers import local_workers
 from eyespot.estimator import Frame, Ranger, open_source
+from eyespot.estimator.run.offline import record_of
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress
 from eyespot.formats.inputs import InputError, in_file, read_text
@@ -90,7 +93,7 @@ def run(
         raise InputError("none of the entries can run on this machine. Name another --entry.")
     with (
         written_whole(out) as whole,
-        local_workers(min(workers or cores(), len(stacks))) as client,
+        local_workers(min(workers or cpu_count(), len(stacks))) as client,
         progress("Measuring stacks", total=len(stacks)) as advance,
     ):
         whole.mkdir()
@@ -133,21 +136,15 @@ def measure_stack(
         records, seconds = [], []
         for frame in frames(stack.folder, exposure=exposure):
             began = time.process_time() + made.seconds_elsewhere
-            result, found = made.read(frame)
+            reading = made.read(frame)._replace(mode=name)
             seconds.append(time.process_time() + made.seconds_elsewhere - began)
-            if ranger is not None and isinstance(result, Spot):
-                found = ranger.distance(result, frame=frame.image, exposure_s=frame.exposure_s)
-            records.append(
-                SpotRecord(
-                    frame=frame.index,
-                    file_name=frame.file_name,
-                    time_s=frame.time_s,
-                    mode=name,
-                    result=result,
-                    distance_mm=found.distance_mm if found else math.nan,
-                    sigma_distance_mm=found.sigma_mm if found else math.nan,
+            if ranger is not None and isinstance(reading.result, Spot):
+                found = ranger.distance(
+                    reading.result, frame=frame.image, exposure_s=frame.exposure_s
                 )
-            )
+                reading = reading._replace(range=found)
+            record = record_of(frame, reading)
+            records.append(replace(record, measured_with=""))  # entry.json says it
         yield name, exposure, records, seconds
 
 
@@ -238,7 +235,7 @@ def tune(
     found: dict[str, Any] = {}
     with (
         written_whole(out) as partial,
-        local_workers(workers or cores()) as client,
+        local_workers(workers or cpu_count()) as client,
         progress("Tuning", total=len(able)) as advance,
     ):
         for name in able:

@@ -2,7 +2,7 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,22 +16,14 @@ _SPLITS = ("train", "validation", "test")
 """Splits that have the distributions of [vary]; the others change them."""
 
 
-class Asked(NamedTuple):
-    """The parameters of a set's common splits against their distributions.
+def asked_and_drawn(labelled: LabelledSet) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Compare the common splits of a set with [vary] of its spec; empty tables if nothing varies.
 
-    Attributes:
-        parameters: one row a parameter: name, asked, drawn, and the largest difference of the two
-            cumulative distributions.
-        pairs: one row a pair of parameters: the cell of halves (of an interval) and values (of a
-            choice) that lacks most stacks, and the shares of stacks that were asked and drawn.
+    Returns:
+        One row a parameter: name, asked, drawn, and the largest difference of the two cumulative
+        distributions; and one row a pair of parameters: the cell of halves (of an interval) and
+        values (of a choice) that lacks most stacks, and the shares asked and drawn.
     """
-
-    parameters: pd.DataFrame
-    pairs: pd.DataFrame
-
-
-def asked_and_drawn(labelled: LabelledSet) -> Asked:
-    """Compare the stacks of a set with [vary] of its spec; empty tables if nothing varies."""
     asked = labelled.description["spec"].get("vary", {})
     vary = TypeAdapter(dict[str, Distribution]).validate_python(asked)
     stacks = [s.parameters for s in labelled.stacks if s.split in _SPLITS and s.pair is None]
@@ -42,7 +34,7 @@ def asked_and_drawn(labelled: LabelledSet) -> Asked:
         (first, second, *_emptiest(cells[first], cells[second]))
         for first, second in itertools.combinations(cells, 2)
     ]
-    return Asked(
+    return (
         pd.DataFrame(parameters, columns=["parameter", "asked", "drawn", "difference"]),
         pd.DataFrame(pairs, columns=["first", "second", "cell", "asked", "drawn"]),
     )
@@ -85,8 +77,7 @@ def _emptiest(
 ) -> tuple[str, float, float]:
     """The pair of cells with the fewest stacks, and the shares asked and drawn."""
     (rows, i), (columns, j) = first, second
-    counts = np.zeros((len(rows), len(columns)))
-    np.add.at(counts, (i, j), 1)
+    counts, *_ = np.histogram2d(i, j, [np.arange(len(names) + 1) for names in (rows, columns)])
     row, column = np.unravel_index(np.argmin(counts), counts.shape)
     name = f"{rows[row]} with {columns[column]}"
     return name, 1 / counts.size, float(counts[row, column] / counts.sum())

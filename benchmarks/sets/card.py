@@ -12,9 +12,9 @@ import pandas as pd
 import tomli_w
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
 from eyespot.benchmarks import reporting as page
+from eyespot.benchmarks.paper import ELLIPSE
 from eyespot.benchmarks.sets.asked import asked_and_drawn
 from eyespot.benchmarks.sets.read import LabelledSet, Row, rows
 from eyespot.formats.whole_files import write_text, written_whole
@@ -94,13 +94,10 @@ def samples(rows: Sequence[Row], path: Path) -> None:
 
 def _draw(axes: Axes, row: Row) -> None:
     """One image with its ellipse."""
-    of = row.labels
-    bits = row.stack.described("scene.camera.bit_depth", int)
-    axes.imshow(page.in_8_bits(row.stack.image(of), bits), cmap="gray", vmin=0, vmax=255)
-    size = 2 * of.half_max_semi_major_px, 2 * of.half_max_semi_minor_px
-    style: dict[str, Any] = {"fill": False, "color": page.ORANGE, "lw": 0.8, "ls": (0, (3, 2))}
-    turned = math.degrees(of.half_max_angle_rad)
-    axes.add_patch(Ellipse((of.half_max_x_px, of.half_max_y_px), *size, angle=turned, **style))
+    of, bits = row.labels, row.stack.described("scene.camera.bit_depth", int)
+    true = [getattr(of, f"half_max_{name}") for name in ELLIPSE]
+    look = {"color": page.ORANGE, "lw": 0.8, "ls": (0, (3, 2))}
+    page.draw_spots(axes, row.stack.image(of), bits, (true, look))
     axes.set_title(f"$d$ {of.d_mm:.1f}, $c$ {of.c_mm:.1f} mm", size=7)
 
 
@@ -137,7 +134,7 @@ def write_card(labelled: LabelledSet) -> None:
         (*about, *np.quantile(labels[column], [0.0, 0.5, 1.0]))
         for column, about in QUANTITIES.items()
     ]
-    asked = asked_and_drawn(labelled)
+    parameters, pairs = asked_and_drawn(labelled)
     histograms(labels, labelled.folder / "histograms.png")
     samples(images, labelled.folder / "samples.png")
     text = (
@@ -153,8 +150,8 @@ def write_card(labelled: LabelledSet) -> None:
             ranges=ranges,
             bounded="bound_semi_minor_px" in labels,
             varied=sorted(labelled.stacks[0].parameters),
-            parameters=page.rows_of(asked.parameters),
-            pairs=page.rows_of(asked.pairs),
+            parameters=page.rows_of(parameters),
+            pairs=page.rows_of(pairs),
             left_out=labelled.description.get("left_out", []),
         )
     )

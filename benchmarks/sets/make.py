@@ -9,7 +9,6 @@ import errno
 import fcntl
 import importlib
 import importlib.metadata
-import json
 import math
 import os
 import re
@@ -18,19 +17,20 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 from cyclopts.types import PositiveInt
+from dask.system import cpu_count
 from distributed import Client, Future, as_completed
 from rich.filesize import decimal
 
 from eyespot import scenes
+from eyespot.benchmarks.run_folder import claim
 from eyespot.benchmarks.sets import card
 from eyespot.benchmarks.sets.read import (
     SCHEMA,
     LabelledSet,
-    SetError,
     SetStack,
     read_set,
     verify_set,
@@ -43,16 +43,15 @@ from eyespot.benchmarks.sets.spec import (
     draw,
     impossible_report,
     load_spec,
-    refuse_impossible,
 )
-from eyespot.benchmarks.sets.workers import cores, local_workers, running_scheduler
+from eyespot.benchmarks.sets.workers import local_workers, running_scheduler
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import duration, say
 from eyespot.estimator.run.progress_bar import progress as bar
-from eyespot.formats.inputs import InputError, in_file, object_in, read_text, shortened
+from eyespot.formats.inputs import InputError
 from eyespot.formats.manifest import MANIFEST
 from eyespot.formats.stack import StackWriter
-from eyespot.formats.whole_files import BeingWrittenError, require_space, sweep, write_text
+from eyespot.formats.whole_files import BeingWrittenError, require_space, sweep
 from eyespot.scenes.commands import Changes
 
 # What a worker does: it renders one stack.
@@ -103,17 +102,8 @@ _USUAL_LEVEL = 0.1
 """Mean level of an image over full scale: little of it is lit."""
 
 
-class CostEstimate(NamedTuple):
-    """Expected cost of a set without its data card."""
-
-    stacks: int
-    images: int
-    size_bytes: float
-    processor_s: float
-
-
-def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
-    """Number and size of a set's images, and the processor time of usual ones.
+def estimate(planned: Sequence[PlannedStack]) -> tuple[int, float, float]:
+    """Number and bytes of a set's images, and the processor time of usual ones, s.
 
     Traced light, bounds and colours with their own lines of sight take longer.
     """
@@ -125,7 +115,7 @@ def estimate(planned: Sequence[PlannedStack]) -> CostEstimate:
         images += count
         size += count * _PNG_EXCESS * scenes.noise_bytes(scene, level=_USUAL_LEVEL)
         seconds += _START_S + count * _IMAGE_S * pixels * microscope.samples / (640 * 480 * 4)
-    return CostEstimate(len(planned), images, size, seconds)
+    return images, size, seconds
 
 
 # Uploads a set to a repository of the Hugging Face Hub.
@@ -203,14 +193,13 @@ def make_set(
             same time on any machine.
 
     Raises:
-        SetError: `out` contains something else.
-        InputError: the disk has too little space.
+        InputError: `out` contains something else, the disk has too little space, a stack cannot be
+            rendered, or Dask is gone.
         OSError: the disk is full or cannot be written; what is done is kept.
-        SceneError: see `refuse_impossible`.
+        SceneError: see `draw`.
     """
     out = Path(out).absolute()
     drawn = draw(spec, scenes.check_scene)
-    refuse_impossible(spec, drawn)
     if drawn.impossible:
         say(f"Left out: {impossible_report(drawn)}")
     planned = drawn.stacks
@@ -269,7 +258,7 @@ def _render(
         if busy:
             time.sleep(_BETWEEN_TRIES_S)
     if problems:
-        raise SetError(
+        raise InputError(
             "\n".join([*problems, f"{len(missing) - len(problems)} other stacks are done."])
         )
 
@@ -284,12 +273,12 @@ def _finished(futures: Sequence[Future], client: Client) -> Iterator[Future]:
     """The futures as they finish.
 
     Raises:
-        SetError: the scheduler or all workers are gone.
+        InputError: the scheduler or all workers are gone.
     """
     left, seen_s = set(futures), math.inf
 
-    def gone(who: str) -> SetError:
-        return SetError(
+    def gone(who: str) -> InputError:
+        return InputError(
             f"{who}; {len(left)} stacks are still missing. Start the scheduler and its workers "
             "again, then run the same command: it continues the set."
         )
@@ -332,36 +321,9 @@ def _claim(out: Path, spec: SetSpec, drawn: Draw) -> None:
         content["left_out"] = [
             {**one._asdict(), "problem": str(one.problem)} for one in drawn.impossible
         ]
-    text = json.dumps(content, indent=1) + "\n"
     out.mkdir(parents=True, exist_ok=True)
-    file = out / "set.json"
     with _alone_in(out):
-        if file.is_file():
-            with in_file(file, SetError):
-                there = read_text(file)
-                found = object_in(there)
-            if there != text:
-                raise SetError(_difference(out, found, content))
-            return
-        sweep(out)
-        if any(out.iterdir()):
-            raise SetError(f"{out} contains other files than a labelled set. Choose another --out.")
-        write_text(file, text)
-
-
-def _difference(out: Path, found: dict[str, Any], wanted: dict[str, Any]) -> str:
-    if found.get("spec") != wanted["spec"]:
-        name = shortened(found.get("name"))
-        return f"{out} contains a set of another spec, {name}. Choose another --out."
-    there, here = found.get("versions"), wanted["versions"]
-    if isinstance(there, dict) and there != here:
-        names = [name for name in {**here, **there} if there.get(name) != here.get(name)]
-        other, ours = ({name: each.get(name) for name in names} for each in (there, here))
-        return (
-            f"{out} was started with other versions: {shortened(other)} instead of "
-            f"{shortened(ours)}. Install those, or choose another --out."
-        )
-    return f"{out / 'set.json'} was changed after it was written. Choose another --out."
+        claim(out / "set.json", content, of="a set", command="eyespot dataset make")
 
 
 @contextmanager
@@ -417,18 +379,17 @@ def make(
             "--workers starts processes on this machine, but --scheduler has its own workers. Give "
             "only one of them."
         )
-    count = workers or cores()
+    count = workers or cpu_count()
     if dry_run:
         drawn = draw(settings, scenes.check_scene)
-        refuse_impossible(settings, drawn)
         if drawn.impossible:
             print(f"Left out: {impossible_report(drawn)}")
-        found = estimate(drawn.stacks[part - 1 :: parts])
-        processor, wall = duration(found.processor_s), duration(found.processor_s / count)
+        share = drawn.stacks[part - 1 :: parts]
+        images, size, seconds = estimate(share)
         print(
-            f"{found.images:,} images in {found.stacks:,} stacks, "
-            f"{decimal(round(found.size_bytes))}, about {processor} of processor time, {wall} with "
-            f"{count} workers on one core each."
+            f"{images:,} images in {len(share):,} stacks, {decimal(round(size))}, about "
+            f"{duration(seconds)} of processor time, {duration(seconds / count)} with {count} "
+            "workers on one core each."
         )
         return
     if out is None:

@@ -51,10 +51,6 @@ HISTORY = {1: "the format of eyespot 0.1"}
 _AGAIN = "Run `eyespot dataset` with its spec and this folder again."
 
 
-class SetError(InputError):
-    """A folder is not a labelled set, or it is incomplete; the text says what is wrong."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class SetStack:
     """A stack of a set: what set.json says of it, and its folder."""
@@ -130,13 +126,13 @@ class _SetFile(Strict):
 
 
 def read_set(folder: str | Path) -> LabelledSet:
-    """Open a set, complete or not (`verify_set` checks that); SetError if the folder is none."""
+    """Open a set, complete or not (`verify_set` checks that); InputError if the folder is none."""
     folder = Path(folder)
-    with in_file(folder / "set.json", SetError):
+    with in_file(folder / "set.json"):
         try:
             content = object_in(read_text(folder / "set.json"))
         except FileNotFoundError as error:
-            raise SetError(f"{folder} is not a labelled set: set.json is missing.") from error
+            raise InputError(f"{folder} is not a labelled set: set.json is missing.") from error
         check_schema(content.get("schema"), HISTORY, remedy=_AGAIN)
         file = validated(_SetFile, content, remedy=_AGAIN)
         stacks = tuple(
@@ -164,7 +160,7 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
     """The stacks of a set, sorted by split; a single stack is a set of one with an empty split.
 
     Raises:
-        SetError: the folder is neither, or the set is incomplete.
+        InputError: the folder is neither, or the set is incomplete.
     """
     folder = Path(folder)
     if (folder / "stack.toml").is_file():
@@ -172,13 +168,13 @@ def stacks_of(folder: str | Path) -> list[SetStack]:
         name = in_utf8(place.name)  # of a set's stacks, set.json has it as text
         return [SetStack(split="", name=name, condition=None, parameters={}, folder=place)]
     if not (folder / "set.json").is_file():
-        raise SetError(
+        raise InputError(
             f"{folder} is neither a set (set.json is missing) nor a stack (stack.toml is missing). "
             "Give a folder that `eyespot dataset` or `eyespot render` wrote."
         )
     labelled = read_set(folder)
     if missing := labelled.missing:
-        raise SetError(
+        raise InputError(
             f"{folder} is incomplete: {len(missing)} of {len(labelled.stacks)} stacks are missing. "
             f"{_AGAIN}"
         )
@@ -191,13 +187,13 @@ def check_unchanged(stacks: Sequence[SetStack]) -> None:
     Files beside them are ignored, and a folder without a manifest, which others made, is accepted.
 
     Raises:
-        SetError: something is missing or changed; the message lists it.
+        InputError: something is missing or changed; the message lists it.
     """
     folder = stacks[0].folder.parents[1] if stacks[0].split else stacks[0].folder
     if (folder / MANIFEST).is_file():
         listed = read_manifest(folder, remedy="Copy it again.")
         if problems := list(changes(folder, listed)):
-            raise SetError(_listed(folder, problems))
+            raise InputError(_listed(folder, problems))
 
 
 def set_files(stacks: Sequence[SetStack]) -> list[Path]:
@@ -329,7 +325,7 @@ class Row(NamedTuple):
     def _half_angle(self) -> float:
         found = self.stack.described("cone.half_angle", float)
         if not 0.0 < found < math.pi / 2:
-            raise SetError(
+            raise InputError(
                 f"{self.stack.folder / 'stack.toml'}: cone.half_angle must lie in (0, pi/2); got "
                 f"{found:g} rad. {_AGAIN}"
             )
@@ -363,19 +359,17 @@ def verify_set(folder: Path) -> int:
     """Verify that a set has all its files unchanged, and nothing else; returns their number.
 
     Raises:
-        SetError: something is missing, changed or unexpected; the message lists it.
+        InputError: something is missing, changed or unexpected; the message lists it.
     """
     labelled = read_set(folder)
     if missing := [stack.qualified_name for stack in labelled.missing]:
-        raise SetError(_listed(folder, [f"stack {name} is missing" for name in missing]))
+        raise InputError(_listed(folder, [f"stack {name} is missing" for name in missing]))
     try:
         files = read_manifest(labelled.folder, remedy="Copy the set again.")
     except FileNotFoundError as error:
-        raise SetError(f"{folder} is incomplete: {MANIFEST} is missing. {_AGAIN}") from error
-    except InputError as error:
-        raise SetError(f"{error}") from error
+        raise InputError(f"{folder} is incomplete: {MANIFEST} is missing. {_AGAIN}") from error
     if problems := list(differences(labelled.folder, files)):
-        raise SetError(_listed(folder, problems))
+        raise InputError(_listed(folder, problems))
     return len(files)
 
 

@@ -12,37 +12,33 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import (
     AfterValidator,
-    BaseModel,
     BeforeValidator,
-    ConfigDict,
     Discriminator,
     Field,
     Tag,
     ValidationError,
     model_validator,
 )
+from pydantic import Strict as StrictType
 from scipy.stats import qmc
 
 from eyespot.formats.inputs import (
     FOLDER_NAME,
     InputError,
+    Strict,
     at_most_three,
     check_schema,
     in_file,
     read_toml,
     shortened,
 )
-from eyespot.formats.settings_files import parsed_change, problem_sentence
+from eyespot.formats.settings_files import by_dotted_name, parsed_change, problems_of
 from eyespot.scenes import Scene, SceneError, changed
 from eyespot.scenes.description.scene_keys import OutsideWindow
 
 # Distributions of a scene key; each maps a quantile in [0, 1) to a value.
 
 _LARGEST = 1e12  # With ends up to this, an interval's width and quotient are finite.
-
-
-class _SpecTable(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -73,34 +69,26 @@ def _finite(values: tuple[Any, ...]) -> tuple[Any, ...]:
     return values
 
 
-def _tuple(value: object) -> object:
-    """TOML's lists as the tuples of the models."""
-    return tuple(value) if isinstance(value, list) else value
+# Lax, because TOML has lists for tuples.
+_Interval = Annotated[tuple[float, float], StrictType(False), AfterValidator(_ordered)]
 
 
-_Interval = Annotated[
-    tuple[float, float],
-    BeforeValidator(_tuple, json_schema_input_type=tuple[float, float]),
-    AfterValidator(_ordered),
-]
-
-
-class Uniform(_SpecTable):
+class Uniform(Strict):
     """Uniform distribution on an interval."""
 
     uniform: _Interval
 
 
-class LogUniform(_SpecTable):
+class LogUniform(Strict):
     """Log-uniform distribution: the logarithm is uniform."""
 
     log_uniform: Annotated[_Interval, AfterValidator(_positive)]
 
 
-class Choice(_SpecTable):
+class Choice(Strict):
     """One of several values, all equally likely."""
 
-    choice: Annotated[tuple[Any, ...], BeforeValidator(_tuple), AfterValidator(_finite)] = Field(
+    choice: Annotated[tuple[Any, ...], StrictType(False), AfterValidator(_finite)] = Field(
         min_length=2, max_length=4096
     )
 
@@ -126,18 +114,6 @@ Change = Annotated[
 ]
 
 
-def by_dotted_name(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The values and distributions of a nested table, by dotted scene key."""
-    found: dict[str, Any] = {}
-    for name, value in table.items():
-        key = f"{prefix}{name}"
-        if isinstance(value, Mapping) and _kind(value) == "value":
-            found |= by_dotted_name(value, f"{key}.")
-        else:
-            found[key] = value
-    return found
-
-
 HISTORY = {
     1: "the format of eyespot 0.1",
     2: "scenes are of format 2, with cones no wider than their fibre; a file without `schema` has "
@@ -149,12 +125,8 @@ SEED_KEYS = ("seed", "phantom.texture_seed", "clocks.seed", "motion.seed")
 _NAMED = resources.files("eyespot.benchmarks.sets") / "named"
 
 
-class SpecError(InputError):
-    """A spec is missing, invalid or impossible; the text says what to change."""
-
-
 def _dotted(table: Any) -> Any:
-    return by_dotted_name(table) if isinstance(table, Mapping) else table
+    return by_dotted_name(table, whole=KINDS) if isinstance(table, Mapping) else table
 
 
 _Count = Annotated[int, Field(ge=0, le=4096)]
@@ -162,7 +134,7 @@ _Condition = Annotated[str, Field(pattern=FOLDER_NAME, max_length=60)]
 _Changes = Annotated[dict[str, Change], BeforeValidator(_dotted)]
 
 
-class Splits(_SpecTable):
+class Splits(Strict):
     """Number of stacks in each split."""
 
     train: _Count = Field(0, description="Number of stacks.")
@@ -170,7 +142,7 @@ class Splits(_SpecTable):
     test: _Count = Field(0, description="Number of stacks.")
 
 
-class Adverse(_SpecTable):
+class Adverse(Strict):
     """The split with difficult conditions."""
 
     stacks: _Count = Field(description="Number of stacks per condition.")
@@ -181,14 +153,14 @@ class Adverse(_SpecTable):
     )
 
 
-class Unseen(_SpecTable):
+class Unseen(Strict):
     """The split that shows what no other split shows, such as walls of another generator."""
 
     stacks: _Count = Field(description="Number of stacks.")
     changes: _Changes = Field(min_length=1, description="Values or distributions.")
 
 
-class SetSpec(_SpecTable):
+class SetSpec(Strict):
     """The spec of a labelled set."""
 
     schema_version: Literal[1, 2] = Field(
@@ -251,21 +223,21 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
         changes: scene keys that get the same value in all stacks, each "table.key=value".
 
     Raises:
-        SpecError: the spec is missing or invalid.
+        InputError: the spec is missing or invalid.
     """
     where = shortened(str(source))[1:-1]
     path = _NAMED / f"{source}.toml" if str(source) in named_specs() else Path(source)
     try:
-        with in_file(where, SpecError):
+        with in_file(where):
             content = read_toml(Path(str(path)))
             check_schema(content.get("schema", 2), HISTORY, remedy="Write 2.")
         if isinstance(scene_file := content.get("scene"), str):
             path = Path(source).parent / scene_file
-            with in_file(path, SpecError):
+            with in_file(path):
                 keys = by_dotted_name(read_toml(path))
             content["scene"] = {k: v for k, v in keys.items() if k not in ("schema", *SEED_KEYS)}
     except OSError as error:
-        raise SpecError(
+        raise InputError(
             f"{shortened(str(error.filename))[1:-1]}: cannot be read ({error.strerror}). Give the "
             f"path of a spec, or one of {', '.join(named_specs())}."
         ) from error
@@ -278,19 +250,7 @@ def load_spec(source: str | Path, changes: Sequence[str] = ()) -> SetSpec:
     try:
         return SetSpec.model_validate(content)
     except ValidationError as error:
-        problems = [f"{where}: {_sentence(problem)}" for problem in error.errors()]
-        raise SpecError(at_most_three(problems)) from error
-
-
-def _sentence(problem: Any) -> str:
-    path = [str(part) for part in problem["loc"]]
-    return problem_sentence(problem, path, siblings=lambda: _siblings(path[:-1]))
-
-
-def _siblings(path: list[str]) -> list[str]:
-    tables: dict[str, type[BaseModel]] = {"splits": Splits, "adverse": Adverse, "unseen": Unseen}
-    model = tables.get(".".join(path), SetSpec)
-    return [field.alias or name for name, field in model.model_fields.items()]
+        raise InputError(problems_of(error, where, SetSpec)) from error
 
 
 # From a spec to the scenes of all stacks, spread evenly over the distributions.
@@ -339,27 +299,9 @@ def plan(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
     """The stacks of a set, in order, without those that the spec leaves out.
 
     Raises:
-        SceneError: as `draw`; or a scene is impossible and the spec does not leave such out.
+        SceneError: as `draw`.
     """
-    drawn = draw(spec, check)
-    refuse_impossible(spec, drawn)
-    return drawn.stacks
-
-
-def refuse_impossible(spec: SetSpec, drawn: Draw) -> None:
-    """Refuse a set that would not be distributed as its spec says.
-
-    Raises:
-        SceneError: how many scenes fail which condition, and the window that shows all spots.
-    """
-    if drawn.impossible and not drawn.stacks:
-        raise SceneError(impossible_report(drawn))
-    if drawn.impossible and spec.impossible == "refuse":
-        raise SceneError(
-            f"{impossible_report(drawn)} A set without them would not be distributed as its spec "
-            'says. Narrow [vary], or write impossible = "leave out"; the data card then shows what '
-            "is missing."
-        )
+    return draw(spec, check).stacks
 
 
 def impossible_report(drawn: Draw) -> str:
@@ -401,6 +343,8 @@ def draw(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
 
     Raises:
         InputError: too many stacks.
+        SceneError: a scene is impossible, and the spec does not leave such out, or all are: how
+            many fail which condition, and the window that shows all spots.
     """
     groups: list[tuple[str, str | None, int, dict[str, Any]]] = [
         (split, None, count, {}) for split, count in spec.splits
@@ -450,6 +394,14 @@ def draw(spec: SetSpec, check: Callable[[Scene], None] = lambda scene: None) -> 
             except SceneError as problem:
                 values = {key: value for of in own for key, value in of.items() if key in labelled}
                 found.impossible.append(ImpossibleStack(split, name, values, problem))
+    if found.impossible and not found.stacks:
+        raise SceneError(impossible_report(found))
+    if found.impossible and spec.impossible == "refuse":
+        raise SceneError(
+            f"{impossible_report(found)} A set without them would not be distributed as its spec "
+            'says. Narrow [vary], or write impossible = "leave out"; the data card then shows what '
+            "is missing."
+        )
     return found
 
 

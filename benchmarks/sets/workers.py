@@ -36,11 +36,6 @@ class OneCore(WorkerPlugin):
             os.sched_setaffinity(int(thread), {core})
 
 
-def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @contextmanager
 def local_workers(count: int, *, first_core: int = 0) -> Iterator[Client]:
     """A cluster on this machine; a worker that fails is started again.

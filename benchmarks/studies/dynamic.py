@@ -287,7 +287,6 @@ def report(errors: pd.DataFrame, spreads: pd.DataFrame, *, exposure_ms: float) -
             ),
         ],
         claims=list(_claims(stamped)),
-        sections=[],
         data={"dynamic_error.csv": errors, "dynamic_spread.csv": spreads},
     )
 

@@ -91,14 +91,6 @@ def distances(
     special: dict[str, Any] = {"pinhole_height": believed.eye_radius, "incidence": 0.0}
     both = jax.tree.map(lambda *v: jnp.stack(v), believed._replace(**special), believed)
     stereographic, exact = jax.vmap(lambda eye: inverse(eye, c, semi_minor_px, links))(both)
-    closed = closed_forms(believed, c, semi_minor_px, links)
-    return {**closed, "stereographic": stereographic, "exact": exact}
-
-
-def closed_forms(
-    believed: Geometry, c: Float[Array, ""], semi_minor_px: Float[Array, ""], links: Links = REAL
-) -> dict[str, Float[Array, ""]]:
-    """`distances` by planar, small_plane and corrected."""
     k, b = optics.slope(believed.half_angle), believed.apex_offset
     radius = believed.eye_radius
     kappa = jnp.where(links.magnification, 1.0 / (believed.pinhole_height + radius), 0.0)
@@ -120,6 +112,8 @@ def closed_forms(
         ),
         "small_plane": on_sphere(jnp.where(links.foreshortening, cos_phi, 1.0)),
         "corrected": on_sphere(jnp.where(links.foreshortening, factor, upright)),
+        "stereographic": stereographic,
+        "exact": exact,
     }
 
 

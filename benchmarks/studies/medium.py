@@ -189,7 +189,9 @@ def _error_figure(cones: pd.DataFrame, errors: pd.DataFrame) -> Figure:
     """Error of each method against distance: a panel for each light."""
 
     def draw(axes: Axes, _: str, light: str) -> None:
-        page.limit_lines(axes, ACCEPTABLE_ERROR_MM)
+        axes.axhline(0, color=page.GREY, lw=0.8)
+        for end in (-ACCEPTABLE_ERROR_MM, ACCEPTABLE_ERROR_MM):
+            axes.axhline(end, color=page.VERMILION, lw=0.8, ls="--")
         for cone in rows_of(where(cones, light=light, medium=VITREOUS).dropna()):
             axes.axvspan(cone.ambiguous_from_mm, cone.ambiguous_to_mm, color="#EEEEEE", zorder=0)
         shown = [(method, VITREOUS, "-", "o") for method in Method]

@@ -282,7 +282,6 @@ def _report(errors: pd.DataFrame, bounds: pd.DataFrame) -> page.Report:
             ),
         ],
         claims=list(_claims(errors)),
-        sections=[],
         data={"pose_error.csv": errors, "pose_bound.csv": bounds},
     )
 

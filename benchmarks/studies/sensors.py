@@ -320,7 +320,6 @@ def _report(noise: pd.DataFrame, wrong: pd.DataFrame) -> page.Report:
             page.Table(worst, worst.columns.tolist(), "Largest error of exact marks.", "wrong.csv"),
         ],
         claims=list(_claims(noise)),
-        sections=[],
         data={"expected.csv": noise, "wrong.csv": wrong},
     )
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from eyespot.benchmarks.bench import __main__ as bench
-from eyespot.benchmarks.bench.pixels import doubt_of_pose, share_a_radius
+from eyespot.benchmarks.bench.pixels import share_a_radius
 from eyespot.benchmarks.bench.speed import Outlines
 from eyespot.estimator import Range, Reading, track
 from eyespot.formats.spot import NoSpot, Reason, Spot
@@ -56,7 +56,7 @@ def test_a_radius_that_falls_and_grows_belongs_to_two_distances():
 
 def test_a_pose_without_a_spot_is_not_doubtful():
     pose = Range(distance_mm=2.0, sigma_mm=0.01)
-    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED), pose)) == ""
+    assert Reading("pixels", NoSpot(Reason.OCCLUDED), pose).doubt == ""
     twofold = Range(distance_mm=2.0, sigma_mm=0.01, others_mm=(1.0,))
-    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED), twofold)) == "ambiguous"
-    assert doubt_of_pose(Reading("pixels", NoSpot(Reason.OCCLUDED))) == Reason.OCCLUDED.value
+    assert Reading("pixels", NoSpot(Reason.OCCLUDED), twofold).doubt == "ambiguous"
+    assert Reading("pixels", NoSpot(Reason.OCCLUDED)).doubt == Reason.OCCLUDED.value

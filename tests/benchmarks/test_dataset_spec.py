@@ -12,15 +12,8 @@ import pytest
 
 from eyespot.benchmarks.sets.asked import asked_and_drawn
 from eyespot.benchmarks.sets.read import LabelledSet, SetStack
-from eyespot.benchmarks.sets.spec import (
-    SEED_KEYS,
-    SetSpec,
-    SpecError,
-    draw,
-    load_spec,
-    named_specs,
-    plan,
-)
+from eyespot.benchmarks.sets.spec import SEED_KEYS, SetSpec, draw, load_spec, named_specs, plan
+from eyespot.formats.inputs import InputError
 from eyespot.scenes import Scene, SceneError, changed, check_scene, scene_toml
 
 PLAIN = """\
@@ -81,7 +74,7 @@ def values(spec: SetSpec, split: str, key: str) -> list[Any]:
     ],
 )
 def test_a_broken_spec_is_answered_with_what_to_change(load, old, new, message):
-    with pytest.raises(SpecError, match=message):
+    with pytest.raises(InputError, match=message):
         load(PLAIN.replace(old, new, 1))
 
 
@@ -139,14 +132,14 @@ def test_the_card_says_which_combinations_are_missing():
         if lens == "b" or tilt < 20
     ]
     names: dict[str, Any] = {"name": "x", "licence": "y", "description": {"spec": {"vary": vary}}}
-    found = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
-    tilt, lens = found.parameters.itertuples(index=False)
+    parameters, pairs = asked_and_drawn(LabelledSet(folder=Path(), stacks=tuple(stacks), **names))
+    tilt, lens = parameters.itertuples(index=False)
     assert (tilt.asked, tilt.drawn) == ("uniform, 0 to 40", "0.5 to 39.5")
     # Of 60 stacks 40 tilt by less than 20 degrees, half of the interval; a step is 1/60.
     assert tilt.difference == pytest.approx(40 / 60 - 0.5, abs=1 / 60)
     assert lens.drawn == "a: 20, b: 40"
     assert lens.difference == pytest.approx(2 / 3 - 1 / 2)
-    (pair,) = found.pairs.itertuples(index=False)
+    (pair,) = pairs.itertuples(index=False)
     assert (pair.cell, pair.asked, pair.drawn) == ("20 to 40 with a", 0.25, 0.0)
 
 
@@ -157,7 +150,7 @@ def test_an_impossible_draw_names_its_stack_before_anything_is_rendered(load):
 
 
 def test_a_spec_that_does_not_exist_names_those_that_do(tmp_path):
-    with pytest.raises(SpecError, match="static-v1"):
+    with pytest.raises(InputError, match="static-v1"):
         load_spec(tmp_path / "missing.toml")
 
 

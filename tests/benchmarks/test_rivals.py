@@ -50,7 +50,7 @@ def measured(name: str, image: np.ndarray, constants: Mapping[str, Any] | None =
     entry: Entry = KINDS[name].make(known)
     beam = true_calibration(Scene.model_validate({"schema": 1, "source": {"kind": "cone"}}))
     entry.begin(read_microscope(WRITTEN / "microscope.json"), beam, (TRUTH.x, TRUTH.y))
-    result, _ = entry.read(Frame(index=0, time_s=0.0, image=image))
+    result = entry.read(Frame(index=0, time_s=0.0, image=image)).result
     entry.close()
     return result
 

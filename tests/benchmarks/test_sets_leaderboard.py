@@ -205,10 +205,10 @@ HEADER = "file_name,x_px,y_px,semi_major_px,semi_minor_px"
         ("x_px,y_px,semi_major_px,semi_minor_px\n", "column file_name is missing"),
         (f"{HEADER}\na.png,1,2,3,\n", "line 2.*semi_minor_px is empty"),
         (f"{HEADER}\na.png,1,2,3,4\n", "at least semi_minor_px; got 3.0 and 4.0 px. Swap"),
-        (f"{HEADER}\na.png,1,2,-3,-4\n", "semi_major_px must lie in"),
+        (f"{HEADER}\na.png,1,2,-3,-4\n", "semi_major_px must be above 0; got -3"),
         (f"{HEADER}\na.png,one,2,3,4\n", "x_px must be a finite number; got 'one'"),
-        (f"{HEADER},sigma_x_px\na.png,1,2,4,3,-1\n", "sigma_x_px must not be negative"),
-        (f"{HEADER}\n,1,2,4,3\n", "file_name is empty"),
+        (f"{HEADER},sigma_x_px\na.png,1,2,4,3,-1\n", "sigma_x_px must be at least 0; got -1"),
+        (f"{HEADER}\n,1,2,4,3\n", "file_name must not be empty"),
         (f"{HEADER},angle_rad\na.png,1,2,4,3,37\n", "angle_rad .* radians, not degrees"),
     ],
 )

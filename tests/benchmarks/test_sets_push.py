@@ -13,7 +13,7 @@ import huggingface_hub.constants
 import pytest
 
 from eyespot.benchmarks.sets.make import push
-from eyespot.benchmarks.sets.read import SetError, verify_set
+from eyespot.benchmarks.sets.read import verify_set
 from eyespot.benchmarks.sets.score.scored_spots import sample_folder
 from eyespot.formats.inputs import InputError
 from tests.support.command_line import printed
@@ -156,6 +156,6 @@ def test_a_hub_that_cannot_be_reached_is_one_message(monkeypatch):
 
 
 def test_what_is_no_complete_set_is_not_sent(hub, tmp_path):
-    with pytest.raises(SetError, match="not a labelled set"):
+    with pytest.raises(InputError, match="not a labelled set"):
         push(tmp_path, "a-lab/sample", endpoint=hub.address)
     assert not hub.files

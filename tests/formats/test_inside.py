@@ -8,8 +8,8 @@ import pytest
 
 from eyespot.benchmarks.sets.formats import hdf5
 from eyespot.benchmarks.sets.formats.export import export
-from eyespot.benchmarks.sets.read import SetError, read_set, stacks_of
-from eyespot.benchmarks.sets.spec import SpecError, load_spec
+from eyespot.benchmarks.sets.read import read_set, stacks_of
+from eyespot.benchmarks.sets.spec import load_spec
 from eyespot.estimator.sources.ros import write_bag
 from eyespot.formats.inputs import InputError, inside
 from eyespot.formats.poses import Pose, read_poses
@@ -100,7 +100,7 @@ def test_no_export_packs_a_file_from_elsewhere(stack, secret, tmp_path, to):
 def test_a_stack_outside_of_its_set_is_refused(stack, old, new):
     folder = stack.parents[1]
     replaced(folder / "set.json", old, new)
-    with pytest.raises(SetError, match=r"set\.json: stacks\.\d\."):
+    with pytest.raises(InputError, match=r"set\.json: stacks\.\d\."):
         read_set(folder)
 
 
@@ -109,7 +109,7 @@ def test_a_condition_that_cannot_name_a_folder_is_refused(tmp_path, name):
     path = tmp_path / "spec.toml"
     shutil.copyfile(OLD / "spec.toml", path)
     replaced(path, "[adverse.conditions.dim]", f'[adverse.conditions."{name}"]')
-    with pytest.raises(SpecError, match=r"spec\.toml: adverse\.conditions"):
+    with pytest.raises(InputError, match=r"spec\.toml: adverse\.conditions"):
         load_spec(path)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eyespot.benchmarks.sets.read import SetError, check_unchanged, stacks_of
+from eyespot.benchmarks.sets.read import check_unchanged, stacks_of
 from eyespot.benchmarks.sets.score.scored_spots import entry_of, read_any_spots, sample_folder
 from eyespot.formats.inputs import InputError
 from eyespot.formats.spot import Spot
@@ -114,7 +114,7 @@ def test_a_set_is_scored_only_as_its_manifest_lists_it(tmp_path):
     (folder / "mine.csv").write_text("what a user keeps there")
     check_unchanged(stacks_of(folder))
     relabelled(folder / "test" / "0000", d_mm=2.5, nearest_mm=2.0)
-    with pytest.raises(SetError, match=r"test/0000/metadata\.jsonl differs from its checksum"):
+    with pytest.raises(InputError, match=r"test/0000/metadata\.jsonl differs from its checksum"):
         check_unchanged(stacks_of(folder))
 
 

@@ -83,11 +83,11 @@ def test_opencvs_camera_may_see_through_an_eye_whose_pinhole_lies_behind_the_ret
     assert microscope.inverse_working_distance == pytest.approx(-1 / 16.9, rel=1e-12)
 
 
-def test_a_plane_wall_stands_in_the_file_or_comes_with_the_call(written):
+def test_a_plane_wall_stands_in_the_file_or_is_added(written):
     normal = (0.0, 0.6, 0.8)
     in_file = read_microscope(written(ours(plane_normal=list(normal))))
-    given = read_microscope(written(ROS, ".yaml"), plane_normal=normal, **EYE)
-    old = read_microscope(written(ours()), plane_normal=normal)
+    given = read_microscope(written(ROS, ".yaml"), **EYE).changed(plane_normal=normal)
+    old = read_microscope(written(ours())).changed(plane_normal=normal)
     assert in_file.plane_normal == given.plane_normal == old.plane_normal == normal
     met = in_file.wall().intersect(jnp.array([0.0, 0.0, 5.0]), jnp.array([0.0, 0.0, -1.0]))
     np.testing.assert_allclose(met.point, jnp.array([0.0, 0.0, -11.5]), atol=1e-12)
@@ -146,8 +146,6 @@ def test_what_opencv_does_not_hold_must_be_given(written, missing):
 def test_what_stands_in_the_file_must_not_be_given_too(written):
     with pytest.raises(InputError, match="eye_radius_mm is in the file already"):
         read_microscope(written(ours()), eye_radius_mm=12.0)
-    with pytest.raises(InputError, match="plane_normal is in the file already"):
-        read_microscope(written(ours(plane_normal=None)), plane_normal=(0.0, 0.0, 1.0))
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eyespot.benchmarks.sets.read import SetError, read_set, verify_set
+from eyespot.benchmarks.sets.read import read_set, verify_set
 from eyespot.benchmarks.sets.spec import load_spec
 from eyespot.formats.calibration import read_calibration
 from eyespot.formats.inputs import InputError
@@ -59,7 +59,7 @@ def test_a_set_of_0_1_is_read():
     ]
     assert labelled.stacks[1].parameters["camera.full_well_e"] == 500.0
     # Its two pictures, 200 kB, are not kept here; all else is as the manifest says.
-    with pytest.raises(SetError) as caught:
+    with pytest.raises(InputError) as caught:
         verify_set(OLD / "small-v1")
     assert re.findall(r"(\w+\.png) is missing", str(caught.value)) == [
         "histograms.png",

@@ -2,7 +2,6 @@
 
 import csv
 import json
-import os
 import resource
 import shutil
 import time
@@ -15,8 +14,8 @@ import numpy as np
 import pytest
 import tomli_w
 
-from eyespot.benchmarks import study
 from eyespot.benchmarks.predictions import QUANTITIES, read_plan
+from eyespot.benchmarks.run_folder import claim
 from eyespot.benchmarks.sets.read import read_set, rows, stacks_of, verify_set
 from eyespot.benchmarks.sets.spec import load_spec, plan
 from eyespot.calibration.command.choices import Choices
@@ -177,7 +176,8 @@ def write_rig_files(folder):
 
 
 def claim_run(folder):
-    os.close(study.claim(folder / "run", SETTINGS, command="eyespot validate"))
+    (folder / "run").mkdir(exist_ok=True)
+    claim(folder / "run" / "run.json", SETTINGS, of="a run", command="eyespot validate")
 
 
 def scene_of(path):

@@ -20,11 +20,10 @@ import numpy as np
 
 from eyespot.benchmarks.sets.read import SetStack, set_files
 from eyespot.formats.inputs import InputError, check_values, in_file, read_text
+from eyespot.formats.report_page import UNITS, unit_at_end
 from eyespot.formats.stack import Stack
 
 _SCHEMA = 1
-_UNITS = {"_mm_s": "mm/s", "_mm": "mm", "_px": "px", "_rad": "rad", "_s": "s"}
-"""Unit of a column by the end of its name; the first match counts."""
 _TEXT = {"file_name", "mask_file_name", "exposure", "medium"}
 
 
@@ -125,4 +124,4 @@ def _write_column(group: h5py.Group, name: str, values: list[object] | np.ndarra
     text = h5py.string_dtype() if name in _TEXT else None
     column = group.create_dataset(name, data=values, dtype=text)
     if name not in _TEXT:
-        column.attrs["unit"] = next((u for end, u in _UNITS.items() if name.endswith(end)), "1")
+        column.attrs["unit"] = UNITS.get(unit_at_end(name), "1")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -143,26 +144,34 @@ def _worst(
 ) -> list[page.Picture]:
     """The images of one entry with the largest errors of the main quantity; none without one."""
     errors = judged[f"error_{MAIN}"].abs().dropna()
-    worst = judged.loc[errors.nlargest(_MOST_WORST).index]
-    by_name = {entry.qualified_name: entry for entry in stacks}
-    shown = []
-    for row in rows_of(worst):
-        true = [getattr(row, f"{against}_{name}") for name in ELLIPSE]
-        off = [getattr(row, f"error_{name}") for name in ELLIPSE]
-        # The angle of a spot that is nearly round is not scored.
-        measured = [t + (0.0 if math.isnan(e) else e) for t, e in zip(true, off, strict=True)]
-        image = by_name[row.stack].open().image(row)
-        caption = f"{row.stack}\n{getattr(row, f'error_{MAIN}'):+.2f} px"
-        half = round(_HALF_CUT_OUT * true[2])
-        shown.append(page.CutOut(image, half, true, measured, in_figure(caption)))
-    if not shown:
+    worst = rows_of(judged.loc[errors.nlargest(_MOST_WORST).index])
+    if not worst:
         return []
+    by_name = {entry.qualified_name: entry for entry in stacks}
+
+    def draw(axes: Axes, _: str, row: Any) -> None:
+        true, off = (
+            np.array([getattr(row, f"{kind}_{name}") for name in ELLIPSE])
+            for kind in (against, "error")
+        )
+        # The angle of a spot that is nearly round is not scored.
+        measured, image = true + np.nan_to_num(off), by_name[row.stack].open().image(row)
+        bits = max(int(image.max()).bit_length(), 8)
+        looks = {"color": "white", "lw": 2.5}, {"color": page.BLUE, "lw": 1.0}
+        page.draw_spots(axes, image, bits, *zip((true, measured), looks, strict=True))
+        (x, y), half = true[:2], _HALF_CUT_OUT * true[2]
+        axes.set(xlim=(x - half, x + half), ylim=(y + half, y - half))
+
+    def title(_: str, row: Any) -> str:
+        return in_figure(f"{row.stack}\n{getattr(row, f'error_{MAIN}'):+.2f} px")
+
+    figure = page.small_multiples(draw, columns=worst, title=title, height=2.2, legend_columns=0)
     entry = judged.estimator.iloc[0]
     caption = (
         f"The worst images of {entry}: largest errors of e₁′ among the spots that it found. Blue: "
         "the measured ellipse. White: the true one."
     )
-    return [page.Picture("worst", page.cut_outs(shown), caption, "score.csv", inline="jpeg")]
+    return [page.Picture("worst", figure, caption, "score.csv", inline="jpeg")]
 
 
 def _shown(total: pd.DataFrame, form: str) -> pd.DataFrame:

@@ -14,13 +14,13 @@ from cyclopts import Parameter
 
 from eyespot.benchmarks.paper import VISIBLE_ENOUGH
 from eyespot.benchmarks.reporting import STYLE, grouped, where, write_page
+from eyespot.benchmarks.run_folder import versions, write_json
 from eyespot.benchmarks.sets.read import Mode, SetStack, check_unchanged, stacks_of
 from eyespot.benchmarks.sets.score import judging
 from eyespot.benchmarks.sets.score import scored_spots as spots_of_set
 from eyespot.benchmarks.sets.score.judging import ALL, MAIN, Against, Outcome, Score
 from eyespot.benchmarks.sets.score.leaderboard_page import leaderboard, number_text, with_intervals
 from eyespot.benchmarks.sets.score.scored_spots import ScoredEstimator, sample_folder
-from eyespot.benchmarks.study import versions, write_json
 from eyespot.estimator.run.options import OUT
 from eyespot.estimator.run.progress_bar import progress, say
 from eyespot.formats.calibration import read_calibration

@@ -4,13 +4,15 @@ import difflib
 import math
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from importlib import resources
+from itertools import pairwise
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field, create_model
+from pydantic.json_schema import SkipJsonSchema
 
 from eyespot.benchmarks.sets.read import (
     Mode,
@@ -21,6 +23,7 @@ from eyespot.benchmarks.sets.read import (
     true_beam,
 )
 from eyespot.estimator import SubpixelSettings, open_source, track_whole_source
+from eyespot.estimator.detector.verdict import continues
 from eyespot.estimator.run.progress_bar import say
 from eyespot.formats.calibration import Calibration
 from eyespot.formats.inputs import (
@@ -37,7 +40,7 @@ from eyespot.formats.inputs import (
 )
 from eyespot.formats.microscope import read_microscope
 from eyespot.formats.spot import NoSpot, Reason, Spot
-from eyespot.formats.spots import SpotRecord, folded_angle, read_spots
+from eyespot.formats.spots import SpotRecord, SpotRow, folded_angle, read_spots
 from eyespot.formats.stack import FrameLabels
 
 NAME = "sample-v2"  # The small set that comes with eyespot.
@@ -55,11 +58,25 @@ def sample_folder() -> Path:
 # docs/leaderboard.md. An image without a spot has empty cells, or no line.
 
 ELLIPSE = ("x_px", "y_px", "semi_major_px", "semi_minor_px")  # all are scored, so all are needed
-_ANGLE = "angle_rad"
-_DISTANCE = ("distance_mm", "sigma_distance_mm")
-_SIGMAS = tuple(f"sigma_{name}" for name in (*ELLIPSE, _ANGLE))
-COLUMNS = ("file_name", *ELLIPSE, _ANGLE, *_SIGMAS, *_DISTANCE)
-_LARGEST_PX = 1e6
+_PARAMETERS = (*ELLIPSE, "angle_rad")
+_NUMBERS: dict[str, Any] = {
+    **{
+        name: (float, SpotRow.model_fields[name])
+        for name in (*_PARAMETERS, "distance_mm", "sigma_distance_mm")
+    },
+    **{
+        f"sigma_{name}": (float, Field(math.nan, ge=0, description=f"Standard error of `{name}`."))
+        for name in _PARAMETERS
+    },
+}
+PlainRow = create_model(
+    "PlainRow",
+    __base__=Strict,
+    __doc__="A row of a plain spots file, without its empty cells.",
+    file_name=(Annotated[str, Field(min_length=1)], Field(description="Of the image in the set.")),
+    **_NUMBERS,
+)
+COLUMNS = tuple(PlainRow.model_fields)
 
 
 def read_any_spots(path: Path) -> list[SpotRecord]:
@@ -98,25 +115,24 @@ def _check_columns(names: Collection[str]) -> None:
 
 
 def _record(index: int, row: Mapping[str, str]) -> SpotRecord:
-    values = {name: number_in(row.get(name, ""), name) for name in COLUMNS[1:]}
-    if not row["file_name"]:
-        raise InputError("file_name is empty. Write the image's path within the set.")
-    for name in (*_SIGMAS, "sigma_distance_mm"):
-        if values[name] < 0:
-            raise InputError(f"{name} must not be negative; got {values[name]}.")
+    numbers = {name: number_in(row.get(name, ""), name) for name in COLUMNS[1:]}
+    known = {name: value for name, value in numbers.items() if not math.isnan(value)}
+    named = known | {"file_name": row["file_name"]}
+    cells: Any = validated(PlainRow, named, remedy="See docs/leaderboard.md.")
     return SpotRecord(
         frame=index,
-        file_name=row["file_name"],
+        file_name=cells.file_name,
         time_s=math.nan,
         mode="",
-        result=_spot(values),
-        distance_mm=values["distance_mm"],
-        sigma_distance_mm=values["sigma_distance_mm"],
+        result=_spot(cells),
+        distance_mm=cells.distance_mm,
+        sigma_distance_mm=cells.sigma_distance_mm,
     )
 
 
-def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
-    unknown = [name for name in ELLIPSE if math.isnan(values[name])]
+def _spot(cells: Any) -> Spot | NoSpot:
+    x, y, major, minor = ellipse = [getattr(cells, name) for name in ELLIPSE]
+    unknown = [name for name, value in zip(ELLIPSE, ellipse, strict=True) if math.isnan(value)]
     if len(unknown) == len(ELLIPSE):
         return NoSpot(Reason.NONE_FOUND)
     if unknown:
@@ -124,20 +140,13 @@ def _spot(values: Mapping[str, float]) -> Spot | NoSpot:
             f"{unknown[0]} is empty. Fill in all of {', '.join(ELLIPSE)}, or none if the image has "
             "no spot."
         )
-    for name in ELLIPSE:
-        low = -_LARGEST_PX if name in ("x_px", "y_px") else 0.0
-        if not low < values[name] < _LARGEST_PX:
-            raise InputError(
-                f"{name} must lie in ({low:g}, {_LARGEST_PX:g}) px; got {values[name]}."
-            )
-    if values["semi_major_px"] < values["semi_minor_px"]:
+    if major < minor:
         raise InputError(
-            f"semi_major_px must be at least semi_minor_px; got {values['semi_major_px']} and "
-            f"{values['semi_minor_px']} px. Swap them; they are halves of the axes."
+            f"semi_major_px must be at least semi_minor_px; got {major} and {minor} px. Swap them; "
+            "they are halves of the axes."
         )
-    angle = values[_ANGLE] if math.isnan(values[_ANGLE]) else folded_angle(values[_ANGLE])
-    covariance = np.diag([values[name] ** 2 for name in _SIGMAS])
-    x, y, major, minor = (values[name] for name in ELLIPSE)
+    angle = cells.angle_rad if math.isnan(cells.angle_rad) else folded_angle(cells.angle_rad)
+    covariance = np.diag([getattr(cells, f"sigma_{name}") ** 2 for name in _PARAMETERS])
     return plain_spot(x, y, major, minor, angle, covariance)
 
 
@@ -235,12 +244,9 @@ def track_set(
 
 def _is_sequence(labels: Sequence[FrameLabels]) -> bool:
     """Whether at least half of the true spots can be followed from the one before."""
-    limits = SubpixelSettings()
-    spots = [(of.half_max_x_px, of.half_max_y_px, of.half_max_semi_minor_px) for of in labels]
-    x, y, size = np.array(spots).T
-    jump, growth = np.hypot(np.diff(x), np.diff(y)), np.abs(np.diff(np.log(size)))
-    near = (jump <= limits.max_jump_px) & (growth <= math.log(limits.max_growth))
-    return bool(2 * near.sum() >= near.size)
+    true = ([getattr(of, f"half_max_{name}") for name in _PARAMETERS] for of in labels)
+    steps, limits = [*pairwise(plain_spot(*ellipse) for ellipse in true)], SubpixelSettings()
+    return 2 * sum(continues(spot, last, limits) for last, spot in steps) >= len(steps)
 
 
 def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRecord]:
@@ -263,66 +269,52 @@ def _placed(file: Path, folder: Path, stacks: Sequence[SetStack]) -> list[SpotRe
 
 # Entries of a leaderboard: a folder with a spots file or folder for each estimator.
 
-_ABOUT = "entry.json"
 _Text = Annotated[str, Field(max_length=1000)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class ScoredEstimator:
-    """An estimator whose spots are scored.
-
-    Attributes:
-        name: in tables and figures.
-        spots: its spots file or folder, see `read_set_spots`; None if the images are measured in
-            this run.
-        command: the command that wrote the spots; empty if not stated.
-        versions: versions of its software; empty if not stated.
-        seed: its random seed; empty if it has none.
-        ms_per_frame: its time per frame as stated, ms; None if not stated.
-    """
-
-    name: str
-    spots: Path | None = None
-    command: str = ""
-    versions: str = ""
-    seed: str = ""
-    ms_per_frame: float | None = None
+def _in_a_table(name: str) -> str:
+    """A name that a spreadsheet does not run as a formula."""
+    if name[:1] in "=+-@\t\r":
+        raise InputError("must begin with a letter or a digit")
+    return name
 
 
-class _About(Strict):
+def _said(versions: dict[str, str] | str) -> str:
+    if isinstance(versions, str):
+        return versions
+    return ", ".join(f"{package} {version}" for package, version in versions.items())
+
+
+class ScoredEstimator(Strict):
+    """An estimator whose spots are scored, as its entry.json describes it."""
+
     model_config = ConfigDict(extra="ignore")  # an entrant may say more
 
-    name: _Text | None = None
-    command: _Text = ""
-    versions: dict[_Text, _Text] | _Text = ""
-    seed: int | _Text | None = None
-    ms_per_frame: Annotated[float, Field(ge=0.0)] | None = None
+    name: Annotated[_Text, AfterValidator(_in_a_table)] = Field(
+        "", description="In tables and figures (default: that of its file or folder)."
+    )
+    command: _Text = Field("", description="The command that wrote the spots.")
+    versions: Annotated[dict[_Text, _Text] | _Text, AfterValidator(_said)] = Field(
+        "", description="Versions of its software."
+    )
+    seed: Annotated[int | _Text, AfterValidator(str)] = Field("", description="Its random seed.")
+    ms_per_frame: Annotated[float, Field(ge=0)] | None = Field(
+        None, description="Its time per frame, ms."
+    )
+    spots: SkipJsonSchema[Path | None] = Field(None, exclude=True)
+    """Its file or folder, see `read_set_spots`; None if the images are measured in this run."""
 
 
 def entry_of(spots: Path) -> ScoredEstimator:
     """The entry of a spots file or folder; a folder's entry.json may describe it."""
-    name = in_utf8(spots.stem if spots.suffix else spots.resolve().name)
-    file = spots / _ABOUT
-    if not file.is_file():
-        return ScoredEstimator(name=_checked_name(name), spots=spots)
-    with in_file(file):
-        about = validated(_About, object_in(read_text(file)), remedy="See docs/leaderboard.md.")
-    stated = about.model_dump(include={"command", "ms_per_frame"})
-    versions, seed = about.versions, "" if about.seed is None else str(about.seed)
-    if not isinstance(versions, str):
-        versions = ", ".join(f"{package} {version}" for package, version in versions.items())
-    named = _checked_name(about.name or name)
-    return ScoredEstimator(name=named, spots=spots, versions=versions, seed=seed, **stated)
-
-
-def _checked_name(name: str) -> str:
-    """A name for tables, which a spreadsheet would run as a formula if it began with a sign."""
-    if name[:1] in "=+-@\t\r":
-        raise InputError(
-            f"an entry's name must begin with a letter or a digit; got {shortened(name)}. Rename "
-            "its spots file, or set `name` in its entry.json."
-        )
-    return name
+    named, file = spots.stem if spots.suffix else spots.resolve().name, spots / "entry.json"
+    about: dict[str, Any] = {"name": in_utf8(named)}
+    with in_file(file if file.is_file() else spots):
+        if file.is_file():
+            stated = object_in(read_text(file))
+            about |= {key: value for key, value in stated.items() if value is not None}
+        remedy = "Correct its entry.json, or rename its spots file; see docs/leaderboard.md."
+        return validated(ScoredEstimator, about | {"spots": spots}, remedy=remedy)
 
 
 def entries_in(folder: Path) -> list[ScoredEstimator]:
