@@ -148,7 +148,8 @@ def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
     if math.isnan(width):
         return ("cone", "the spots' edges were not measured")
     seen = (
-        f"the spots' edges are {{}}: {width:.2f} of the radius wide (a cone's: at most {SOFT_EDGE})"
+        f"the spots' edges are {{}}: {width:.2f} of the radius wide beside the camera's blur (a "
+        f"cone's: at most {SOFT_EDGE})"
     )
     if width <= SOFT_EDGE:
         return ("cone", seen.format("sharp"))
@@ -172,14 +173,16 @@ def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
         spots = [one.result for one in recording.records if isinstance(one.result, Spot)]
         width, radius = np.array([(spot.edge_width_px, spot.semi_minor_px) for spot in spots]).T
         small, large = np.quantile(radius, (0.25, 0.75))
-        blur = np.quantile(width, 0.25) if large > _GROWN_RATIO * small else 0.0
+        grows = large > _GROWN_RATIO * small
+        blur = (1.0 + _WIDTH_ERROR) * np.quantile(width, 0.25) if grows else 0.0
         shares.append(np.sqrt(np.maximum(width**2 - blur**2, 0.0)) / radius)
     return float(np.quantile(np.concatenate(shares), 0.75))
 
 
-_GROWN_RATIO = 1.2
-"""Ratio of the quartiles of the radii from which spots grow. An edge that grew with them as a
-lens's would, 0.25 of the radius, is soft then, whatever part of it is taken for a blur."""
+_GROWN_RATIO, _WIDTH_ERROR = 1.35, 0.2
+"""Ratio of the quartiles of the radii from which spots grow, and relative error of an edge's width,
+on walls of 10 % texture. With them an edge that grows with the spot as a lens's does, 0.25 of the
+radius, is soft, whatever part of it is taken for a blur: 0.25 sqrt(1 - (1.2/1.35)^2) = 0.11."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
