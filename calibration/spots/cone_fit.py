@@ -209,21 +209,24 @@ def fit_cone(
         prior_weights=prior_weights,
         count=5 * frames + priors_held + HELD * len(trials),
     )
-    at_end = problem.solved(trials)
-    off = _along_image(np.asarray(at_end.solution.residuals), at_end.rows, trials)
+    groups = problem.groups(trials)
+    rows = _rows(groups, of_kinds, trials)
+    at_end = problem.solved(groups)
+    off = _along_image(np.asarray(at_end.solution.residuals), rows, trials)
     shakes = [shake_px(trial, own[:, :2]) for trial, own in zip(trials, off, strict=True)]
-    seen = [trial.shaken(by) for trial, by in zip(trials, shakes, strict=True)]
     if any(shakes):
-        at_end = problem.solved(seen, at_end.solution.parameters)
+        seen = [trial.shaken(by) for trial, by in zip(trials, shakes, strict=True)]
+        groups = problem.groups(seen)
+        at_end = problem.solved(groups, at_end.solution.parameters)
     if "clock_offset" in own and not problem.explained(at_end):
         # Where a robot sets off, chi squared bends at each frame's moment, and has several minima.
         clock = own["clock_offset"]
         others = [
-            problem.solved(seen, problem.with_clock(at_end, clock.mean + side * clock.sigma))
+            problem.solved(groups, problem.with_clock(at_end, clock.mean + side * clock.sigma))
             for side in (-1.0, 1.0)
         ]
         at_end = min((at_end, *others), key=lambda one: one.chi_squared)
-    solution, spot, spot_slopes, rows = at_end
+    solution, spot, spot_slopes = at_end
     count = problem.count
     every = np.arange(solution.parameters.size)
     moving = np.delete(every, np.arange(len(free), len(PARAMETERS)))
@@ -267,7 +270,7 @@ def fit_cone(
     )
     if "clock_offset" in own:
         widest = own["clock_offset"].sigma
-        covariance = _with_both_sides_of_the_clock(problem, at_end, seen, covariance, widest)
+        covariance = _with_both_sides_of_the_clock(problem, at_end, groups, covariance, widest)
     errors = np.sqrt(np.diag(covariance))
     in_order = np.argsort(numbers)
     shape = len(trials), len(NUISANCES)
@@ -307,12 +310,11 @@ def fit_cone(
 
 
 class _Solved(NamedTuple):
-    """A minimum, the spots there with their derivatives, and where each trial's residuals are."""
+    """A minimum, and the spots there with their derivatives."""
 
     solution: Solution
     spot: Float[Array, "trials 2"]
     spot_slopes: Float[Array, "trials 2 x"]
-    rows: list[Int[np.ndarray, "n 5"]]
 
     @property
     def chi_squared(self) -> float:
@@ -350,20 +352,23 @@ class _Problem:
     prior_weights: Float[np.ndarray, "q q"]
     count: int
 
-    def solved(
-        self,
-        trials: Sequence[ConeTrial],
-        begin: Array | None = None,
-        *,
-        clock_s: float | None = None,
-    ) -> _Solved:
-        """The minimum near a beginning, by default the expected one; with that clock if given."""
-        groups = [
+    def groups(self, trials: Sequence[ConeTrial]) -> list[TrialGroup]:
+        """The trials on each kind of wall."""
+        return [
             TrialGroup.of(
                 [trials[n] for n in own], *([part[n] for n in own] for part in self.missed)
             )
             for own in self.of_kinds
         ]
+
+    def solved(
+        self,
+        groups: list[TrialGroup],
+        begin: Array | None = None,
+        *,
+        clock_s: float | None = None,
+    ) -> _Solved:
+        """The minimum near a beginning, by default the expected one; with that clock if given."""
         fixed, steps = self.fixed, self.steps
         if clock_s is not None:
             fixed = fixed | {"clock_offset": clock_s}
@@ -384,7 +389,7 @@ class _Problem:
             jnp.asarray(self.prior_weights),
             jnp.asarray(self.count),
         )
-        return _Solved(*found, _rows(groups, self.of_kinds, trials))
+        return _Solved(*found)
 
     def explained(self, found: _Solved) -> bool:
         """Whether noise explains the residuals of a minimum that was reached."""
@@ -402,7 +407,7 @@ class _Problem:
 def _with_both_sides_of_the_clock(
     problem: _Problem,
     found: _Solved,
-    trials: Sequence[ConeTrial],
+    groups: list[TrialGroup],
     covariance: Float[np.ndarray, "p p"],
     widest_s: float,
 ) -> Float[np.ndarray, "p p"]:
@@ -425,7 +430,7 @@ def _with_both_sides_of_the_clock(
     for side in (-1.0, 1.0):
         step = sigma
         while True:
-            beside = problem.solved(trials, found.solution.parameters, clock_s=value + side * step)
+            beside = problem.solved(groups, found.solution.parameters, clock_s=value + side * step)
             rise = beside.chi_squared - found.chi_squared
             if rise >= 1.0 or step >= widest_s:
                 break
