@@ -51,7 +51,7 @@ from eyespot.calibration.command.spot_models import (
 )
 from eyespot.calibration.pixels.data import CONE, FREE, NUISANCES, known_names
 from eyespot.calibration.recorded_trial import RecordedTrial, recorded_trial
-from eyespot.calibration.spots.cone_fit import PARAMETERS
+from eyespot.calibration.spots.cone_problem import PARAMETERS
 from eyespot.estimator import Ranger
 from eyespot.estimator.recording import Recording
 from eyespot.estimator.run.progress_bar import progress, say

@@ -155,7 +155,7 @@ def _is_broad(spot: Spot) -> bool:
 
 
 def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> Sighting | None:
-    """The spot that continues the last one, or the brightest near the start point."""
+    """The spot that continues the last one, or the one at the start point, or near it."""
     if state.at_px is None:
         return None
     half, last = float(settings.search_half_width_px), state.spot
@@ -166,14 +166,14 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         half = max(half, reach)
     window = Window.around(*state.at_px, half, half, frame)
     searches: list[tuple[Callable[..., Iterator[Region | NoSpot]], int | None]]
-    searches = [(regions_in, None)]
+    searches = [(regions_in, None), (small_regions_in, None)]
     if last is not None:
-        searches.append((small_regions_in, None))
         if last.semi_minor_px < Small.LARGEST_PX:
             searches.reverse()
         if state.sighting is not None and _is_broad(last):
             search = searches[0][0]
             searches.insert(0, (search, state.sighting.channel))
+    near: Sighting | None = None
     for region in itertools.chain.from_iterable(
         search(frame, window, settings, channel) for search, channel in searches
     ):
@@ -184,15 +184,19 @@ def _near(frame: np.ndarray, state: TrackState, settings: SubpixelSettings) -> S
         if last is not None and jump >= settings.max_jump_px + region.ellipse.axes[0]:
             continue
         sighting = sighting_in(region)
-        if sighting and (last is None or continues(sighting.spot, last, settings)):
+        if not sighting:
+            continue
+        if last is None and jump >= region.ellipse.axes[0]:
+            near = near or (None if region.is_small else sighting)
+        elif last is None or continues(sighting.spot, last, settings):
             return sighting
-    return None
+    return near
 
 
 def _anywhere(
     frame: np.ndarray, state: TrackState, settings: SubpixelSettings
 ) -> Sighting | NoSpot:
-    """The one spot of the whole frame; a small one only if there is no larger one."""
+    """The one spot of the whole frame; a small one only if there is none that is much larger."""
     seen: list[Sighting] = []
     failures: list[NoSpot] = []
     unmeasured: list[Region] = []
@@ -214,9 +218,16 @@ def _anywhere(
     found = one_of(seen, failures)
     if found and (lattice or any(is_rival(region, found) for region in unmeasured)):
         return NoSpot(Reason.AMBIGUOUS)
-    if found or found.reason not in (Reason.NONE_FOUND, Reason.TOO_SMALL):
+    if found:
+        # Another spot may be as large as this one and yet too small for that search.
+        small = Verdict.RIVAL * found.area_px < math.pi * Small.LARGEST_PX**2
+        if not small or all(one.reason is not Reason.TOO_SMALL for one in failures):
+            return found
+    elif found.reason not in (Reason.NONE_FOUND, Reason.TOO_SMALL):
         return found
     for region in small_regions_in(frame, Window.whole(frame), settings):
+        if any(is_part_of(region, sighting) for sighting in seen):
+            continue
         sighting = sighting_in(region)
         semi_major, middle = region.ellipse.axes[0], region.ellipse.centre.tolist()
         chosen = state.at_px is not None and math.dist(middle, state.at_px) < semi_major

@@ -166,6 +166,15 @@ def test_dots_of_a_lattice_are_no_spot():
     assert measure(frame, TrackState(), SubpixelSettings())[0] == NoSpot(Reason.AMBIGUOUS)
 
 
+def test_of_two_spots_about_15_px_large_the_fainter_one_is_not_taken():
+    """The search for larger spots sees the second one alone."""
+    light = blurred_disc(48.2, 60.1, 12.4, 0.8) + 0.15 * blurred_disc(112.6, 58.3, 13.6, 0.8)
+    frame = camera_frame(np.random.default_rng(8), light, 150.0)
+    assert measure(frame, TrackState(), SubpixelSettings())[0] == NoSpot(Reason.AMBIGUOUS)
+    clicked = spot_in(frame, at=(50.0, 59.0))
+    assert math.hypot(clicked.x_px - 48.2, clicked.y_px - 60.1) < 0.1
+
+
 def test_of_two_small_spots_the_clicked_one_is_measured():
     light = bell(40.2, 60.1, 5, 4, 0.3) + bell(120.6, 50.3, 5, 4, 1.1)
     frame = camera_frame(np.random.default_rng(6), light, 180.0)
