@@ -368,9 +368,12 @@ def _of_clock(
     """The offset at which the spot's size follows the robot best, if its speed changes."""
     known, places = poses.times_s, poses.positions_mm
     stated = f"{robot.clock_offset_s:g} ± {robot.clock_sigma_s:g} s"
-    inside = (known >= times[0]) & (known <= times[-1])
-    steps = np.linalg.norm(np.diff(places[inside], axis=0), axis=1) / np.diff(known[inside])
-    if steps.size < _FEWEST_SPOTS or np.std(steps) < _STEADY * np.mean(steps):
+    # From frame to frame: from pose to pose, their noise would look like another speed.
+    seen = np.stack([np.interp(times, known, along) for along in places.T], axis=1)
+    apart_s = np.diff(times)
+    moves = np.linalg.norm(np.diff(seen, axis=0), axis=1)
+    speeds = moves[apart_s > 0] / apart_s[apart_s > 0]
+    if speeds.size < _FEWEST_SPOTS or np.std(speeds) < _STEADY * np.mean(speeds):
         remedy = (
             "At a constant speed an offset looks like another contact. Record two seconds of rest "
             "before and after."

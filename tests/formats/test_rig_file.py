@@ -231,6 +231,22 @@ def test_frames_while_the_robots_file_says_nothing_are_contradicted():
     assert found[-1].startswith("4 frames lie between")
 
 
+def test_a_noisy_robot_at_one_speed_does_not_tell_the_clock():
+    recording = withdrawal()
+    known, noise = recording.robot(), np.random.default_rng(2)
+    poses = PoseTrack(
+        Pose.along(
+            (0.0, 0.0, -1.0),
+            time_s=float(time_s),
+            position_mm=tuple(np.add(pose.position_mm, noise.normal(0.0, 0.005, 3))),
+        )
+        for time_s in np.linspace(0.0, 1.1, 221)
+        if (pose := known.interpolated(float(time_s)))
+    )
+    noisy = Recording(recording.source, poses=poses, rig=recording.rig)
+    assert verdicts(noisy)["robot.clock_offset_s"] == "unknown"
+
+
 def test_a_recording_that_began_late_is_no_matter_of_the_model():
     fit = eyespot.fit(withdrawal(begin_mm=1.5))
     assert (fit.model, fit.good) == ("cone", False)
