@@ -22,6 +22,8 @@ from eyespot.calibration.pixels.misfit import Misfit
 from eyespot.calibration.recorded_trial import RecordedTrial
 from eyespot.formats.calibration import QUANTITIES
 
+_ROUNDING = 1e-9  # part of a standard error
+
 
 class PixelResiduals(NamedTuple):
     """Residuals of a fit to pixels, averaged so that structure is visible, over their sigma."""
@@ -91,9 +93,14 @@ class Fitted:
         """Name, value, sigma and unit of all parameters, those of the file first."""
         sigma = np.sqrt(np.diag(self.covariance)).tolist()
         in_file = zip(self.values.items(), sigma, strict=True)
-        return [
+        every = [
             *((name, value, error, QUANTITIES[name].unit) for (name, value), error in in_file),
             *self.others,
+        ]
+        # What is left by rounding of an exact 0 would be printed with all of its digits.
+        return [
+            (name, 0.0 if abs(value) < _ROUNDING * min(error, 1.0) else value, error, unit)
+            for name, value, error, unit in every
         ]
 
     @property

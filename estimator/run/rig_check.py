@@ -74,6 +74,8 @@ class RigCheck(NamedTuple):
         size.set_title("spot against robot")
         noise.plot(self.levels, 100 * self.sigmas, color="#d33682")
         noise.set(xlabel="light (full wells)", ylabel="noise of a pixel's mean (%)")
+        # Noise that is the same everywhere has no range of its own.
+        noise.set_ylim(0.0, 120 * float(np.max(self.sigmas, initial=0.01)))
         noise.set_title("noise against level")
         return figure
 
