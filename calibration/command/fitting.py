@@ -165,8 +165,8 @@ def chosen_model(recordings: Sequence[RecordedTrial]) -> tuple[str, str]:
 def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
     """Upper quartile of the edges' widths over the spots' radii; NaN if not all were measured.
 
-    Without the camera's blur, which is as wide in all frames of a recording. Where the spots do not
-    grow, a lens's edge may be so, too.
+    Without the camera's blur, which is as wide in all frames of a recording: at most as the
+    narrowest edge. Where the spots do not grow, a lens's edge may be so, too.
     """
     shares = []
     for recording in recordings:
@@ -174,11 +174,14 @@ def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
         width, radius = np.array([(spot.edge_width_px, spot.semi_minor_px) for spot in spots]).T
         small, large = np.quantile(radius, (0.25, 0.75))
         grows = large > _GROWN_RATIO * small
-        blur = (1.0 + _WIDTH_ERROR) * np.quantile(width, 0.25) if grows else 0.0
+        blur = min((1.0 + _WIDTH_ERROR) * float(width.min()), _MOST_BLUR_PX) if grows else 0.0
         shares.append(np.sqrt(np.maximum(width**2 - blur**2, 0.0)) / radius)
     return float(np.quantile(np.concatenate(shares), 0.75))
 
 
+_MOST_BLUR_PX = 5.0
+"""Standard deviation of the blur of a camera that is far out of focus. Far from the wall, a lens's
+edge may be as wide in all frames, too: that of the default scene by 12 px of 640."""
 _GROWN_RATIO, _WIDTH_ERROR = 1.35, 0.2
 """Ratio of the quartiles of the radii from which spots grow, and relative error of an edge's width,
 on walls of 10 % texture. With them an edge that grows with the spot as a lens's does, 0.25 of the

@@ -64,9 +64,14 @@ def test_the_model_follows_the_spots_and_not_the_labels(
 
 @pytest.mark.parametrize(
     ("edge", "model"),
-    [(lambda radius: 4.0, "cone"), (lambda radius: 0.25 * radius, "lens")],
+    [
+        (lambda radius: 4.0, "cone"),
+        (lambda radius: 0.25 * radius, "lens"),
+        (lambda radius: 9.0, "lens"),  # no camera is so far out of focus
+        (lambda radius: 4.0 if radius < 22 else 8.0, "lens"),
+    ],
 )
-def test_an_edge_as_wide_in_all_frames_is_the_cameras_blur(stack, edge, model):
+def test_a_narrow_edge_as_wide_in_all_frames_is_the_cameras_blur(stack, edge, model):
     one = recorded_trial(stack("cone", CONE))
     records = [
         replace(own, result=replace(spot, edge_width_px=edge(spot.semi_minor_px)))
