@@ -361,14 +361,13 @@ def _beside(light: np.ndarray, window: Window, spot: SmallSpot) -> np.ndarray:
     away = np.stack([columns + window.x0, rows + window.y0], axis=-1) - spot.ellipse.centre
     radius = np.hypot(*np.moveaxis(away @ np.linalg.inv(spot.ellipse.shape).T, -1, 0))
     per_px = 1 / spot.ellipse.axes[1]
-    outside = radius > 1 + Small.FOOT * max(spot.edge_width, per_px)
+    outside = (radius > 1 + Small.FOOT * max(spot.edge_width, per_px)) & np.isfinite(light)
     rest = np.zeros_like(light)
     ring = (radius / max(per_px, Small.RING / 2)).astype(int)
     for number in np.unique(ring[outside]):
         own = outside & (ring == number)
-        if np.isfinite(light[own]).any():
-            rest[own] = light[own] - np.nanmedian(light[own])
-    scatter = 1.4826 * float(np.nanmedian(np.abs(rest[outside]))) if outside.any() else 0.0
+        rest[own] = light[own] - np.median(light[own])
+    scatter = 1.4826 * float(np.median(np.abs(rest[outside]))) if outside.any() else 0.0
     far = np.abs(rest) > max(Small.STANDS_OUT * scatter, Small.FOREIGN * spot.amplitude)
     square = np.ones((3, 3), np.uint8)
     lasting = cv2.morphologyEx(far.astype(np.uint8), cv2.MORPH_OPEN, square)
