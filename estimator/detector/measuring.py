@@ -329,11 +329,11 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     left_out = cv2.dilate(clipped, np.ones((3, 3))).view(bool)
     seen = np.where(left_out, np.nan, light)
     spot = fit_to_pixels(seen, window.x0, window.y0, start)
-    if spot is not None and (foreign := _beside(seen, window, spot)).any():
+    contour = Patch(light.astype(np.float32), window.x0, window.y0)
+    if spot is not None and (foreign := _beside(seen, contour, spot)).any():
         spot = fit_to_pixels(np.where(foreign, np.nan, seen), window.x0, window.y0, spot.ellipse)
     if spot is None:
         return NoSpot(Reason.NONE_FOUND)
-    contour = Patch(light.astype(np.float32), window.x0, window.y0)
     half = spot.background + spot.amplitude / 2
     rings = np.nan_to_num(contour.unwrapped(spot.ellipse, np.array(Small.RINGS)) - half).T
     along, heights = rings[-1], rings.mean(axis=1) + spot.amplitude / 2
@@ -351,15 +351,13 @@ def small_spot_in(region: Region) -> SmallSpot | NoSpot:
     return NoSpot(Reason.SATURATED) if hidden or (clipped.any() and flat) else spot
 
 
-def _beside(light: np.ndarray, window: Window, spot: SmallSpot) -> np.ndarray:
+def _beside(light: np.ndarray, patch: Patch, spot: SmallSpot) -> np.ndarray:
     """Pixels beside a small spot that show something else, such as a ghost or a tool, (h, w).
 
     A beam's own foot is as bright all round. So pixels count that stand out from the median of
     their ring by more than noise and texture do.
     """
-    rows, columns = np.indices(light.shape)
-    away = np.stack([columns + window.x0, rows + window.y0], axis=-1) - spot.ellipse.centre
-    radius = np.hypot(*np.moveaxis(away @ np.linalg.inv(spot.ellipse.shape).T, -1, 0))
+    radius = np.hypot(*patch.on_circle(spot.ellipse))
     per_px = 1 / spot.ellipse.axes[1]
     outside = (radius > 1 + Small.FOOT * max(spot.edge_width, per_px)) & np.isfinite(light)
     rest = np.zeros_like(light)
