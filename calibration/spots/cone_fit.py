@@ -165,15 +165,12 @@ def fit_cone(
     ]
     priors_held = int(np.sum(prior_weights.any(axis=1)))
     frames = sum(trial.readings.size for trial in trials)
-    # Arrays replace names here, and a step for each parameter that is not free moves nothing, so
-    # that one compilation serves all choices.
-    stepped = np.array([[name == own for own in free] for name in PARAMETERS]) * sizes
     problem = ConeProblem(
         microscope=microscope,
         of_kinds=of_kinds,
         missed=(size_sigmas or nothing, outline_sigmas or nothing),
         fixed=fixed,
-        steps=np.pad(stepped, [(0, 0), (0, len(PARAMETERS) - len(free))]),
+        steps=np.array([[name == own for own in free] for name in PARAMETERS]) * sizes,
         prior_means=prior_means,
         prior_weights=prior_weights,
         count=5 * frames + priors_held + HELD * len(trials),
@@ -196,9 +193,7 @@ def fit_cone(
         ]
         at_end = min((at_end, *others), key=lambda one: one.chi_squared)
     solution, spot, spot_slopes = at_end
-    count = problem.count
-    every = np.arange(solution.parameters.size)
-    moving = np.delete(every, np.arange(len(free), len(PARAMETERS)))
+    moving = problem.moving(at_end)
     jacobian = np.asarray(solution.jacobian)[:, moving]
     information = jacobian.T @ jacobian
     found = np.asarray(solution.parameters)[moving]
@@ -209,7 +204,7 @@ def fit_cone(
     left = np.asarray(solution.residuals)
     residuals = _along_image(left, rows, trials)
     chi_squared = at_end.chi_squared
-    degrees = count - found.size
+    degrees = problem.count - found.size
     kinds = dict(zip(MISMATCHES, np.concatenate(residuals).T, strict=True))
     growth = max(
         1.0,

@@ -82,7 +82,7 @@ class ConeProblem:
         of_kinds: numbers of the trials on each kind of wall.
         missed: `size_sigmas` and `outline_sigmas` of `fit_cone`.
         fixed: where parameters begin.
-        steps: changes of `PARAMETERS` by the solver's first unknowns.
+        steps: changes of `PARAMETERS` by the solver's first unknowns, one for each free parameter.
         prior_means, prior_weights: of `prior_terms`.
         count: number of data and priors.
     """
@@ -91,7 +91,7 @@ class ConeProblem:
     of_kinds: list[list[int]]
     missed: tuple[Sequence[float], Sequence[float]]
     fixed: dict[str, float]
-    steps: Float[np.ndarray, "q f"]
+    steps: Float[np.ndarray, "q p"]
     prior_means: Float[np.ndarray, "q"]
     prior_weights: Float[np.ndarray, "q q"]
     count: int
@@ -128,24 +128,37 @@ class ConeProblem:
             groups,
             self.microscope,
             jnp.array([fixed[name] for name in PARAMETERS]),
-            jnp.asarray(steps),
+            # A step for each parameter that is not free moves nothing, and arrays replace names, so
+            # that one compilation serves all choices.
+            jnp.asarray(np.pad(steps, [(0, 0), (0, len(PARAMETERS) - steps.shape[1])])),
             jnp.asarray(self.prior_means),
             jnp.asarray(self.prior_weights),
             jnp.asarray(self.count),
         )
         return ConeMinimum(*found)
 
+    def moving(self, found: ConeMinimum) -> Int[np.ndarray, "p"]:
+        """Which of a minimum's unknowns can move: the free parameters, then the nuisances."""
+        every = np.arange(found.solution.parameters.size)
+        return np.delete(every, np.arange(self.steps.shape[1], len(PARAMETERS)))
+
     def explained(self, found: ConeMinimum) -> bool:
         """Whether noise explains the residuals of a minimum that was reached."""
-        degrees = self.count - found.solution.parameters.size + len(PARAMETERS)
+        degrees = self.count - self.moving(found).size
         _, most = accepted_range(degrees)
         return found.settled and found.chi_squared <= most * degrees
 
+    @property
+    def clock(self) -> tuple[int, float]:
+        """Which unknown the clock's offset is, and how many seconds its unit."""
+        of_clock = self.steps[PARAMETERS.index("clock_offset")]
+        at = int(np.flatnonzero(of_clock)[0])
+        return at, float(of_clock[at])
+
     def with_clock(self, found: ConeMinimum, offset_s: float) -> Array:
-        """A solution's parameters with another offset of the clock."""
-        at = int(np.argmax(self.steps[_OF_CLOCK] != 0))
-        step = (offset_s - self.fixed["clock_offset"]) / float(self.steps[_OF_CLOCK][0, at])
-        return found.solution.parameters.at[at].set(step)
+        """A solution's parameters with another offset of the clock, which is free."""
+        at, unit = self.clock
+        return found.solution.parameters.at[at].set((offset_s - self.fixed["clock_offset"]) / unit)
 
 
 def rows_of(
@@ -175,11 +188,7 @@ def with_both_sides_of_the_clock(
     and not on the other, and its curvature is that of neither. The interval ends where the least
     chi squared for a held offset is one more (Wilks 1938).
     """
-    at = int(np.argmax(problem.steps[_OF_CLOCK] != 0))
-    unit = float(problem.steps[_OF_CLOCK][0, at])
-    every = np.arange(found.solution.parameters.size)
-    free = np.count_nonzero(problem.steps.any(axis=0))
-    moving = np.delete(every, np.arange(free, len(PARAMETERS)))
+    (at, unit), moving = problem.clock, problem.moving(found)
     sigma = math.sqrt(covariance[at, at]) * unit
     if not sigma < _INFORMED * widest_s:
         return covariance
