@@ -222,18 +222,24 @@ _SAME_IN_A_SCENE = {
     "wall.kind": "phantom.kind",
     "wall.radius_mm": "phantom.radius_mm",
     "wall.medium": "source.medium",
+} | {
+    key: key
+    for key in (
+        "microscope.width_px",
+        "microscope.height_px",
+        "microscope.scale_mm_px",
+        "microscope.pinhole_height_mm",
+        "microscope.distortion",
+        "instrument.fibre_diameter_mm",
+        "instrument.fibre_length_mm",
+        "instrument.visible",
+        "camera.bit_depth",
+        "camera.black_level_dn",
+        "camera.response",
+        "unrest.shake_px",
+    )
 }
 """Keys of a rig file, and those of a scene that mean the same."""
-_SAME_IN_A_SCENE |= {
-    f"{table}.{key}": f"{table}.{key}"
-    for table, keys in {
-        "microscope": "width_px height_px scale_mm_px pinhole_height_mm distortion",
-        "instrument": "fibre_diameter_mm fibre_length_mm visible",
-        "camera": "bit_depth black_level_dn response",
-        "unrest": "shake_px",
-    }.items()
-    for key in keys.split()
-}
 _OF_THE_CONE = {
     "beam.half_angle_deg",
     "beam.numerical_aperture",
