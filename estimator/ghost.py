@@ -140,10 +140,10 @@ _SHARP = 0.1
 light of others has a shape of its own, which only a model of the beam tells from a ghost."""
 _LEAST_COVERAGE = 0.85
 _SURE_SIGMAS, _LEAST_SHARE = 13.0, 0.03
-"""A ghost of a sharp spot is found where two sets of frames in succession have these, or one has
-twice as much. The light within a spot and beside it is only even to some percent: in rendered
-stacks without a ghost, sets had shares of up to 0.04 with 9 standard deviations, where the shaft is
-near a small spot. A share of 0.03 moves the edge by 0.02 px."""
+"""A ghost of a sharp spot is found where two sets of frames in succession have these on average.
+The light within a spot and beside it is only even to some percent: in rendered stacks without a
+ghost, sets had shares of up to 0.04 with 9 standard deviations, where the shaft is near a small
+spot. A share of 0.03 moves the edge by 0.02 px."""
 _EVEN_SIGMA = 0.01  # standard deviation of the logarithm of such light that nothing undercuts
 _FLOOR = 0.05
 """Light that counts as ambient beside that outside of the spot, over that within: where it is dark,
@@ -158,17 +158,21 @@ class GhostWatch:
         self._kept: list[tuple[np.ndarray, Spot]] = []
         self.found: Ghost | None = None
         self.strongest: Ghost | None = None
-        self._doubted = False  # whether the set of frames before showed one
+        self._doubt = 0.0  # of the set of frames before: 1 where it shows a ghost
+        self._denials = 0  # sets since the last one that showed the ghost that was found
 
     def look(self, image: np.ndarray, spot: Spot) -> None:
         """Take a frame, and note in `found` what ghost the last ones show, of all in `strongest`.
+
+        A ghost that was found stays, as what makes it does, until some frames in succession that
+        would show it do not.
 
         Args:
             image: H x W, or H x W x 3.
         """
         hidden = spot.coverage < _LEAST_COVERAGE  # its tool or a shadow is beside it
         if hidden or not spot.edge_width_px <= _SHARP * spot.semi_minor_px:
-            self._kept, self.found, self._doubted = [], None, False
+            self._kept, self._doubt = [], 0.0
             return
         if self._kept and _alike(self._kept[-1][1], spot):
             return
@@ -177,12 +181,15 @@ class GhostWatch:
         if len(self._kept) < _FEWEST_FRAMES:
             return
         ghost = _beside_discs(self._kept) or _NONE
-        doubts = min(ghost.sigmas / _SURE_SIGMAS, ghost.share / _LEAST_SHARE)
-        sure = doubts > 2.0 or (doubts > 1.0 and self._doubted)
-        self._doubted = doubts > 1.0
-        self.found = ghost if sure else None
-        if sure and ghost.share > (self.strongest or _NONE).share:
-            self.strongest = ghost
+        doubt = min(ghost.sigmas / _SURE_SIGMAS, ghost.share / _LEAST_SHARE)
+        self._denials = 0 if doubt > 1.0 else self._denials + 1
+        if doubt + self._doubt > 2.0:
+            self.found = ghost
+            if ghost.share > (self.strongest or _NONE).share:
+                self.strongest = ghost
+        elif self._denials >= FRAMES_TO_DENY:
+            self.found = None
+        self._doubt = doubt
 
 
 _NONE = Ghost(0.0, 1.0, (0.0, 0.0), np.zeros((0, 0)))

@@ -73,32 +73,38 @@ def test_one_frame_says_nothing_of_ghosts():
     assert search(np.random.default_rng(3), share=0.5, shift=(30.0, 0.0), frames=1) is None
 
 
-def discs(rng, *, share, shift=(24.0, -18.0), frames=6):
-    """Frames of a disc that grows over a wall, with a ghost: a shifted, fainter copy of its light.
+def discs(rng, *, shares, shift=(24.0, -18.0)):
+    """Ghosts known after each frame of a disc that grows over a wall, and the strongest of all.
 
-    The copy is of the light without noise, and out of focus.
+    A frame's ghost is a shifted copy of its light, without noise and out of focus, with a share.
     """
-    wall, state, images = textured_wall(rng), TrackState(), []
+    wall, state, watch, known = textured_wall(rng), TrackState(), GhostWatch(), []
+    settings = SubpixelSettings()
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
-    for k in range(frames):
+    move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    for k, share in enumerate(shares):
         outwards = np.hypot(x - 320.3, y - 240.8) - 45.0 * 1.08**k
         light = np.clip(0.5 - outwards / 3.0, 0.0, 1.0) * wall
-        move = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
         ghost = cv2.warpAffine(cv2.GaussianBlur(light, (0, 0), 2.0), move, light.shape[::-1])
-        images.append(camera_image(rng, 20.0 * wall + 140.0 * (light + share * ghost)))
-    watch, settings = GhostWatch(), SubpixelSettings()
-    for image in images:
+        image = camera_image(rng, 20.0 * wall + 140.0 * (light + share * ghost))
         spot, state = measure(image, state, settings)
         assert isinstance(spot, Spot)
         watch.look(image, spot)
-    return watch
+        known.append(watch.found)
+    return known, watch.strongest
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_ghost_of_a_sharp_spot_is_found_and_an_even_wall_has_none(seed):
     rng = np.random.default_rng(seed)
-    assert discs(rng, share=0.0).strongest is None
-    found = discs(rng, share=0.15).found
+    assert discs(rng, shares=[0.0] * 6) == ([None] * 6, None)
+    found = discs(rng, shares=[0.15] * 6)[0][-1]
     assert found is not None
     # The grid's steps of 30 degrees and of a quarter to a third of the length.
     assert np.hypot(*np.subtract(found.shift_px, (24.0, -18.0))) < 0.5 * 30.0
+
+
+def test_a_ghost_stays_until_four_frames_deny_it():
+    known, _ = discs(np.random.default_rng(4), shares=[0.15] * 4 + [0.0] * 8)
+    assert all(known[3:7])
+    assert known[-1] is None
