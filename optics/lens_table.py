@@ -314,7 +314,11 @@ def _envelope(lens: GlueLens, medium_index) -> tuple[Float[Array, ""], Float[Arr
 
 _REGRESSION_SAMPLES = 56
 _AMBIGUITY_SAMPLES = 1200
-_FIELD_SAMPLES = 1025
+_FIELD_SAMPLES = 129
+"""Of a profile by quadrature. The two steps round the peak and the one of the crossing are looked
+at more closely, at `_CLOSER` times as many radii: in 256 profiles of drawn lenses, each result was
+that of as many all over."""
+_CLOSER = 8
 
 Light = IrradianceTable | LensField
 """Light of a lens in a medium, as a table or by quadrature."""
@@ -344,9 +348,7 @@ def half_maximum_radius(light: Light, *, distance: ArrayLike) -> Float[Array, "*
     Returns:
         R, mm. The peak need not lie on the axis.
     """
-    radius, irradiance = _profile(light, distance)
-    half = 0.5 * jnp.max(irradiance, axis=-1, keepdims=True)
-    return _outermost_crossing(radius, irradiance, half)
+    return _outermost_radius(light, distance)
 
 
 def isophote_radius(
@@ -361,8 +363,7 @@ def isophote_radius(
     Returns:
         R, mm; 0 if the irradiance is below the level everywhere.
     """
-    radius, irradiance = _profile(light, distance)
-    return _outermost_crossing(radius, irradiance, jnp.asarray(level)[..., None])
+    return _outermost_radius(light, distance, jnp.asarray(level)[..., None])
 
 
 def effective_cone(light: Light, *, from_distance: float, to_distance: float) -> EffectiveCone:
@@ -406,12 +407,29 @@ def ambiguous_distances(
     return [(float(distance[first]), float(distance[last])) for first, last in edges.reshape(-1, 2)]
 
 
-def _profile(light: Light, distance: ArrayLike) -> tuple[Array, Array]:
-    """Radii (last axis) and irradiance on planes, at the columns of a table if there is one."""
-    samples = light.values.shape[1] if isinstance(light, IrradianceTable) else _FIELD_SAMPLES
+def _outermost_radius(light: Light, distance: ArrayLike, level: Array | None = None) -> Array:
+    """Radius on planes at which the light finally falls below a level, or half of its peak."""
     distance = jnp.asarray(distance, dtype=float)[..., None]
-    radius = light.envelope(distance) * np.linspace(0.0, 1.0, samples)
-    return radius, light(radius=radius, distance=distance)[1]
+
+    def profile(share: np.ndarray | Array) -> tuple[Array, Array]:
+        """Radii (last axis), from shares of the envelope, and their irradiance."""
+        radius = light.envelope(distance) * share
+        return radius, light(radius=radius, distance=distance)[1]
+
+    if isinstance(light, IrradianceTable):  # linear between its columns
+        radius, irradiance = profile(np.linspace(0.0, 1.0, light.values.shape[1]))
+        peak = jnp.max(irradiance, axis=-1, keepdims=True)
+        return _outermost_crossing(radius, irradiance, 0.5 * peak if level is None else level)
+    step = 1.0 / (_FIELD_SAMPLES - 1)
+    closer = np.linspace(0.0, step, _CLOSER + 1)
+    radius, irradiance = profile(np.linspace(0.0, 1.0, _FIELD_SAMPLES))
+    if level is None:
+        before = jnp.argmax(irradiance, axis=-1, keepdims=True) - 1.0
+        around = jnp.abs(step * before + np.concatenate([closer, step + closer]))
+        level = 0.5 * jnp.max(profile(around)[1], axis=-1, keepdims=True)
+    start = _outermost_crossing(radius, irradiance, level)[..., None] / light.envelope(distance)
+    start = step * jnp.floor(lax.stop_gradient(start) / step)
+    return _outermost_crossing(*profile(start + closer), level)
 
 
 @jax.jit
