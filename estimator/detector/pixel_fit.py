@@ -78,8 +78,18 @@ class _Model(NamedTuple):
 
     def linearised(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The light of peak 1 on pixels, and its derivatives by `stepped`, (7, n)."""
+        rows = self._integrated(u, v, _QUADRATURE)
+        x, y = u - self.ellipse.centre[0], v - self.ellipse.centre[1]
         (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).tolist()
-        x, y = u[None] + _QUADRATURE[:, :1], v[None] + _QUADRATURE[:, 1:]
+        away = np.abs(np.hypot(a * x + b * y, c * x + d * y) - 1) * self.ellipse.axes[1]
+        edge = away < Small.SHARP_EDGE_PX
+        rows[:, edge] = self._integrated(u[edge], v[edge], _FINE_QUADRATURE)
+        return rows
+
+    def _integrated(self, u: np.ndarray, v: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """The rows of `linearised` by a quadrature of so many points within a pixel."""
+        (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).tolist()
+        x, y = u[None] + points[:, :1], v[None] + points[:, 1:]
         x, y = x - self.ellipse.centre[0], y - self.ellipse.centre[1]
         cos, sin = a * x + b * y, c * x + d * y
         t = np.hypot(cos, sin) + 1e-9
@@ -367,6 +377,9 @@ _ON_RAYS = np.stack(
 _HALF = 0.5 / math.sqrt(3)
 _QUADRATURE = np.array([(x, y) for x in (-_HALF, _HALF) for y in (-_HALF, _HALF)])
 """Gauss-Legendre points of a pixel, exact to the third power of either coordinate."""
+_FINE = (np.arange(4) + 0.5) / 4 - 0.5
+_FINE_QUADRATURE = np.array([(x, y) for x in _FINE for y in _FINE])
+"""Points of a pixel on an edge that nothing else blurs, where four points err by 0.02 px."""
 
 _BELL = math.log(2)
 """Steepness of a Gaussian."""

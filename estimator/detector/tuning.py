@@ -326,6 +326,9 @@ class Small:
     """Small spots, fitted to their pixels (`coarse`, `pixel_fit`, `verdict`)."""
 
     LARGEST_PX = 15.0  # px: semi-minor axis below which the pixel grid spoils profiles
+    # px: from an edge that nothing but pixels blurs to where its pixels end (derived: half a
+    # diagonal, and twice the width that is left).
+    SHARP_EDGE_PX = 1.5
     OPENING_PX = 61  # px: what is wider than a bell's foot is no small spot (derived: twice 30)
     PARAMETERS = 10  # derived: ellipse 5, steepness, height, plane 3
     REACH = 3.0  # radii: size of the patch (derived: a Gaussian has 0.2 % there)

@@ -10,7 +10,7 @@ from scipy.stats import ncx2
 
 from eyespot.estimator import SubpixelSettings, TrackState, measure, track
 from eyespot.formats.spot import NoSpot, Reason, Spot
-from tests.support.drawn.drawn_spots import over_pixels, spot_in, sub_pixel_grid
+from tests.support.drawn.drawn_spots import SUB_PIXELS, over_pixels, spot_in, sub_pixel_grid
 from tests.support.drawn.own_frames import clouds
 
 SHAPE = (120, 160)
@@ -45,8 +45,8 @@ def half_radius(radius, blur):
     return brentq(fall, 0.1, radius + 5 * blur)
 
 
-def camera_frame(rng, light, peak, wall=1.0):
-    image = (15 + peak * light) * wall + rng.normal(0, _NOISE, SHAPE)
+def camera_frame(rng, light, peak, wall=1.0, noise=_NOISE):
+    image = (15 + peak * light) * wall + rng.normal(0, noise, SHAPE)
     return np.clip(np.rint(image), 0, 255).astype(np.uint8)
 
 
@@ -108,6 +108,25 @@ def test_stated_errors_of_small_discs_are_those_of_the_errors(contrast):
     # 40 squares leave the root of their mean open by 11 %, and texture that is not the model's by
     # 20 %.
     assert 0.75 < math.sqrt(np.mean(z * z)) < 1.35
+
+
+def test_errors_of_discs_that_only_pixels_blur_are_those_of_noise():
+    """How much of a pixel lies within an edge depends on the direction in which the edge runs."""
+    u, v = sub_pixel_grid(SHAPE)
+    z = []
+    for seed in range(24):
+        rng = np.random.default_rng([11, seed])
+        (x, y), radius = place(rng), rng.uniform(6, 14)
+        # The part of a sub-pixel that lies within; what its edge's direction changes is 1e-4 px.
+        within = np.clip(SUB_PIXELS * (radius - np.hypot(u - x, v - y)) + 0.5, 0, 1)
+        spot = spot_in(camera_frame(rng, over_pixels(within), 200.0, noise=1.0))
+        covariance = spot.covariance
+        z.append((spot.x_px - x) / math.sqrt(covariance[0, 0]))
+        z.append((spot.y_px - y) / math.sqrt(covariance[1, 1]))
+        variance = covariance[2, 2] + covariance[3, 3] + 2 * covariance[2, 3]
+        z.append((spot.semi_major_px + spot.semi_minor_px - 2 * radius) / math.sqrt(variance))
+    # 72 squares leave the root of their mean open by 8 %.
+    assert math.sqrt(np.mean(np.square(z))) < 1.25
 
 
 def test_a_focus_with_rings_and_a_halo_is_measured_at_half_of_its_own_peak():
