@@ -350,7 +350,8 @@ def sloping_top(
     if not height > 0:
         return SlopingTop(levels, np.zeros(2))
     sure = max(0.0, 1 - doubt / steepest**2) if steepest else 0.0
-    unsure = sure * doubt + (1 - sure) * min(doubt, steepest**2)
+    # Where nothing counts, the light may slope as much as it seems to, and as texture may hide.
+    unsure = pull_variance + (1 - sure) ** 2 * steepest**2
     return SlopingTop(
         replace(
             levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2, hidden=0.0

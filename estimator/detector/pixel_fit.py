@@ -348,7 +348,7 @@ def _own_half(
     mix, strength, own = np.linalg.svd(sloping, full_matrices=False)
     found, variances = own @ left, variance_of(own)
     kept = _kept(found, variances)
-    unsure = kept * variances + (1 - kept) * np.minimum(variances, found**2)
+    unsure = variances + ((1 - kept) * found) ** 2
     # A Gaussian's slope is a shift, of which nothing is left.
     by_slope = -(mix / np.maximum(strength, np.finfo(float).eps)).T @ taken
     moved_by = (kept * found) @ by_slope

@@ -90,9 +90,9 @@ class Capture:
 class Refine:
     """Refinement of the captured ellipse (`edges`, `band`)."""
 
-    # radii: edge width of a broad flank, between a disc of 60 px blurred by 8 px (0.13) and a bell
-    # (0.58).
-    BROAD = 0.17
+    # radii: edge width of a broad flank, between discs out of focus by a fifth of their radius,
+    # whose light within shows texture apart from the edge, and linear flanks (0.28; bells 0.58)
+    BROAD = 0.24
     SETTLED = 0.1  # widths: move after which the ellipse is not refined again
     SETTLED_BROAD = 0.005  # radii: the same for broad flanks
     SAME_WIDTH = 0.7  # new edge width over the former: a narrower edge is refined again
