@@ -127,7 +127,8 @@ def problems_of(error: ValidationError, where: str, model: type[BaseModel]) -> s
     """What pydantic found wrong in a file, in at most three lines."""
 
     def sentence(problem: Any) -> str:
-        path = problem["loc"]
+        # Of a key that takes several kinds of values, pydantic adds the kind, such as "tuple[...]".
+        path = [part for part in problem["loc"] if "[" not in str(part)]
         return problem_sentence(problem, path, siblings=lambda: _siblings(model, path))
 
     return at_most_three([f"{where}: {sentence(problem)}" for problem in error.errors()])

@@ -285,7 +285,7 @@ def _report(
     ]
     of_perfect = {**COLUMNS, "run": page.Column("a perfect sensor, and")}
     touch = int((by_run.nearest_mm <= 0).sum())
-    of_touch = f"{touch} runs touch the wall."
+    of_touch = f"Runs that touch the wall: {touch}."
     contacts = page.Claim(name="contacts", sentence=of_touch, value=touch, high=0)
     return page.Report(
         title="What distance can a robot keep with this sensor?",

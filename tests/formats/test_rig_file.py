@@ -64,6 +64,7 @@ def test_what_is_commented_out_in_the_template_is_a_possible_value():
         ("robot.eye_from_robot=[0, 0, 0, 2]", "unit quaternion"),
         ("robot.incidence_deg=[40, 10]", "incidence_deg must be two angles"),
         ("robot.touch=[0.1, 0]", "touch needs a positive sigma"),
+        ("robot.touch='seen'", "robot.touch: Input should be 'contact' or 'free'; got 'seen'"),
         ("wall.normal=[0, 0, 0]", "zero vector"),
         ("workspace.tilt_deg=[30, 10]", "workspace.tilt_deg: must be the least and the largest"),
         ("instrument.core_radius_mm=0.3", "core_radius_mm = 0.3 is wider than the fibre"),
