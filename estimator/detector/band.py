@@ -461,7 +461,7 @@ def _refine_sharp(
     # The half of each side's own light contains neither the slope that counts for the half of the
     # peak nor that slope's variance.
     centre_variance = per_slope**2 * doubt / 2
-    unsure = variance / Broad.TOP_DOUBT + (1 - sure) ** 2 * square
+    unsure = Sharp.HIDDEN_SLOPE * variance + (1 - sure) ** 2 * square
     own_variance = misled**2 * unsure / 2 * semi_major * semi_minor
     return band.refined(
         levels,

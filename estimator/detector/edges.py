@@ -139,9 +139,11 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     # variance one. Rays without an edge add nothing to it: hence the share.
     (scattered,) = ring_variances(errors, harmonics)
     variance = scattered / share * freedom / (freedom - 2)
-    step_covariance = variance * cv2.invert(rows.T @ rows)[1]
+    of_rays = cv2.invert(rows.T @ rows)[1]
+    step_covariance = variance * of_rays
     texture = refined.band.texture
     size_variance, centre_variance = refined.size_variance, refined.centre_variance
+    blurred = 0.0
     if broad:
         share, steepness = red_share(errors, harmonics)
         grown = [(octaves_middle(harmonics) / wave) ** steepness for wave in (1.0, 2.0)]
@@ -159,9 +161,15 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
             centre=1 + ErrorGrowth.CENTRE * rise,
             shape=1 + ErrorGrowth.SHAPE * rise,
         )
+        # A blur moves an edge by its square times the relative slope of the wall's light across it.
+        # That is as large as the slope along it: of the second and third wave at least twice the
+        # wave, of which there are four numbers, as above.
+        light = np.where(refined.bright, refined.band.gain - 1, 0.0)
+        (uneven,) = ring_variances(light, slice(2, 4))
+        blurred = levels.width**4 * 2**2 * uneven / share * 4 / (4 - 2)
         # A clipped plateau may be a dome: its half level is higher than the rim tells.
         size_variance += math.pi / 2 * (levels.width * Saturated.DOME) ** 2 * patch.clipped
-    step_covariance = longer @ step_covariance @ longer
+    step_covariance = longer @ step_covariance @ longer + blurred * of_rays
     step_covariance[2:4, 2:4] += size_variance
     step_covariance[[0, 1], [0, 1]] += centre_variance
     scatter = math.sqrt(float(errors @ errors) / len(rows))

@@ -126,6 +126,9 @@ class Sharp:
     BRIGHTEST_INSIDE = 1.5  # widths: where a sloping plateau is brightest; blur took 7 %
     PLATEAU = 2.6  # widths: where the edge's blur has ended (derived: 0.5 % of the step)
     SLOPE_DOUBT = 100.0  # variance of texture's longest wave over the next ones, on retinas
+    # of that variance: what texture hides of a slope; a quarter on walls of spectrum 1/f, and all
+    # of it on smooth ones.
+    HIDDEN_SLOPE = 0.5
     SLOPE_SHOWS = 0.02  # radii: in narrower edges, texture counts more than the light's slope
     FORGIVEN = 0.1  # widths: shift of an edge that texture explains, on retinas
     # px: error of the half level between pixels. Fitted to rendered cones: sizes of oblique spots
