@@ -454,19 +454,3 @@ def test_a_network_that_is_cut_costs_at_most_another_run(
 def test_a_scheduler_that_does_not_answer_is_named():
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         running_scheduler("tcp://127.0.0.1:9", patience="0.2s").__enter__()
-
-
-@pytest.mark.slow
-def test_hugging_face_reads_every_split_with_images_masks_and_labels(whole, tmp_path):
-    from datasets import load_dataset
-
-    every = load_dataset(str(whole), cache_dir=str(tmp_path))
-    counts = {split: len(rows) for split, rows in every.items()}
-    assert counts == {"train": 12, "validation": 6, "test": 6, "adverse": 6}
-    adverse = load_dataset(str(whole), "adverse", cache_dir=str(tmp_path))["adverse"]
-    assert len(adverse) == 6
-    row = adverse[3]
-    assert row["image"].size == row["mask"].size == (96, 72)
-    assert row["condition"] == "saturation"
-    assert row["saturated_fraction"] > 0.5
-    assert row["spot.eccentricity_mm"] == pytest.approx(row["c_mm"])
