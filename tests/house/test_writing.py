@@ -134,11 +134,7 @@ def test_no_command_writes_over_what_is_there(writer, tmp_path):
 def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path):
     (tmp_path / "c.html").write_text("mine")
     with pytest.raises(InputError, match=r"c\.html already exists"):
-        fit(
-            tmp_path / "no such recording",
-            out=tmp_path / "c.json",
-            choices=Choices(model="plane"),
-        )
+        fit(tmp_path / "no such recording", out=tmp_path / "c.json", choices=Choices(model="plane"))
     assert (tmp_path / "c.html").read_text() == "mine"
 
 

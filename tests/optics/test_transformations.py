@@ -95,8 +95,7 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
     ),
     "microscope": of(
-        partial(optics.microscope, eye_radius=R_EYE),
-        {"scale": SCALE, "pinhole_height": 90.0},
+        partial(optics.microscope, eye_radius=R_EYE), {"scale": SCALE, "pinhole_height": 90.0}
     ),
     "refract": (
         lambda x: optics.refract(

@@ -330,11 +330,7 @@ def test_bad_light_and_bad_metering_are_named(image, kwargs, message):
 
 
 @pytest.mark.parametrize(
-    "setting",
-    [
-        {"black_level_dn": 255.0},
-        {"jpeg_quality": 90, "bit_depth": 10},
-    ],
+    "setting", [{"black_level_dn": 255.0}, {"jpeg_quality": 90, "bit_depth": 10}]
 )
 def test_impossible_cameras_are_refused(setting):
     with pytest.raises(ValidationError, match=next(iter(setting))):
