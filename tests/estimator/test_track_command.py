@@ -112,6 +112,13 @@ def test_parquet_has_typed_columns_and_nulls(tmp_path, frames):
     assert [k for k, x in enumerate(table["x_px"].to_pylist()) if x is None] == [GONE]
 
 
+def test_a_parquet_file_of_something_else_is_no_file_of_spots(tmp_path):
+    table = pytest.importorskip("pyarrow").table({"frame": [1]})
+    pytest.importorskip("pyarrow.parquet").write_table(table, tmp_path / "spots.parquet")
+    with pytest.raises(ValueError, match="not a spots file: column 'file_name' is missing"):
+        read_spots(tmp_path / "spots.parquet")
+
+
 def test_literal_mode_starts_at_the_point_that_is_given(tmp_path, frames, images):
     out = tmp_path / "spots.csv"
     assert run(frames, "--out", out, "--mode", "literal", "--start", "70,80").exit_code == 0
