@@ -25,6 +25,7 @@ from eyespot.formats.inputs import InputError
 from eyespot.scenes import SceneError
 from tests.support.command_line import EYESPOT, run
 from tests.support.drawn.drawn_sets import digests
+from tests.support.files.held import another_process
 
 SPEC = """\
 name = "tiny"
@@ -289,27 +290,18 @@ def test_a_stack_that_another_run_writes_is_waited_for_and_rendered_if_that_run_
     out = tmp_path / "set"
     busy = out / "train" / ".0000.partial"
     busy.mkdir(parents=True)
-    code = (
-        "import sys, pathlib; from eyespot.formats.whole_files import lock; "
-        "folder = pathlib.Path(sys.argv[1]); "
-        "lock(folder, of=folder); print('here', flush=True); sys.stdin.read()"
-    )
-    other = subprocess.Popen(
-        [sys.executable, "-c", code, str(busy)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
-    )
-    assert other.stdout
-    assert other.stdout.readline() == b"here\n"
     shutil.copy(whole / "set.json", out)
     done: list[int] = []
+    with another_process("whole_files.lock(path, of=path)", busy) as other:
 
-    def stop_the_other(stacks: int, total: int) -> None:
-        done.append(stacks)
-        if stacks == total - 1:
-            assert not (out / "train" / "0000").exists()
-            other.communicate()
+        def stop_the_other(stacks: int, total: int) -> None:
+            done.append(stacks)
+            if stacks == total - 1:
+                assert not (out / "train" / "0000").exists()
+                other.communicate()
 
-    seen_by(stop_the_other, monkeypatch)
-    make_set(spec, out, workers=here())
+        seen_by(stop_the_other, monkeypatch)
+        make_set(spec, out, workers=here())
     assert done == [0, 1, 2, 3, 4, 5]
     verify_set(out)
     assert digests(out) == digests(whole)
@@ -454,19 +446,3 @@ def test_a_network_that_is_cut_costs_at_most_another_run(
 def test_a_scheduler_that_does_not_answer_is_named():
     with pytest.raises(ValueError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         running_scheduler("tcp://127.0.0.1:9", patience="0.2s").__enter__()
-
-
-@pytest.mark.slow
-def test_hugging_face_reads_every_split_with_images_masks_and_labels(whole, tmp_path):
-    from datasets import load_dataset
-
-    every = load_dataset(str(whole), cache_dir=str(tmp_path))
-    counts = {split: len(rows) for split, rows in every.items()}
-    assert counts == {"train": 12, "validation": 6, "test": 6, "adverse": 6}
-    adverse = load_dataset(str(whole), "adverse", cache_dir=str(tmp_path))["adverse"]
-    assert len(adverse) == 6
-    row = adverse[3]
-    assert row["image"].size == row["mask"].size == (96, 72)
-    assert row["condition"] == "saturation"
-    assert row["saturated_fraction"] > 0.5
-    assert row["spot.eccentricity_mm"] == pytest.approx(row["c_mm"])

@@ -8,7 +8,7 @@ import pytest
 
 from eyespot.benchmarks.sets.card import write_card
 from eyespot.benchmarks.sets.read import read_set
-from tests.support.drawn.drawn_sets import write_set
+from tests.support.drawn.drawn_sets import SHAPE, write_set
 
 
 @pytest.fixture(scope="module")
@@ -33,6 +33,16 @@ def test_a_label_that_only_some_images_have_is_a_column_of_all_splits(carded, tm
     known = {split: np.isfinite(loaded[split]["bound_d_mm"]) for split in ("train", "adverse")}
     assert known["train"].sum() == 4  # images of the stack a
     assert not known["adverse"].any()
+
+
+def test_every_split_is_loaded_with_images_masks_and_labels(carded, tmp_path):
+    every = datasets.load_dataset(str(carded), cache_dir=str(tmp_path))
+    # Four images of one stack, and twice four of the other.
+    assert {split: len(rows) for split, rows in every.items()} == {"train": 12, "adverse": 4}
+    (adverse,) = datasets.load_dataset(str(carded), "adverse", cache_dir=str(tmp_path)).values()
+    row = adverse[3]
+    assert row["image"].size == row["mask"].size == SHAPE[::-1]
+    assert (row["condition"], row["c_mm"]) == ("shadow", 3.0)
 
 
 def test_the_card_states_licence_and_intended_use(carded):

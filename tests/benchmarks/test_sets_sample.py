@@ -57,6 +57,11 @@ def test_a_newcomer_scores_a_file_of_his_own(tmp_path):
     first = pd.read_csv(tmp_path / "out" / "leaderboard.csv").iloc[0]
     assert (first.entry, first.missed) == ("mine", 0.0)
     assert first["median"] == pytest.approx(0.5)
+    text = (tmp_path / "out" / "report.html").read_text()
+    assert "mine has a median error of 0.500 px" in text
+    # An entry alone is compared with nobody.
+    assert "least median error" not in text
+    assert "How the entries were made" not in text
 
 
 def test_a_set_or_the_sample_must_be_named():
@@ -83,15 +88,3 @@ def test_the_loader_returns_images_ellipses_and_distances_of_a_split():
         np.testing.assert_allclose(ellipse[3], labels.half_max_semi_minor_px, rtol=1e-6)
         np.testing.assert_allclose(distance, labels.d_mm, rtol=1e-6)
         assert image.dtype == ellipse.dtype == np.float32
-
-
-def test_a_page_of_one_entry_compares_it_with_nobody(tmp_path):
-    images = images_of(stacks_of(sample_folder()))
-    names = ("x_px", "y_px", "semi_major_px", "semi_minor_px")
-    mine = pd.DataFrame({name: images[f"half_max_{name}"] + 0.5 for name in names})
-    mine.to_csv(tmp_path / "mine.csv", index_label="file_name")
-    printed("score", tmp_path / "mine.csv", "--sample", "--out", tmp_path / "out")
-    text = (tmp_path / "out" / "report.html").read_text()
-    assert "mine has a median error of 0.500 px" in text
-    assert "least median error" not in text
-    assert "How the entries were made" not in text

@@ -9,14 +9,7 @@ import pandas as pd
 import pytest
 
 from eyespot import optics, scenes
-from eyespot.benchmarks.paper import (
-    PLANES,
-    TABLE_I,
-    even_span,
-    line_fits,
-    thresholded,
-    world_of,
-)
+from eyespot.benchmarks.paper import PLANES, TABLE_I, even_span, line_fits, thresholded, world_of
 from eyespot.benchmarks.reporting import rows_of
 from eyespot.benchmarks.studies import static, table_one
 from eyespot.benchmarks.studies.static import ALL, CAUSES, EVEN, NONE, OWN, POOLED, plane

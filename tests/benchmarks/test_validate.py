@@ -1,11 +1,8 @@
 """The main job end to end: it resumes, refuses, repeats itself, and finds what is known."""
 
-import json
-
 import pandas as pd
 import pytest
 
-from eyespot import scenes
 from eyespot.benchmarks.paper import SUBPIXEL
 from eyespot.benchmarks.reporting import rows_of, where
 from eyespot.benchmarks.studies import validate
@@ -53,26 +50,6 @@ def test_exact_and_corrected_measure_rendered_spots_to_a_fraction_of_the_small_p
     assert worst["exact"] < 0.015
     assert worst["corrected"] < 0.03
     assert worst["small_plane"] > 1.5
-
-
-@pytest.mark.slow
-def test_a_second_run_renders_nothing_and_finds_the_same(cone_run, monkeypatch):
-    out, findings = cone_run
-
-    def never(*args, **kwargs):
-        raise AssertionError("a finished trial was rendered again")
-
-    monkeypatch.setattr(scenes, "render_stack", never)
-    files = sorted(out.glob("*.csv"))
-    before = {path: path.read_bytes() for path in files}
-    summary = json.loads((out / "summary.json").read_text())
-    again = validate.validate(out=out, quick=True, seed=0, source="cone")
-    for name in ("planes", "spheres", "analytic", "rendered"):
-        pd.testing.assert_frame_equal(getattr(again, name), getattr(findings, name))
-    assert len(before) > len(FILES)
-    assert {path: path.read_bytes() for path in files} == before
-    after = json.loads((out / "summary.json").read_text())
-    assert after | {"seconds": None} == summary | {"seconds": None}
 
 
 def test_a_folder_with_something_else_is_refused(tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from eyespot import calibration, optics
 from eyespot.estimator.distance.withdrawal import withdrawal_of
 from eyespot.formats.poses import Pose, PoseTrack, RobotKeys
-from tests.support.drawn.exact_spots import exact_spots
+from tests.support.drawn.exact_spots import cone_trial, exact_spots
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -48,18 +48,15 @@ def clock_of(gone_mm, *, poses_s=LONG_S, late_s=0.0):
         poses_s - late_s, -axis * gone_mm(poses_s)[:, None], np.tile(turn, (len(poses_s), 1))
     )
     way = withdrawal_of(poses, TIMES_S, robot=RobotKeys(clock_sigma_s=PRIOR.sigma))
-    trial = calibration.ConeTrial(
-        ellipses=ellipses,
-        covariances=np.tile(SIGMAS, (len(TIMES_S), 1, 1)),
-        coverage=np.ones(len(TIMES_S)),
+    trial = cone_trial(
+        ellipses,
+        SIGMAS,
         readings=way.readings,
         delayed=way.delayed,
         delay_s=way.delay_s,
         axis=way.axis,
         motion=way.motion,
-        principal_point=np.zeros(2),
         touch=calibration.Prior(TOUCH_MM, 0.02),
-        kind="eyeball",
     )
     free = "half_angle", "b", "clock_offset"
     start = {"half_angle": 0.05, "b": -5.1}

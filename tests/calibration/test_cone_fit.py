@@ -11,7 +11,7 @@ from skimage.measure import EllipseModel
 from eyespot import calibration, optics
 from eyespot.calibration.spots.cone_fit import HALVES, shake_px
 from eyespot.estimator.distance.withdrawal import BORESIGHT_SIGMA
-from tests.support.drawn.exact_spots import exact_spots
+from tests.support.drawn.exact_spots import cone_trial, exact_spots, with_errors
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 # A fit of other numbers of trials is a program of its own, which JAX traces for 5 to 20 s.
@@ -60,20 +60,13 @@ def trial(
     first, second = (np.asarray(v) for v in optics.perpendicular_frame(axis))
     told = axis + lean[0] * first + lean[1] * second
     if noise is not None:
-        e = noise.standard_normal((len(D), 5)) * np.sqrt(np.diag(SIGMAS))
-        ellipses = optics.Ellipse(
-            ellipses.centre + e[:, :2],
-            ellipses.semi_major + e[:, 2],
-            ellipses.semi_minor + e[:, 3],
-            ellipses.angle + e[:, 4],
-        )
-    return calibration.ConeTrial(
-        ellipses=ellipses,
-        covariances=np.tile(SIGMAS, (len(D), 1, 1)),
-        coverage=np.ones(len(D)),
+        errors = noise.standard_normal((len(D), 5)) * np.sqrt(np.diag(SIGMAS))
+        ellipses = with_errors(ellipses, errors)
+    return cone_trial(
+        ellipses,
+        SIGMAS,
         readings=D - touched,
         axis=told / np.linalg.norm(told),
-        principal_point=np.zeros(2),
         touch=touch,
         kind=kind,
     )
@@ -258,14 +251,12 @@ def test_a_beam_off_the_motion_does_not_change_the_cone(off_deg):
     angle = np.radians(off_deg)
     beam = np.cos(angle) * motion + np.sin(angle) * aside
     readings = np.linspace(0.3, 5.8, 16)  # as many frames as other trials are padded to
-    trial = calibration.ConeTrial(
-        ellipses=traced_ellipses(beam=beam, motion=motion, readings=readings, noise=noise),
-        covariances=np.tile(SIGMAS, (readings.size, 1, 1)),
-        coverage=np.ones(readings.size),
+    trial = cone_trial(
+        traced_ellipses(beam=beam, motion=motion, readings=readings, noise=noise),
+        SIGMAS,
         readings=readings,
         axis=motion,
         motion=motion,
-        principal_point=np.zeros(2),
         touch=calibration.Prior(0.12, 0.02),
         kind="plane",
     )

@@ -18,13 +18,13 @@ from eyespot.calibration.command.fit_verdict import Fitted
 from eyespot.calibration.command.fitting import without_foreign
 from eyespot.calibration.command.spot_models import fit_cone_to_spots
 from eyespot.calibration.recorded_trial import RecordedTrial
-from eyespot.calibration.spots.cone_trials import ConeTrial, Prior
+from eyespot.calibration.spots.cone_trials import Prior
 from eyespot.calibration.tolerances import PriorOutcome
 from eyespot.estimator.distance.consistency import disagreements
 from eyespot.estimator.recording import Recording
 from eyespot.formats.rig import Rig
 from eyespot.formats.spots import SpotRecord
-from tests.support.drawn.exact_spots import exact_spots
+from tests.support.drawn.exact_spots import cone_trial, exact_spots, with_errors
 from tests.support.drawn.made_up import a_spot
 
 SCALE, RADIUS = 0.0067, 11.5
@@ -73,15 +73,12 @@ def square(name, touched=0.1):
     # The circle lies nearer to the pinhole by its sagitta.
     depth = 1.0 - (RADIUS - np.sqrt(RADIUS**2 - size**2)) / (200.0 + RADIUS)
     size_px, none = jnp.asarray(size / (SCALE * depth)), jnp.zeros(len(size))
-    trial = ConeTrial(
-        ellipses=optics.Ellipse(jnp.zeros((len(size), 2)), size_px, size_px, none),
-        covariances=np.tile(np.eye(5), (len(size), 1, 1)),
-        coverage=np.ones(len(size)),
+    trial = cone_trial(
+        optics.Ellipse(jnp.zeros((len(size), 2)), size_px, size_px, none),
+        np.eye(5),
         readings=distances - touched,
         axis=np.array([0.0, 0.0, -1.0]),
-        principal_point=np.zeros(2),
         touch=Prior(touched, 0.02),
-        kind="eyeball",
     )
     return recorded(name, trial, np.eye(3)[:2])
 
@@ -183,22 +180,13 @@ def drawn(rng, name, half_angle, b, robot_scale, frames=16):
     _, major, minor, _ = ellipses
     of_angle = 0.012 / np.maximum(major - minor, 1e-3 * minor)
     sigmas = np.stack([*np.tile([[0.01], [0.01], [0.012], [0.012]], frames), of_angle], axis=1)
-    noise = sigmas * rng.normal(size=sigmas.shape)
     axis = beams.axis[0]
-    trial = ConeTrial(
-        ellipses=optics.Ellipse(
-            ellipses.centre + noise[:, :2],
-            major + noise[:, 2],
-            minor + noise[:, 3],
-            ellipses.angle + noise[:, 4],
-        ),
-        covariances=np.stack([np.diag(row**2) for row in sigmas]),
-        coverage=np.ones(frames),
+    trial = cone_trial(
+        with_errors(ellipses, sigmas * rng.normal(size=sigmas.shape)),
+        np.stack([np.diag(row**2) for row in sigmas]),
         readings=(distances - touched) / robot_scale,
         axis=axis,
-        principal_point=np.zeros(2),
         touch=Prior(touched + 0.02 * rng.normal(), 0.02),
-        kind="eyeball",
     )
     return recorded(name, trial, np.stack(optics.perpendicular_frame(axis)))
 

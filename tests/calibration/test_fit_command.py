@@ -23,6 +23,7 @@ from eyespot.formats.spot import Spot
 from tests.support.command_line import call, printed
 from tests.support.drawn.made_up import a_microscope_file, a_spot
 from tests.support.drawn.scene_tables import scene_of
+from tests.support.files.bad_input import OLD
 from tests.support.files.fit_files import a_recording, assert_within
 
 # As test_cone_fit, with which it shares programs; the first fit of a kind takes 8 s to trace.
@@ -30,6 +31,7 @@ pytestmark = pytest.mark.usefixtures("fast_compilation")
 
 SVG = "{http://www.w3.org/2000/svg}"
 K, B, SCALE = 20.0, -5.117, 0.0067
+A_CONE = str(OLD / "calibration.json")
 RIM = 0.25 * np.tan(np.radians(30.0))
 
 
@@ -153,6 +155,7 @@ def test_the_fingerprint_is_that_of_the_data(rig, tmp_path):
         (["--model", "eye", "--robust"], "works with the models"),
         (["--robust"], "works with the models plane and sphere only"),
         (["--poses", "a.csv", "--poses", "b.csv"], "--poses must be given once, or once per"),
+        (["--model", "plane", "--calibration", A_CONE], "does not work with --lens, nor with the"),
     ],
 )
 def test_what_makes_no_sense_is_refused(rig, tmp_path, arguments, told):
@@ -411,11 +414,7 @@ def test_a_cone_is_not_fitted_through_a_viewing_lens_as_if_there_were_none(rig, 
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
-    [
-        ((), "fits pixels"),
-        (("--lens", "dome"), "core_radius is not in --free"),
-    ],
+    ("given", "told"), [((), "fits pixels"), (("--lens", "dome"), "core_radius is not in --free")]
 )
 def test_a_core_that_is_free_without_a_lens_may_have_a_prior(rig, tmp_path, given, told):
     source, poses = rig()

@@ -102,6 +102,17 @@ def cone(tmp_path_factory):
     return render(folder, source={"kind": "cone"}, scale=0.02, samples=64)
 
 
+def again(frames, images, whole, **keys):
+    """A recording of these images at the frames' times, with keys of its rig changed."""
+    return Recording(
+        np.array(images),
+        times=[frame.time_s for frame in frames],
+        exposure_s=[frame.exposure_s for frame in frames],
+        poses=whole.robot(),
+        rig=whole.rig.changed(keys),
+    )
+
+
 @pytest.mark.slow
 def test_the_cone_is_found_in_pixels(cone, tmp_path):
     out = tmp_path / "cone.json"
@@ -125,13 +136,7 @@ def test_the_cone_is_found_in_pixels_of_a_recording_that_begins_far_from_contact
     keys: dict[str, Any] = {"robot.touch": [cone.labels[3].d_mm, 0.02]}
     if known == "core":
         keys = {"robot.touch": "free", "instrument.core_radius_mm": -B * math.tan(HALF_ANGLE)}
-    recording = Recording(
-        np.array([frame.image for frame in frames]),
-        times=[frame.time_s for frame in frames],
-        exposure_s=[frame.exposure_s for frame in frames],
-        poses=whole.robot(),
-        rig=whole.rig.changed(keys),
-    )
+    recording = again(frames, [frame.image for frame in frames], whole, **keys)
     found = eyespot.fit(recording, model="image").calibration
     assert_within(found, {"half_angle": HALF_ANGLE, "b": B}, 3)
     # b is known as well as the distance, 0.02 mm, or as the core, 1 %.
@@ -145,14 +150,8 @@ def test_a_ghost_of_the_spot_is_said(cone):
     images = np.array([frame.image for frame in frames]).astype(float)
     dark = np.median(images, axis=(1, 2), keepdims=True)
     ghost = 0.15 * np.roll(np.maximum(images - dark, 0.0), (8, 22), axis=(1, 2))
-    recording = Recording(
-        np.clip(images + ghost, 0, 255).round().astype(np.uint8),
-        times=[frame.time_s for frame in frames],
-        exposure_s=[frame.exposure_s for frame in frames],
-        poses=whole.robot(),
-        rig=whole.rig,
-    )
-    fit = eyespot.fit(recording, model="image")
+    seen = np.clip(images + ghost, 0, 255).round().astype(np.uint8)
+    fit = eyespot.fit(again(frames, seen, whole), model="image")
     assert not fit.good
     assert "the spot has a ghost" in fit.verdict
 

@@ -125,39 +125,6 @@ def test_a_refusal_has_three_lines_whatever_is_wrong():
     assert "c.html" in details
 
 
-def failed(criterion: str) -> dict[str, Any]:
-    return {"converged": False, "failed": (criterion, "12 of at most 3")}
-
-
-LARGE = {"misfit": Misfit(0.03, 1e-9, True, 17.0, "the core is darker"), "residuals": {}}
-
-
-@pytest.mark.parametrize(
-    ("model", "change", "tries"),
-    [
-        ("lens", failed("STEPS"), ["--lens FILE", "nearer"]),
-        ("image", failed("STEPS"), ["--free", "--prior"]),
-        ("plane", {"converged": False}, ["--robust", "--model cone"]),
-        ("lens", failed("FIRST_ROUND"), ["core, aperture and rim", "keeps still"]),
-        ("lens", failed("TABLES"), ["--free", "distances at which the spot is sharpest"]),
-        ("lens", {"bounds": ("sag = 0 mm",)}, ["--prior", "at its bound"]),
-        ("sphere", {"bounds": ("eccentricity = 0",)}, ["--model cone"]),
-        ("cone", {"undetermined": ("b is not determined",)}, ["--prior", "--free"]),
-        ("cone", {"chi_squared_per_degree": 2.1}, ["--model lens", "scale"]),
-        ("plane", {"residuals": {"size": 90 * BEND}}, ["--model cone", "--robust"]),
-        ("cone", {"residuals": {"size": 90 * BEND}}, ["--model lens", "keeps still"]),
-        ("image", LARGE, ["--model lens", "spread"]),
-        ("lens", LARGE, ["spread", "keeps still", "off centre"]),
-    ],
-)
-def test_a_refusal_says_what_to_try_for_its_criterion(model, change, tries):
-    (doubt,) = found = good(**change)
-    wrong, remedy, _ = refusal(found, model=model, report=Path("c.html")).splitlines()
-    assert doubt.reason in wrong
-    for words in tries:
-        assert words in remedy
-
-
 def test_a_remedy_of_two_faults_is_named_once():
     found = good(chi_squared_per_degree=9.0, misfit=None, residuals={"size": 90 * BEND})
     _, tries, _ = refusal(found, model="cone", report=Path("c.html")).splitlines()

@@ -28,11 +28,7 @@ from eyespot.formats.poses import RobotKeys, read_poses
 from eyespot.formats.stack import Stack, read_stack
 from eyespot.optics.wall_light.cells import CellBeam, lattice_irradiance, square_lattice
 from eyespot.optics.wall_light.cone import UniformCone
-from eyespot.optics.wall_light.lens_flux import (
-    lens_of,
-    lens_parameters,
-    lens_samples,
-)
+from eyespot.optics.wall_light.lens_flux import lens_of, lens_parameters, lens_samples
 from eyespot.scenes import Renderer, Scene, render_stack
 from eyespot.scenes.description.scene_keys import CameraSettings
 from eyespot.scenes.sensor import expose

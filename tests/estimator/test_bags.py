@@ -282,14 +282,6 @@ def test_a_bag_cut_short_is_refused_with_a_remedy(tmp_path, name, share):
     assert "\n" not in str(caught.value)
 
 
-def test_broken_metadata_of_a_ros2_bag_are_refused_in_one_line(tmp_path):
-    bag = BAGS["mcap"](tmp_path / "bag")
-    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: [")
-    with pytest.raises(ValueError, match=r"cannot be read: .*metadata\.yaml") as caught:
-        open_source(bag)
-    assert "\n" not in str(caught.value)
-
-
 def test_damage_inside_a_bag_ends_it_at_that_frame(tmp_path):
     path = tmp_path / "a.bag"
     writer = rosbag1.Writer(path)

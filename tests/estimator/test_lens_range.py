@@ -17,6 +17,7 @@ from eyespot.formats.calibration import LENS_PARAMETERS
 from eyespot.formats.camera_sheet import Response
 from eyespot.formats.spot import Reason
 from tests.estimator.test_ranger import NORMALS, R_EYE, WALLS, B, K, calibration, microscope, spot
+from tests.support.light.profiles import light_of, light_on
 
 
 def beam_at(distance, *, wall="eyeball", c=3.0, incidence=0.5):
@@ -30,18 +31,6 @@ def beam_at(distance, *, wall="eyeball", c=3.0, incidence=0.5):
         half_angle=math.atan(1 / K),
         apex_offset=B,
     )
-
-
-def light_on(table, beam, points, inward):
-    """Irradiance of points of a wall by a beam of light that a table has."""
-    offset = points - beam.tip
-    along = offset @ beam.axis
-    across = offset - along[..., None] * beam.axis
-    radius = jnp.linalg.norm(across, axis=-1)
-    lateral, axial = table(radius=radius, distance=along)
-    vector = (lateral / jnp.maximum(radius, 1e-9))[..., None] * across
-    vector = vector + axial[..., None] * beam.axis
-    return jnp.maximum(-jnp.sum(vector * inward, axis=-1), 0.0)
 
 
 def bell(height, width, *, centre=(200.0, 180.0)):
@@ -176,14 +165,8 @@ NO_CONE = {"half_angle": 0.0, "apex_offset": 0.0}
 @pytest.mark.parametrize("curvature", [1 / R_EYE, 0.0])
 def test_light_of_a_lens_is_found_on_the_curved_and_on_the_plane_wall(curvature):
     # Any smooth light will do: a bell that fills the envelope.
-    x = jnp.linspace(0.0, 1.0, 65)
-    bell = jnp.exp(-((3 * x) ** 2))
-    table = optics.IrradianceTable(
-        values=jnp.tile(jnp.stack([0.2 * x * bell, bell], axis=-1), (9, 1, 1)),
-        medium_index=jnp.array(1.0),
-        contact_radius=jnp.array(0.3),
-        slope=jnp.array(0.2),
-    )
+    bell = jnp.exp(-((3 * jnp.linspace(0.0, 1.0, 65)) ** 2))
+    table = light_of(bell, contact=0.3, aside=0.2)
     light, points = lens_range._wall_light(table, curvature, 3.0)
     wall = "eyeball" if curvature else "plane"
     for row, incidence in enumerate(lens_range._INCIDENCES):

@@ -287,13 +287,7 @@ def test_sigma_of_closed_forms_is_the_scatter_of_many_repeats(model):
     assert np.std(found) == pytest.approx(predicted.sigma_mm, rel=0.09)
 
 
-@pytest.mark.parametrize(
-    ("incidence", "axis_sigma"),
-    [
-        (0.0, None),
-        (0.2, 0.0175),
-    ],
-)
+@pytest.mark.parametrize(("incidence", "axis_sigma"), [(0.0, None), (0.2, 0.0175)])
 def test_sigma_of_exact_is_the_scatter_of_many_repeats(incidence, axis_sigma):
     rng = np.random.default_rng(3)
     seen, _, axis, _ = exact_spot(200.0, d=3.0, c=3.0, incidence=incidence)

@@ -11,7 +11,7 @@ from skimage.measure import EllipseModel, find_contours
 
 from eyespot.estimator import LiteralSettings, SubpixelSettings, TrackState, measure
 from eyespot.formats.camera_sheet import Response
-from eyespot.formats.spot import NoSpot, Reason, Spot
+from eyespot.formats.spot import NoSpot, Reason
 from eyespot.scenes.drawn import (
     SHAPE,
     Drawing,
@@ -327,15 +327,6 @@ def test_a_moving_spot_whose_ends_are_hidden_is_a_failure(reach, seed):
     result, _ = measure(frame_of(drawing, np.random.default_rng(seed)), _MIDDLE, SubpixelSettings())
     assert isinstance(result, NoSpot)
     assert result.reason is Reason.OCCLUDED or reach == 70  # hardly hidden
-
-
-def test_both_modes_agree_where_the_threshold_is_the_half_level():
-    scene = Drawing(truth=_TRUTH, amplitude=120, ambient=70, noise=1.0)
-    frame = frame_of(scene, np.random.default_rng(0))
-    literal, _ = measure(frame, _MIDDLE, LiteralSettings(threshold=130))
-    assert isinstance(literal, Spot)
-    # The literal boundary runs through pixel centres inside the contour.
-    assert literal.semi_minor_px == pytest.approx(_measured(frame).semi_minor_px - 0.5, abs=0.5)
 
 
 @pytest.mark.parametrize(

@@ -73,31 +73,21 @@ def test_a_leap_or_growth_beyond_the_limit_is_believed_only_when_seen_twice(chan
     assert _near(after, changed)
 
 
-def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides():
+# A saturated one may be the spot, in too much light; or both are lamps of one cluster.
+@pytest.mark.parametrize("amplitude", [_SCENE.amplitude, 2000.0])
+def test_of_two_like_spots_none_is_chosen_but_a_start_point_decides(amplitude):
     left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
     rng = np.random.default_rng(5)
-    frame = np.maximum(*(frame_of(replace(_SCENE, truth=t, noise=0.0), rng) for t in (left, right)))
+    scene = replace(_SCENE, truth=left, noise=0.0)
+    other = replace(scene, truth=right, amplitude=amplitude)
+    frame = np.maximum(frame_of(scene, rng), frame_of(other, rng))
     result, state = measure(frame, TrackState(), SubpixelSettings())
     assert result == NoSpot(Reason.AMBIGUOUS)
     assert state == TrackState()
-    for truth in (left, right):
+    for truth in (left,) if amplitude == 2000.0 else (left, right):
         settings = SubpixelSettings(search_half_width_px=120)
         (spot,) = track([frame], settings, start=(truth.x + 10, truth.y - 10))
         assert _near(spot, truth)
-
-
-def test_beside_a_saturated_disc_as_large_none_is_chosen_but_a_start_point_decides():
-    # The other may be the spot, in too much light; or both are lamps of one cluster.
-    left, right = replace(_TRUTH, x=160), replace(_TRUTH, x=480)
-    rng = np.random.default_rng(5)
-    measurable = frame_of(replace(_SCENE, truth=left, noise=0.0), rng)
-    other = replace(_SCENE, truth=right, noise=0.0, amplitude=2000.0)
-    frame = np.maximum(measurable, frame_of(other, rng))
-    result, _ = measure(frame, TrackState(), SubpixelSettings())
-    assert result == NoSpot(Reason.AMBIGUOUS)
-    settings = SubpixelSettings(search_half_width_px=120)
-    (spot,) = track([frame], settings, start=(left.x + 10, left.y - 10))
-    assert _near(spot, left)
 
 
 def test_a_ring_that_the_frame_cuts_is_no_spot_with_a_shaft_over_it():
@@ -229,14 +219,12 @@ def test_measure_keeps_nothing_but_its_state():
     assert once.semi_minor_px == again.semi_minor_px and once.x_px == again.x_px
 
 
-def test_glints_vessels_and_shafts_are_no_spots():
-    assert false_spots(20, seed=8) == 0
+HUNDREDS = [pytest.param(500, seed, marks=pytest.mark.slow) for seed in range(100, 104)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(100, 104))
-def test_five_hundred_frames_without_a_spot_show_none(seed):
-    assert false_spots(500, seed) == 0
+@pytest.mark.parametrize(("frames", "seed"), [(20, 8), *HUNDREDS])
+def test_glints_vessels_and_shafts_are_no_spots(frames, seed):
+    assert false_spots(frames, seed) == 0
 
 
 def test_a_violet_bell_keeps_its_channel_while_its_power_rises():

@@ -103,15 +103,6 @@ def test_a_lens_file_may_be_a_path(made):
         eyespot.fit(made / "stack", lens=lens)
 
 
-def test_a_study_has_its_commands_options():
-    import inspect
-
-    parameters = inspect.signature(eyespot.studies.eccentricity).parameters
-    assert {"out", "quick", "seed", "changes", "progress"} <= {*parameters}
-    with pytest.raises(TypeError, match="'out'"):
-        eyespot.studies.eccentricity(quick=True)
-
-
 def test_setting_what_the_study_varies_is_refused():
     with pytest.raises(InputError, match="no effect in this study"):
         eyespot.studies.eccentricity(out=Path("never"), changes=("spot.eccentricity_mm=6",))

@@ -15,9 +15,10 @@ from eyespot.estimator.run.rig_check import checked
 from eyespot.formats.camera_sheet import CameraSheet
 from eyespot.formats.inputs import InputError
 from eyespot.formats.poses import Pose, PoseTrack
-from eyespot.formats.rig import Rig, read_rig, rig_in, rig_template
+from eyespot.formats.rig import Rig, read_rig, rig_in, rig_of_scene, rig_template
 from eyespot.formats.settings_files import table_lines
 from tests.support.command_line import call, printed
+from tests.support.drawn.drawn_recording import write_folder
 from tests.support.drawn.drawn_spots import disc
 from tests.support.drawn.made_up import a_microscope_file, an_opencv_file
 
@@ -79,8 +80,7 @@ def test_a_wrong_key_or_value_is_named(change, told):
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("workspace.eccentricity_mm", [0, 12]), ("workspace.distance_mm", [1, 25])],
+    ("key", "value"), [("workspace.eccentricity_mm", [0, 12]), ("workspace.distance_mm", [1, 25])]
 )
 def test_a_workspace_fits_into_its_eye(key, value):
     Rig().changed({key: value, "wall.radius_mm": 15.0})
@@ -269,8 +269,6 @@ def test_a_turn_is_proposed_for_a_robot_whose_z_points_down():
 
 
 def test_the_command_writes_one_picture_and_says_what_is_wrong(tmp_path):
-    from tests.support.drawn.drawn_recording import write_folder
-
     recording = withdrawal()
     folder = write_folder(tmp_path / "images", [frame.image for frame in recording.source])
     (tmp_path / "rig.toml").write_text(recording.rig.toml(tmp_path))
@@ -281,8 +279,6 @@ def test_the_command_writes_one_picture_and_says_what_is_wrong(tmp_path):
 
 
 def test_poses_that_cannot_be_read_contradict_and_brackets_stay(tmp_path):
-    from tests.support.drawn.drawn_recording import write_folder
-
     recording = withdrawal()
     folder = write_folder(tmp_path / "images[a]", [frame.image for frame in recording.source])
     (tmp_path / "rig.toml").write_text(recording.rig.toml(tmp_path))
@@ -297,8 +293,6 @@ def test_poses_that_cannot_be_read_contradict_and_brackets_stay(tmp_path):
 
 
 def test_the_template_of_a_rendered_scene_has_its_numbers():
-    from eyespot.formats.rig import rig_of_scene
-
     scene = {"phantom": {"kind": "plane"}, "motion": {"kind": "withdrawal", "start_mm": 0.5}}
     rig = rig_in(rig_of_scene(scene), where="a scene")
     assert (rig.wall.kind, rig.robot.touch) == ("plane", "free")

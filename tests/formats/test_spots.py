@@ -108,9 +108,3 @@ def test_a_damaged_file_is_refused_with_its_line(tmp_path, damage, message):
     with pytest.raises(ValueError, match=message) as error:
         read_spots(path)
     assert "spots.csv" in str(error.value)
-
-
-@pytest.mark.parametrize("reason", Reason)
-def test_every_reason_is_explained(reason):
-    assert reason.meaning.endswith(".")
-    assert len(reason.meaning) < 200

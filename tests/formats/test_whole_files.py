@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from eyespot.formats.inputs import InputError
-from eyespot.formats.whole_files import BeingWrittenError, sweep, written_whole
+from eyespot.formats.whole_files import sweep, written_whole
 from tests.support.command_line import run_python
 
 KINDS = ["file", "folder", "link to a file", "link to a folder", "link to nothing", "pipe"]
@@ -96,16 +96,6 @@ def test_a_failure_leaves_nothing(tmp_path):
         (partial / "half").touch()
         raise ZeroDivisionError
     assert not list(tmp_path.iterdir())
-
-
-@pytest.mark.parametrize("replace", [False, True])
-def test_a_second_writer_of_a_file_is_refused_at_once(replace, tmp_path):
-    with written_whole(tmp_path / "out", replace=replace) as partial:
-        partial.write_text("first")
-        with pytest.raises(BeingWrittenError, match="out is being written by another process"):
-            with written_whole(tmp_path / "out", replace=replace):
-                pytest.fail("the work has begun")
-    assert (tmp_path / "out").read_text() == "first"
 
 
 def test_a_stopped_render_of_the_same_name_is_left_as_it_is(tmp_path):

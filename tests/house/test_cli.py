@@ -92,10 +92,6 @@ def test_the_help_of_a_command_is_its_docstring_and_needs_no_library_that_comput
     assert helps[words] == run(*words.split(), "--help").stdout
 
 
-def test_an_unknown_option_is_bad_input():
-    assert run("version", "--colour").exit_code == 2
-
-
 MISSPELT = {
     "trakc": "unknown command 'trakc'. Did you mean track?",
     "study eccentricty": "Did you mean eccentricity?",

@@ -90,11 +90,6 @@ def test_every_file_of_the_packages_is_in_the_wheel(fresh_python):
     assert any(path.suffix == ".toml" for path in in_checkout)
 
 
-def test_the_command_of_the_wheel_runs(fresh_python):
-    command = fresh_python.with_name("eyespot")
-    assert "validate" in run_away_from_the_checkout(fresh_python, command, "--help")
-
-
 def test_files_beside_a_script_may_have_the_names_of_our_packages(fresh_python, tmp_path):
     for name in (*PACKAGES, "tests"):
         path = tmp_path / (f"{name}/__init__.py" if name == "formats" else f"{name}.py")

@@ -5,8 +5,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from eyespot.formats.whole_files import BeingWrittenError, written_whole
 from eyespot.scenes import load_scene, render_stack, write_preview
 from tests.formats.test_whole_files import everything, make
 from tests.support.drawn.drawn_sets import MICROSCOPE, labels_of
+from tests.support.files.held import another_process
 
 HOME = Path(__file__).resolve().parents[2]
 
@@ -99,38 +99,18 @@ WRITERS: dict[str, Callable[[Path, Path], object]] = {
 }
 
 
-@contextmanager
-def another_process_writes(out: Path, writer: str) -> Iterator[subprocess.Popen[str]]:
-    """A process that has entered a writer of a path and stays there."""
-    code = {
-        "render": "stack.StackWriter(out).__enter__()",
-        "study": "out.mkdir(); whole_files.lock(out, of=out)",
-    }.get(writer, "w = whole_files.written_whole(out); w.__enter__()")
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-c",
-            "import sys, pathlib; from eyespot.formats import stack, whole_files; "
-            f"out = pathlib.Path(sys.argv[1]); {code}; "
-            "print('here', flush=True); sys.stdin.read()",
-            str(out),
-        ],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert process.stdout
-    assert process.stdout.readline() == "here\n"
-    try:
-        yield process
-    finally:
-        process.communicate("")
+ENTERED = {
+    "render": "stack.StackWriter(path).__enter__()",
+    "study": "path.mkdir(); whole_files.lock(path, of=path)",
+}
+"""How a process enters a writer of a path; any other is entered by its file."""
 
 
 @pytest.mark.parametrize("writer", WRITERS)
 def test_the_second_run_of_two_is_refused_at_once(writer, tmp_path):
     stack, out = tiny_stack(tmp_path / "stack"), tmp_path / "out"
-    with another_process_writes(out, writer) as first:
+    entered = ENTERED.get(writer, "w = whole_files.written_whole(path); w.__enter__()")
+    with another_process(entered, out) as first:
         with pytest.raises(BeingWrittenError, match="out is being written by another process"):
             WRITERS[writer](stack, out)
         first.send_signal(signal.SIGKILL)
@@ -154,11 +134,7 @@ def test_no_command_writes_over_what_is_there(writer, tmp_path):
 def test_a_fit_refuses_before_it_starts_if_its_report_exists(tmp_path):
     (tmp_path / "c.html").write_text("mine")
     with pytest.raises(InputError, match=r"c\.html already exists"):
-        fit(
-            tmp_path / "no such recording",
-            out=tmp_path / "c.json",
-            choices=Choices(model="plane"),
-        )
+        fit(tmp_path / "no such recording", out=tmp_path / "c.json", choices=Choices(model="plane"))
     assert (tmp_path / "c.html").read_text() == "mine"
 
 

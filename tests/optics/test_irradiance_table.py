@@ -9,10 +9,11 @@ import pytest
 from scipy.optimize import brentq
 
 from eyespot import optics
-from eyespot.optics.lens_table import IrradianceTable, LensField
+from eyespot.optics.lens_table import LensField
 from eyespot.scenes.world.world import lens_light
 from tests.support.drawn.made_up import a_lens
 from tests.support.light.photons import Drop, counted_light
+from tests.support.light.profiles import light_of
 
 AIR, VITREOUS = 1.0, 1.336
 CONTACT, SLOPE = 0.25, 0.1
@@ -98,15 +99,7 @@ def test_look_ups_near_a_focus_are_right_for_a_camera():
 @pytest.fixture(scope="module")
 def tent():
     """Light that falls linearly from the axis to the envelope: V_s e² = 1 - rho/e."""
-    x = np.linspace(0.0, 1.0, 65)
-    values = np.zeros((33, 65, 2))
-    values[..., 1] = 1.0 - x
-    return IrradianceTable(
-        values=jnp.asarray(values),
-        medium_index=jnp.asarray(AIR),
-        contact_radius=jnp.asarray(CONTACT),
-        slope=jnp.asarray(SLOPE),
-    )
+    return light_of(1.0 - jnp.linspace(0.0, 1.0, 65), contact=CONTACT, slope=SLOPE)
 
 
 def test_radii_of_a_tent_are_where_it_says(tent):

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from eyespot import optics
+from tests.support.light.profiles import light_of
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
 
@@ -30,12 +31,7 @@ USUAL = {
 # The core is narrower than the cap: where they are equal the power has a kink.
 LENS = {"core_radius": 0.2, "glue_length": 0.3, "sag": 0.05, "aperture_radius": 0.25}
 LENS |= {"numerical_aperture": 0.12, "glue_index": 1.49}
-TENT = optics.IrradianceTable(
-    values=jnp.stack([jnp.zeros((33, 65)), jnp.tile(jnp.linspace(1.0, 0.0, 65), (33, 1))], axis=-1),
-    medium_index=jnp.asarray(1.0),
-    contact_radius=jnp.asarray(0.3),
-    slope=jnp.asarray(0.2),
-)
+TENT = light_of(jnp.linspace(1.0, 0.0, 65), contact=0.3)
 
 
 def flat(tree: object) -> jax.Array:
@@ -99,8 +95,7 @@ QUICK: dict[str, tuple[Callable, list[float]]] = {
         [3.0, 4.0, 60.0, 50.0, 0.3, 1e-4, 1e-4, 1e-4, 1e-4, 1e-6],
     ),
     "microscope": of(
-        partial(optics.microscope, eye_radius=R_EYE),
-        {"scale": SCALE, "pinhole_height": 90.0},
+        partial(optics.microscope, eye_radius=R_EYE), {"scale": SCALE, "pinhole_height": 90.0}
     ),
     "refract": (
         lambda x: optics.refract(

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 from scipy.special import iti0k0, k0
 
 from eyespot import optics
+from tests.support.light.profiles import light_of, light_on
 from tests.support.light.spread_disc import lit_by_disc, radii
 
 pytestmark = pytest.mark.usefixtures("fast_compilation")
@@ -93,28 +94,12 @@ def test_fifty_micrometres_cost_a_sharp_cone_a_tenth_of_a_millimetre():
 
 
 def test_a_tilted_lens_spot_is_spread_as_a_brute_sum_over_the_wall():
-    x = jnp.linspace(0.0, 1.0, 129)
-    bell = 1.0 / (1.0 + jnp.exp((x - 0.5) / 0.05))
-    table = optics.IrradianceTable(
-        values=jnp.tile(jnp.stack([0.2 * x * bell, bell], axis=-1), (9, 1, 1)),
-        medium_index=jnp.array(1.0),
-        contact_radius=jnp.array(0.5),
-        slope=jnp.array(0.2),
-    )
+    bell = 1.0 / (1.0 + jnp.exp((jnp.linspace(0.0, 1.0, 129) - 0.5) / 0.05))
+    table = light_of(bell, contact=0.5, aside=0.2)
     wall, length = optics.pole_plane(eye_radius=R_EYE), 0.05
     pose = beam(2.0, wall=wall, incidence=0.5)
     _, half_max = optics.spread_contours(table, pose, wall, length)
-
-    @jax.jit
-    def light(points):
-        offset = points - pose.tip
-        along = offset @ pose.axis
-        across = offset - along[:, None] * pose.axis
-        radius = jnp.maximum(jnp.linalg.norm(across, axis=-1), 1e-12)
-        lateral, axial = table(radius=radius, distance=along)
-        # Down is the outward normal.
-        return -(lateral / radius * across[:, 2] + axial * pose.axis[2])
-
+    light = jax.jit(lambda points: light_on(table, pose, points, jnp.array([0.0, 0.0, 1.0])))
     ring, turn = np.meshgrid(radii(length, 400), np.arange(64) * (2 * np.pi / 64))
     aside = np.stack([ring * np.cos(turn), ring * np.sin(turn), 0 * ring], axis=-1).reshape(-1, 3)
     found = np.array([float(jnp.mean(light(p + aside))) for p in half_max[::16]])

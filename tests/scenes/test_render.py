@@ -9,14 +9,7 @@ import pytest
 
 from eyespot.formats.inputs import InputError
 from eyespot.formats.stack import read_stack
-from eyespot.scenes import (
-    Renderer,
-    Scene,
-    load_mitsuba,
-    render_image,
-    render_stack,
-    write_preview,
-)
+from eyespot.scenes import Renderer, Scene, load_mitsuba, render_image, render_stack, write_preview
 from eyespot.scenes.sensor import after_jpeg
 from eyespot.scenes.world.world import World
 from tests.support.drawn.drawn_spots import spot_in

@@ -120,10 +120,6 @@ def test_a_change_that_cannot_be_is_named(change, message):
 WIDE = {"kind": "cone", "cone_k": 11.6, "cone_apex_offset_mm": -5.117}
 
 
-def test_the_default_cone_is_the_papers():
-    assert (Scene().source.cone_k, Scene().source.cone_apex_offset_mm) == (20.0, -5.117)
-
-
 def test_the_apex_follows_from_the_core_unless_it_is_given():
     wide = Scene.model_validate({"source": {"kind": "cone", "cone_k": 8.27}})
     # -b/k is the radius at the tip, whatever k is.

@@ -130,20 +130,12 @@ def test_a_broken_label_line_is_named(copy, change, message):
         read_stack(copy)
 
 
-def test_a_truncated_frame_and_a_changed_byte_are_named(copy):
+def test_a_truncated_frame_is_named(copy):
     stack = read_stack(copy)
-    stack.verify()
     frame = copy / stack.labels[4].file_name
-    content = frame.read_bytes()
-    frame.write_bytes(content[: len(content) // 2])
+    frame.write_bytes(frame.read_bytes()[: frame.stat().st_size // 2])
     with pytest.raises(InputError, match=r"000004\.png is truncated"):
         stack.image(stack.labels[4])
-    frame.write_bytes(content[:-20] + bytes([content[-20] ^ 1]) + content[-19:])
-    with pytest.raises(InputError, match=r"000004\.png differs from its checksum"):
-        stack.verify()
-    frame.unlink()
-    with pytest.raises(InputError, match=r"000004\.png is missing, though"):
-        stack.verify()
 
 
 def test_a_linear_frame_is_the_light_behind_its_image(whole):

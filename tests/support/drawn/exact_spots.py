@@ -11,6 +11,7 @@ from jaxtyping import Array
 
 from eyespot import optics
 from eyespot.calibration.least_squares import padded
+from eyespot.calibration.spots.cone_trials import ConeTrial
 
 Place = tuple[float, float, float, float, float]
 """Eccentricity (mm), azimuth, incidence, its azimuth (rad) and distance (mm) of a beam's spot."""
@@ -31,6 +32,21 @@ def exact_spots(
     found = _seen(wall, camera, rows, jnp.asarray(half_angle), jnp.asarray(b))
     ellipses, beams = jax.tree.map(lambda leaf: np.asarray(leaf)[:count], found)
     return ellipses, beams
+
+
+def with_errors(ellipses: optics.Ellipse, errors: np.ndarray) -> optics.Ellipse:
+    """Ellipses with errors of their centres, axes and angles, n x 5."""
+    shape = (of + error for of, error in zip(ellipses[1:], errors.T[2:], strict=True))
+    return optics.Ellipse(ellipses.centre + errors[:, :2], *shape)
+
+
+def cone_trial(ellipses: optics.Ellipse, covariances: np.ndarray, **known: Any) -> ConeTrial:
+    """A withdrawal whose contours are whole, about the principal point; one or n covariances."""
+    count = len(ellipses.centre)
+    usual: dict[str, Any] = {"principal_point": np.zeros(2), "kind": "eyeball"}
+    each = np.broadcast_to(covariances, (count, 5, 5))
+    whole = np.ones(count)
+    return ConeTrial(ellipses=ellipses, covariances=each, coverage=whole, **usual | known)
 
 
 @eqx.filter_jit

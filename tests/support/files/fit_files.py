@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from eyespot.calibration.pixels.fit_result import ImageFit
 from eyespot.formats.calibration import Calibration
@@ -34,10 +33,3 @@ def assert_within(found: ImageFit | Calibration, truth: Mapping[str, float], sig
         else:
             value, sigma = found.parameters[name]
         assert abs(value - true) < sigmas * sigma, f"{name}: {value} +- {sigma}, true {true}"
-
-
-def pulls(rows: pd.DataFrame, name: str) -> np.ndarray:
-    """Errors over standard errors of what fits have as pairs of both, or as lists of such pairs."""
-    pairs = [np.array(pair, float).reshape(-1, 2) for pair in rows[name].dropna()]
-    error, sigma = np.concatenate([*pairs, np.zeros((0, 2))]).T
-    return np.abs(error / sigma)[np.isfinite(error / sigma)]
