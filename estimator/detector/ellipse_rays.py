@@ -1,16 +1,32 @@
 """Ellipses as images of the unit circle, their fit to radial edge offsets, and their profiles.
 
-A `Patch` of light is sampled along the rays of an ellipse; statistics go round the ring of rays.
+A `Patch` of light is sampled along the rays of an ellipse, and `capture` fits an ellipse to where
+its rays fall to a level. Statistics go round the ring of rays.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, ErrorGrowth, Refine, Trimming
+from eyespot.estimator.detector.tuning import (
+    FEWEST_RAYS,
+    RAYS,
+    Capture,
+    ErrorGrowth,
+    Refine,
+    Trimming,
+    WideView,
+)
+
+RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
+"""Radii of the wide view, in units of the ellipse."""
+RADIUS_STEP = float(RADII[1] - RADII[0])
+"""Distance between two of them."""
+_NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,6 +254,63 @@ class Patch:
         v = np.arange(height, dtype=np.float32) + np.float32(self.y0 - ellipse.centre[1])
         (a, b), (c, d) = np.linalg.inv(ellipse.shape).astype(np.float32)
         return a * u + b * v[:, None], c * u + d * v[:, None]
+
+
+class Captured(NamedTuple):
+    """An ellipse that follows a level of a patch, and the profiles that show it.
+
+    Attributes:
+        along: the ellipse of the profiles, a few tenths of a px from this one.
+        growth: this one's size over that.
+        inliers: rays whose edge belongs to the ellipse, every `Capture.EVERY`-th of `RAYS`.
+        profiles: signal at `RADII` on these rays; NaN outside the patch.
+        scatter: standard deviation of the inliers' edges about the ellipse, radii.
+    """
+
+    ellipse: AffineEllipse
+    along: AffineEllipse
+    growth: float
+    inliers: np.ndarray
+    profiles: np.ndarray
+    scatter: float
+
+
+def capture(patch: Patch, near: AffineEllipse, level: float) -> Captured | None:
+    """The ellipse through the crossings of a level that are nearest to a given ellipse, if any."""
+    following = near.upright()
+    design = DESIGN[:: Capture.EVERY]
+    tolerance = max(Capture.TOLERANCE_PX / following.axes[1], Capture.TOLERANCE)
+    for _ in range(3):
+        along = following
+        profiles = patch.unwrapped(along, RADII, every=Capture.EVERY)
+        offsets, found = _crossings(profiles, level)
+        beside = np.abs(offsets) < Refine.FURTHEST
+        fitted = robust_step(
+            design, offsets, found, beside, tolerance=tolerance, limit=Capture.FURTHEST
+        )
+        if fitted is None or np.abs(fitted[0]).max() > Capture.LARGEST_STEP:
+            return None
+        step, inliers = fitted
+        following = along.stepped(step)
+        if np.abs(step).max() < Capture.NEAR_ENOUGH:
+            break
+    errors = (offsets - design @ step)[inliers]
+    growth = 1 + float(step[2] + step[3]) / 2
+    scatter = math.sqrt(float(errors @ errors) / errors.size)
+    return Captured(following, along, growth, inliers, profiles, scatter)
+
+
+def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Falling crossing of the level nearest to the radius 1, as an offset from it, by ray."""
+    below = profiles < level
+    falling = below[:, 1:] > below[:, :-1]
+    nearest = np.argmax(falling * _NEARNESS, axis=1)
+    ray = np.arange(len(profiles))
+    before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
+    # A profile that leaves the patch is NaN and has no edge.
+    found = (before >= level) & (after < level)
+    share = np.divide(before - level, before - after, out=np.zeros(len(ray)), where=found)
+    return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
 
 
 def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:
