@@ -13,7 +13,6 @@ from eyespot.estimator.detector.ellipse_rays import (
     AffineEllipse,
     Patch,
     capture,
-    octaves_middle,
     red_share,
     ring_variances,
 )
@@ -106,8 +105,7 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     texture = refined.band.texture
     size_variance, centre_variance = refined.size_variance, refined.centre_variance
     if broad:
-        share, steepness = red_share(errors, harmonics)
-        grown = [(octaves_middle(harmonics) / wave) ** steepness for wave in (1.0, 2.0)]
+        share, grown = red_share(errors, harmonics, 1.0, 2.0)
         first, second = (1 + share * texture * (g - 1) for g in grown)
         longer = _longer_waves(size=first, centre=first, shape=second)
         # A bell on a sloping wall looks like one that has moved, and the contour does not show

@@ -342,28 +342,30 @@ def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
     return [float(part @ part) * 2 / part.size for part in parts]
 
 
-def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
-    """How far the long waves of values round the ring are a wall's texture, and its steepness.
+def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, list[float]]:
+    """How far the long waves of values round the ring are a wall's texture, and how it grows.
 
     The variance of texture rises with a power of the wavelength, of fringes and noise it does not.
     What rises more steeply than texture is the shape of a beam that is no ellipse.
 
     Args:
         values: (RAYS,).
+        waves: harmonics for which the growth is wanted.
 
     Returns:
-        The share of texture in the variance of the long waves; and the power, which so few waves
-        leave open by half a power, as much as walls differ: the mean of the frame's and the walls'.
+        The share of texture in the variance of the long waves; and the texture's variance at each
+        harmonic over that. So few waves leave the power open by half a power, as much as walls
+        differ, so it is the mean of the frame's and the walls'.
     """
     longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
-    ratio = math.log(octaves_middle(Refine.NEXT_WAVES_BROAD) / octaves_middle(long))
+    ratio = math.log(_octaves_middle(Refine.NEXT_WAVES_BROAD) / _octaves_middle(long))
     seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
     share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)
     steepness = (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
-    return share, steepness
+    return share, [(_octaves_middle(long) / wave) ** steepness for wave in waves]
 
 
-def octaves_middle(harmonics: slice) -> float:
+def _octaves_middle(harmonics: slice) -> float:
     """Geometric mean of the harmonics."""
     return float(np.exp(np.log(np.arange(harmonics.start, harmonics.stop)).mean()))
 
