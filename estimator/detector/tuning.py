@@ -238,9 +238,9 @@ class Reflection:
     SMALLEST = 0.02  # area of what stands out, over the bell's
     SHARPEST = 0.05  # radii: widest rim of a spot on a reflection, rendered wet walls
     SMOOTHEST = 0.008  # radii: scatter of that rim; more is the wall's texture
-    # radii: the same of what stands out, in the pixels of the search: up to 0.05 of drawn spots on
-    # reflections; of texture under bells 0.07, a tenth of it below 0.04.
-    ROUGHEST = 0.05
+    # radii: the same of what stands out, in the pixels of the search: of drawn spots on reflections
+    # 0.034 at most, but for one in fifty; of texture under bells mostly 0.05 to 0.09.
+    ROUGHEST = 0.04
     SEEN = 0.25  # fraction of that rim that is visible; 0.3 where a reflection ends on a spot
 
 
