@@ -543,11 +543,10 @@ def _refine_broad(
         # The wall under the top differs from the wall under the contour by texture of the longest
         # waves, which the contour shows only as far as they are not the light's own slope.
         light = np.where(found, gain - 1, 0.0)
-        share, (growth,) = red_share(light, Broad.TOP_WAVES, 1.0)
+        uneven, share, (growth,) = red_share(light, Broad.TOP_WAVES, 1.0)
         # A beam that is no ellipse bends its contour more than texture does, and is as uneven.
         errors = np.where(fitted[1], offsets - DESIGN @ fitted[0], 0.0)
-        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[0])
-        (uneven,) = ring_variances(light, Broad.TOP_WAVES)
+        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[1])
         texture = share * (Broad.TOP_OVER_CONTOUR * growth) * uneven / RAYS
         variance = levels.variance + texture + Broad.PEAK_ERROR**2
         levels = replace(levels, variance=variance)

@@ -105,7 +105,7 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     texture = refined.band.texture
     size_variance, centre_variance = refined.size_variance, refined.centre_variance
     if broad:
-        share, grown = red_share(errors, harmonics, 1.0, 2.0)
+        _, share, grown = red_share(errors, harmonics, 1.0, 2.0)
         first, second = (1 + share * texture * (g - 1) for g in grown)
         longer = _longer_waves(size=first, centre=first, shape=second)
         # A bell on a sloping wall looks like one that has moved, and the contour does not show

@@ -342,7 +342,7 @@ def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
     return [float(part @ part) * 2 / part.size for part in parts]
 
 
-def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, list[float]]:
+def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, float, list[float]]:
     """How far the long waves of values round the ring are a wall's texture, and how it grows.
 
     The variance of texture rises with a power of the wavelength, of fringes and noise it does not.
@@ -353,8 +353,8 @@ def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, li
         waves: harmonics for which the growth is wanted.
 
     Returns:
-        The share of texture in the variance of the long waves; and the texture's variance at each
-        harmonic over that. So few waves leave the power open by half a power, as much as walls
+        The variance of the long waves; the share of texture in it; and the texture's variance at
+        each harmonic over that. So few waves leave the power open by half a power, as much as walls
         differ, so it is the mean of the frame's and the walls'.
     """
     longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
@@ -362,7 +362,7 @@ def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, li
     seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
     share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)
     steepness = (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
-    return share, [(_octaves_middle(long) / wave) ** steepness for wave in waves]
+    return longer, share, [(_octaves_middle(long) / wave) ** steepness for wave in waves]
 
 
 def _octaves_middle(harmonics: slice) -> float:
