@@ -38,8 +38,9 @@ def channel_for(
     values = window.of(frame, stride)
     planes = [values] if values.ndim == 2 else cv2.split(values)
     clips, saturated = [], []
+    part, bright = _part(frame, window, stride, mask)
     for number, plane in enumerate(planes):
-        clip = min(clip_level(*_part(frame, window, stride, mask, number)), full_scale)
+        clip = min(clip_level(part[:, :, number], bright), full_scale)
         _, full = cv2.threshold(plane, clip * (1 - 1e-6), 1, cv2.THRESH_BINARY)
         clips.append(clip)
         saturated.append(cv2.mean(full, mask)[0])
@@ -59,9 +60,9 @@ def channel_for(
 
 
 def _part(
-    frame: np.ndarray, window: Window, stride: int, mask: np.ndarray, channel: int
+    frame: np.ndarray, window: Window, stride: int, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A channel of the region and round it, and which pixels are the region's, both (h, w)."""
+    """The region and round it, (h, w, channels), and which pixels are the region's, (h, w)."""
     x, y, width, height = cv2.boundingRect(mask)
     # The foot of the flank, too.
     left, top = max(x - width // 4, 0), max(y - height // 4, 0)
@@ -71,9 +72,8 @@ def _part(
     x0, y0 = window.x0 + left * stride, window.y0 + top * stride
     rows, columns = (side * stride for side in grown.shape)
     part = frame[y0 : y0 + rows : every, x0 : x0 + columns : every]
-    part = part if part.ndim == 2 else part[:, :, channel]
     bright = cv2.resize(grown, part.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    return part, bright.view(bool)
+    return np.atleast_3d(part), bright.view(bool)
 
 
 @dataclass(frozen=True, eq=False)
