@@ -19,7 +19,6 @@ from eyespot.estimator.detector.ellipse_rays import (
     DESIGN,
     AffineEllipse,
     Patch,
-    octaves_middle,
     red_share,
     ring_variances,
     robust_step,
@@ -544,13 +543,11 @@ def _refine_broad(
         # The wall under the top differs from the wall under the contour by texture of the longest
         # waves, which the contour shows only as far as they are not the light's own slope.
         light = np.where(found, gain - 1, 0.0)
-        share, steepness = red_share(light, Broad.TOP_WAVES)
+        uneven, share, (growth,) = red_share(light, Broad.TOP_WAVES, 1.0)
         # A beam that is no ellipse bends its contour more than texture does, and is as uneven.
         errors = np.where(fitted[1], offsets - DESIGN @ fitted[0], 0.0)
-        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[0])
-        growth = Broad.TOP_OVER_CONTOUR * octaves_middle(Broad.TOP_WAVES) ** steepness
-        (uneven,) = ring_variances(light, Broad.TOP_WAVES)
-        texture = share * growth * uneven / RAYS
+        share = min(share, red_share(errors, Refine.LONG_WAVES_BROAD)[1])
+        texture = share * (Broad.TOP_OVER_CONTOUR * growth) * uneven / RAYS
         variance = levels.variance + texture + Broad.PEAK_ERROR**2
         levels = replace(levels, variance=variance)
     # Where the light slopes, brighter rays cross the common level farther out, and the level is

@@ -6,13 +6,14 @@ A region is measured in one colour channel, `channel_for`, which also says where
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
 
 from eyespot.estimator.detector.clipping import clip_level
-from eyespot.estimator.detector.ellipse_rays import AffineEllipse
-from eyespot.estimator.detector.tuning import Channel, Search, Small, Verdict
+from eyespot.estimator.detector.ellipse_rays import AffineEllipse, Patch, capture
+from eyespot.estimator.detector.tuning import Channel, Reflection, Search, Small, Verdict
 from eyespot.estimator.frame_window import Window
 from eyespot.formats.camera_sheet import GREY, GREY_WEIGHTS
 
@@ -37,8 +38,9 @@ def channel_for(
     values = window.of(frame, stride)
     planes = [values] if values.ndim == 2 else cv2.split(values)
     clips, saturated = [], []
+    part, bright = _part(frame, window, stride, mask)
     for number, plane in enumerate(planes):
-        clip = min(clip_level(*_part(frame, window, stride, mask, number)), full_scale)
+        clip = min(clip_level(part[:, :, number], bright), full_scale)
         _, full = cv2.threshold(plane, clip * (1 - 1e-6), 1, cv2.THRESH_BINARY)
         clips.append(clip)
         saturated.append(cv2.mean(full, mask)[0])
@@ -58,9 +60,9 @@ def channel_for(
 
 
 def _part(
-    frame: np.ndarray, window: Window, stride: int, mask: np.ndarray, channel: int
+    frame: np.ndarray, window: Window, stride: int, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A channel of the region and round it, and which pixels are the region's, both (h, w)."""
+    """The region and round it, (h, w, channels), and which pixels are the region's, (h, w)."""
     x, y, width, height = cv2.boundingRect(mask)
     # The foot of the flank, too.
     left, top = max(x - width // 4, 0), max(y - height // 4, 0)
@@ -70,9 +72,8 @@ def _part(
     x0, y0 = window.x0 + left * stride, window.y0 + top * stride
     rows, columns = (side * stride for side in grown.shape)
     part = frame[y0 : y0 + rows : every, x0 : x0 + columns : every]
-    part = part if part.ndim == 2 else part[:, :, channel]
     bright = cv2.resize(grown, part.shape[1::-1], interpolation=cv2.INTER_NEAREST)
-    return part, bright.view(bool)
+    return np.atleast_3d(part), bright.view(bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,6 +102,11 @@ class Coarse:
         _, positive = cv2.threshold(signal, 0, 0, cv2.THRESH_TOZERO)
         levels = cv2.convertScaleAbs(positive, alpha=1 / unit)
         return cls(levels, unit, stride, x0, y0)
+
+    @cached_property
+    def patch(self) -> Patch:
+        """The levels, to be sampled along rays."""
+        return Patch(self.levels.astype(np.float32), self.x0, self.y0, self.stride)
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +150,8 @@ def bright_regions(
     Args:
         min_contrast: (peak - background) / background that texture does not reach. A region of less
             must exceed the scatter of the dark part.
-        solid: whether rings and halos are left out.
+        solid: whether rings and halos are left out. If not, what follows no ellipse is left out:
+            without a bell's surface a wall's texture stands out, too.
     """
     smooth = cv2.medianBlur(coarse.levels, 3)
     for _ in range(Search.REGIONS):
@@ -189,6 +196,8 @@ def bright_regions(
             together = [np.concatenate(pieces)] if len(pieces) > 1 and not lobed else []
             hulls = [_hull_ellipse(points, coarse) for points in [*together, contours[largest]]]
             ellipses = [ellipse for ellipse in hulls if ellipse is not None and not hollow]
+            if not solid:
+                ellipses = [one for one in ellipses if _is_followed(one, coarse, half)]
             if ellipses:
                 levels = peak * coarse.unit, background * coarse.unit
                 yield Bright(ellipses, *levels, inside, lobed)
@@ -275,6 +284,12 @@ def is_of_lattice(coarse: Coarse, dot: AffineEllipse, half: float) -> bool:
         and _is_convex(contour)
     ]
     return len(alike) > 1
+
+
+def _is_followed(ellipse: AffineEllipse, coarse: Coarse, level: float) -> bool:
+    """Whether a level of the window is an ellipse near a given one, as far as it shows edges."""
+    captured = capture(coarse.patch, ellipse, level)
+    return captured is not None and captured.scatter < Reflection.ROUGHEST
 
 
 def _area(contour: np.ndarray) -> float:

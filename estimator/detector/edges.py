@@ -12,22 +12,13 @@ from eyespot.estimator.detector.ellipse_rays import (
     DESIGN,
     AffineEllipse,
     Patch,
-    octaves_middle,
+    capture,
     red_share,
     ring_variances,
-    robust_step,
 )
-from eyespot.estimator.detector.levels import (
-    RADII,
-    RADIUS_STEP,
-    Levels,
-    levels_of,
-    slope_of_surroundings,
-)
+from eyespot.estimator.detector.levels import Levels, levels_of, slope_of_surroundings
 from eyespot.estimator.detector.tuning import Broad, Capture, ErrorGrowth, Refine, Saturated
 from eyespot.formats.spot import NoSpot, Reason
-
-_NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,44 +77,15 @@ def _located(
     patch: Patch, coarse: Coarse, near: AffineEllipse, peak: float, background: float
 ) -> tuple[AffineEllipse, np.ndarray, Levels] | None:
     """Capture and levels: an ellipse, its inlying rays, and what they show."""
-    ellipse = following = near.upright()
-    level = (peak + background) / 2
-    tolerance = max(Capture.TOLERANCE_PX / ellipse.axes[1], Capture.TOLERANCE)
-    for _ in range(3):
-        ellipse = following
-        profiles = patch.unwrapped(ellipse, RADII, every=Capture.EVERY)
-        offsets, found = _crossings(profiles, level)
-        beside = np.abs(offsets) < Refine.FURTHEST
-        design = DESIGN[:: Capture.EVERY]
-        fitted = robust_step(
-            design, offsets, found, beside, tolerance=tolerance, limit=Capture.FURTHEST
-        )
-        if fitted is None or np.abs(fitted[0]).max() > Capture.LARGEST_STEP:
-            return None
-        step, inliers = fitted
-        following = ellipse.stepped(step)
-        if np.abs(step).max() < Capture.NEAR_ENOUGH:
-            break
-    profiles = np.nan_to_num(profiles, copy=False, nan=0.0)
-    # The profiles' ellipse is a few tenths of a px from the contour's.
-    levels = levels_of(profiles[inliers], coarse, ellipse, peak, background)
+    captured = capture(patch, near, (peak + background) / 2)
+    if captured is None:
+        return None
+    profiles = np.nan_to_num(captured.profiles, copy=False, nan=0.0)
+    levels = levels_of(profiles[captured.inliers], coarse, captured.along, peak, background)
     if levels is None:
         return None
-    grown = 1 + float(step[2] + step[3]) / 2
-    return following, np.repeat(inliers, Capture.EVERY), levels.in_units_of(grown)
-
-
-def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
-    """Falling crossing of the level nearest to the radius 1, as an offset from it, by ray."""
-    below = profiles < level
-    falling = below[:, 1:] > below[:, :-1]
-    nearest = np.argmax(falling * _NEARNESS, axis=1)
-    ray = np.arange(len(profiles))
-    before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
-    # A profile that leaves the patch is NaN and has no edge.
-    found = (before >= level) & (after < level)
-    share = np.divide(before - level, before - after, out=np.zeros(len(ray)), where=found)
-    return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
+    inliers = np.repeat(captured.inliers, Capture.EVERY)
+    return captured.ellipse, inliers, levels.in_units_of(captured.growth)
 
 
 def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
@@ -145,8 +107,7 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     size_variance, centre_variance = refined.size_variance, refined.centre_variance
     blurred = 0.0
     if broad:
-        share, steepness = red_share(errors, harmonics)
-        grown = [(octaves_middle(harmonics) / wave) ** steepness for wave in (1.0, 2.0)]
+        _, share, grown = red_share(errors, harmonics, 1.0, 2.0)
         first, second = (1 + share * texture * (g - 1) for g in grown)
         longer = _longer_waves(size=first, centre=first, shape=second)
         # A bell on a sloping wall looks like one that has moved, and the contour does not show

@@ -1,16 +1,32 @@
 """Ellipses as images of the unit circle, their fit to radial edge offsets, and their profiles.
 
-A `Patch` of light is sampled along the rays of an ellipse; statistics go round the ring of rays.
+A `Patch` of light is sampled along the rays of an ellipse, and `capture` fits an ellipse to where
+its rays fall to a level. Statistics go round the ring of rays.
 """
 
 import math
 from dataclasses import dataclass
 from functools import cache, cached_property
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, ErrorGrowth, Refine, Trimming
+from eyespot.estimator.detector.tuning import (
+    FEWEST_RAYS,
+    RAYS,
+    Capture,
+    ErrorGrowth,
+    Refine,
+    Trimming,
+    WideView,
+)
+
+RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
+"""Radii of the wide view, in units of the ellipse."""
+RADIUS_STEP = float(RADII[1] - RADII[0])
+"""Distance between two of them."""
+_NEARNESS = (1 / (0.1 + np.abs(RADII[:-1] + RADIUS_STEP / 2 - 1))).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +256,63 @@ class Patch:
         return a * u + b * v[:, None], c * u + d * v[:, None]
 
 
+class Captured(NamedTuple):
+    """An ellipse that follows a level of a patch, and the profiles that show it.
+
+    Attributes:
+        along: the ellipse of the profiles, a few tenths of a px from this one.
+        growth: this one's size over that.
+        inliers: rays whose edge belongs to the ellipse, every `Capture.EVERY`-th of `RAYS`.
+        profiles: signal at `RADII` on these rays; NaN outside the patch.
+        scatter: standard deviation of the inliers' edges about the ellipse, radii.
+    """
+
+    ellipse: AffineEllipse
+    along: AffineEllipse
+    growth: float
+    inliers: np.ndarray
+    profiles: np.ndarray
+    scatter: float
+
+
+def capture(patch: Patch, near: AffineEllipse, level: float) -> Captured | None:
+    """The ellipse through the crossings of a level that are nearest to a given ellipse, if any."""
+    following = near.upright()
+    design = DESIGN[:: Capture.EVERY]
+    tolerance = max(Capture.TOLERANCE_PX / following.axes[1], Capture.TOLERANCE)
+    for _ in range(3):
+        along = following
+        profiles = patch.unwrapped(along, RADII, every=Capture.EVERY)
+        offsets, found = _crossings(profiles, level)
+        beside = np.abs(offsets) < Refine.FURTHEST
+        fitted = robust_step(
+            design, offsets, found, beside, tolerance=tolerance, limit=Capture.FURTHEST
+        )
+        if fitted is None or np.abs(fitted[0]).max() > Capture.LARGEST_STEP:
+            return None
+        step, inliers = fitted
+        following = along.stepped(step)
+        if np.abs(step).max() < Capture.NEAR_ENOUGH:
+            break
+    errors = (offsets - design @ step)[inliers]
+    growth = 1 + float(step[2] + step[3]) / 2
+    scatter = math.sqrt(float(errors @ errors) / errors.size)
+    return Captured(following, along, growth, inliers, profiles, scatter)
+
+
+def _crossings(profiles: np.ndarray, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """Falling crossing of the level nearest to the radius 1, as an offset from it, by ray."""
+    below = profiles < level
+    falling = below[:, 1:] > below[:, :-1]
+    nearest = np.argmax(falling * _NEARNESS, axis=1)
+    ray = np.arange(len(profiles))
+    before, after = profiles[ray, nearest], profiles[ray, nearest + 1]
+    # A profile that leaves the patch is NaN and has no edge.
+    found = (before >= level) & (after < level)
+    share = np.divide(before - level, before - after, out=np.zeros(len(ray)), where=found)
+    return RADII[0] - 1 + RADIUS_STEP * (nearest + share), found
+
+
 def contour_points(ellipse: AffineEllipse, offsets: np.ndarray) -> np.ndarray:
     """Image points (RAYS, 2) at radial offsets from the ellipse, px."""
     return ellipse.centre + ((1 + offsets) * (ellipse.shape @ _ACROSS)).T
@@ -269,28 +342,30 @@ def ring_variances(values: np.ndarray, *harmonics: slice) -> list[float]:
     return [float(part @ part) * 2 / part.size for part in parts]
 
 
-def red_share(values: np.ndarray, long: slice) -> tuple[float, float]:
-    """How far the long waves of values round the ring are a wall's texture, and its steepness.
+def red_share(values: np.ndarray, long: slice, *waves: float) -> tuple[float, float, list[float]]:
+    """How far the long waves of values round the ring are a wall's texture, and how it grows.
 
     The variance of texture rises with a power of the wavelength, of fringes and noise it does not.
     What rises more steeply than texture is the shape of a beam that is no ellipse.
 
     Args:
         values: (RAYS,).
+        waves: harmonics for which the growth is wanted.
 
     Returns:
-        The share of texture in the variance of the long waves; and the power, which so few waves
-        leave open by half a power, as much as walls differ: the mean of the frame's and the walls'.
+        The variance of the long waves; the share of texture in it; and the texture's variance at
+        each harmonic over that. So few waves leave the power open by half a power, as much as walls
+        differ, so it is the mean of the frame's and the walls'.
     """
     longer, shorter = ring_variances(values, long, Refine.NEXT_WAVES_BROAD)
-    ratio = math.log(octaves_middle(Refine.NEXT_WAVES_BROAD) / octaves_middle(long))
+    ratio = math.log(_octaves_middle(Refine.NEXT_WAVES_BROAD) / _octaves_middle(long))
     seen = math.log(max(longer, 1e-30) / max(shorter, 1e-30)) / ratio
     share = math.exp(min(0.0, ErrorGrowth.STEEPEST - seen) * ratio)
     steepness = (min(max(seen, 0.0), ErrorGrowth.STEEPEST) + ErrorGrowth.STEEPNESS) / 2
-    return share, steepness
+    return longer, share, [(_octaves_middle(long) / wave) ** steepness for wave in waves]
 
 
-def octaves_middle(harmonics: slice) -> float:
+def _octaves_middle(harmonics: slice) -> float:
     """Geometric mean of the harmonics."""
     return float(np.exp(np.log(np.arange(harmonics.start, harmonics.stop)).mean()))
 

@@ -10,20 +10,15 @@ import cv2
 import numpy as np
 
 from eyespot.estimator.detector.coarse import Coarse
-from eyespot.estimator.detector.ellipse_rays import DESIGN, AffineEllipse, Patch, ring_variances
-from eyespot.estimator.detector.tuning import (
-    FEWEST_RAYS,
-    RAYS,
-    Broad,
-    HalfLevel,
-    Sharp,
-    WideView,
+from eyespot.estimator.detector.ellipse_rays import (
+    DESIGN,
+    RADII,
+    RADIUS_STEP,
+    AffineEllipse,
+    Patch,
+    ring_variances,
 )
-
-RADII = np.linspace(WideView.INNERMOST, WideView.OUTERMOST, WideView.SAMPLES)
-"""Radii of the wide view, in units of the ellipse."""
-RADIUS_STEP = float(RADII[1] - RADII[0])
-"""Distance between two of them."""
+from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Broad, HalfLevel, Sharp
 
 _EVEN_POWERS = RADII[:, None] ** np.array([0, 2, 4])
 _NEAR_EDGE = np.abs(RADII[1:-1] - 1) < HalfLevel.NEAR_EDGE
@@ -194,10 +189,9 @@ def background_of(
 
     If the window does not contain the rings, nearer ones are used; None if it contains none.
     """
-    levels = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
     radius = dark_radius(width)
     for _ in range(6):  # down to a quarter of the distance
-        rings = levels.unwrapped(ellipse, radius + np.array(HalfLevel.RINGS), every=2)
+        rings = coarse.patch.unwrapped(ellipse, radius + np.array(HalfLevel.RINGS), every=2)
         ring, around = rings.ravel(), rings.mean(axis=1)
         ring, around = ring[~np.isnan(ring)], around[~np.isnan(around)]
         if ring.size > RAYS // 2:
@@ -221,8 +215,7 @@ def slope_of_surroundings(
     None if too little of the surroundings is in view, or if they are so dark that they show noise
     and the spot's tails instead of the wall.
     """
-    view = Patch(coarse.levels.astype(np.float32), coarse.x0, coarse.y0, coarse.stride)
-    signal = view.unwrapped(ellipse, _SURROUNDINGS, every=2)
+    signal = coarse.patch.unwrapped(ellipse, _SURROUNDINGS, every=2)
     rows = np.column_stack(
         [np.ones(signal.size), *(np.multiply.outer(c, _SURROUNDINGS).ravel() for c in _DIRECTIONS)]
     )

@@ -336,8 +336,18 @@ def patch_round(region: Region, ellipse: AffineEllipse, width: float = 0.0) -> P
         ceiling = response.ceiling(region.channel, region.clips, full_scale)
     patch = Patch(light, window.x0, window.y0, ceiling=ceiling, clipped=clipped)
     if width > Refine.BROAD and _colours_show_texture(region):
-        return without_texture(patch, response.light(values, full_scale), ellipse)
+        return _evened(region, patch, ellipse)
     return patch
+
+
+def _evened(region: Region, patch: Patch, ellipse: AffineEllipse) -> Patch:
+    """A region's patch without the texture that its colours show."""
+    left, top = int(patch.x0), int(patch.y0)
+    height, width = patch.signal.shape
+    values = region.frame[top : top + height, left : left + width]
+    return without_texture(
+        patch, region.settings.response.light(values, region.full_scale), ellipse
+    )
 
 
 def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
@@ -345,7 +355,7 @@ def _fitted(region: Region, ellipse: AffineEllipse) -> EdgeFit | NoSpot:
     levels = region.bright.peak, region.bright.background
     fit = fit_edge(patch, region.coarse, ellipse, *levels)
     if fit and fit.levels.width > Refine.BROAD and _colours_show_texture(region):
-        even = patch_round(region, ellipse, fit.levels.width)
+        even = _evened(region, patch, ellipse)
         if again := fit_edge(even, region.coarse, ellipse, *levels):
             patch, fit = even, again
     if fit and not fit.levels.sees_background:

@@ -16,7 +16,7 @@ FEWEST_RAYS = 8  # that determine an ellipse (derived: 5 parameters, 3 for scatt
 
 
 class WideView:
-    """Samples along a ray from near the centre to well outside the edge (`levels`, `edges`)."""
+    """Samples along a ray from near the centre to well outside the edge (`ellipse_rays`)."""
 
     INNERMOST = 0.05  # radii: the rays of the very centre show the same pixels
     OUTERMOST = 1.6  # radii: contains a first ellipse that is a third too small
@@ -76,7 +76,7 @@ class Clipping:
 
 
 class Capture:
-    """First fit: crossings of the region's half level (`edges`)."""
+    """First fit: crossings of the region's half level (`ellipse_rays`)."""
 
     REACH = 1.75  # radii: size of the patch (derived: beyond the wide view of 1.6)
     EVERY = 2  # one of so many rays is used, for speed
@@ -241,6 +241,9 @@ class Reflection:
     SMALLEST = 0.02  # area of what stands out, over the bell's
     SHARPEST = 0.05  # radii: widest rim of a spot on a reflection, rendered wet walls
     SMOOTHEST = 0.008  # radii: scatter of that rim; more is the wall's texture
+    # radii: the same of what stands out, in the pixels of the search: of drawn spots on reflections
+    # 0.034 at most, but for one in fifty; of texture under bells mostly 0.05 to 0.09.
+    ROUGHEST = 0.04
     SEEN = 0.25  # fraction of that rim that is visible; 0.3 where a reflection ends on a spot
 
 

@@ -33,7 +33,7 @@ from jaxtyping import Float
 from eyespot.estimator.distance.range import Range, TipPose, WallMemory
 from eyespot.estimator.ghost import GHOST_SIGMAS, strongest_ghost
 from eyespot.estimator.pixels.first_frame import Hypothesis
-from eyespot.estimator.pixels.frame_cells import COUNT, SIDES
+from eyespot.estimator.pixels.frame_cells import COUNT, SIDES, WallMotion
 from eyespot.estimator.pixels.frame_model import (
     BLOOM_SIGMA_PX,
     BLUR,
@@ -44,7 +44,7 @@ from eyespot.estimator.pixels.frame_model import (
 from eyespot.estimator.pixels.pose_solver import PoseSolution
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.formats.spot import Outline, Reason
-from eyespot.optics.wall_light.pose_light import POSE, beam_at_wall
+from eyespot.optics.wall_light.pose_light import POSE, BeamFrame, beam_at_wall
 
 _X, _Y = SIDES
 _CUBIC = np.stack([_X**3, _X**2 * _Y, _X * _Y**2, _Y**3]) - 0.6 * np.stack(
@@ -144,7 +144,7 @@ def drift_covariance(
     parts = _DIFFERENCE_STEP_PX / lengths
     points, _ = beam.wall_points(np.concatenate([middles, middles - parts * drifts_px]))
     here, there = np.split(points, 2)
-    lights = []
+    seen: list[tuple[WallMotion, BeamFrame]] = []
     for frame, step, (right, down) in zip(
         solution.frames, there - here, (parts * drifts_px).tolist(), strict=True
     ):
@@ -153,9 +153,9 @@ def drift_covariance(
             return np.zeros((POSE, POSE))
         motion = frame.cells.motion
         drifted = motion._replace(right=motion.right - right, down=motion.down - down)
-        lights.append(beam.irradiance_alone(model.lattice(drifted), other, own))
-    seen = model.log_lights(solution.frames, np.stack(lights))
-    changes = (seen - solution.log_lights) / parts
+        seen.append((drifted, other))
+    lights = model.log_lights(solution.frames, beam.lights(model.window, seen, own))
+    changes = (lights - solution.log_lights) / parts
     pull, newest = solution.answers(changes[None])[0], solution.newest.pose
     aside = (there - here)[-1] / parts[-1]
     pull[:2] -= aside @ np.stack([newest.right, newest.down], axis=-1)

@@ -7,6 +7,7 @@ exponential, 2. Between these it is a mixture of the two, whose kurtosis is that
 
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -46,6 +47,13 @@ def blurred(
     waves, squares = _waves(math.isqrt(values.shape[-1]))
     transfer, _ = _transfer(squares, variance, kurtosis)
     return _filtered(values, waves, transfer)
+
+
+def blurred_each(
+    values: Float[np.ndarray, "k n"], blurs: Sequence[tuple[float, float]]
+) -> Float[np.ndarray, "k n"]:
+    """As `blurred`, of lights that have a blur each: its variance and its kurtosis."""
+    return np.stack([blurred(one, *blur) for one, blur in zip(values, blurs, strict=True)])
 
 
 def blurred_with_growth(
@@ -125,7 +133,9 @@ _TOOL = BareFibre(fibre_radius=0.25, fibre_length=6.0)
 _SPARSE, _BESIDE_TOOL_PX = 4, 6.0
 """Pixels between those of which it is asked whether the instrument hides them, and a margin about
 it: as many, and the error of a tip where a fit starts."""
-_MAX_LATTICES = 12  # that are kept; each has 400 KB, one of parts four times as much
+_MAX_LATTICES = 24
+"""Lattices that are kept; each has 400 KB, one of parts four times as much. A frame needs its own,
+those of the six that are kept, and each of these as if the view had drifted."""
 _WIDENING = 0.1  # a beam's radius over its length; a lens's light widens by 0.05 to 0.3
 
 
@@ -342,6 +352,18 @@ class BeamLight:
         along = steps @ pose.axis
         across = np.linalg.norm(steps - along[:, None] * pose.axis, axis=1)
         return float(np.sum(across + _WIDENING * np.abs(along))) / self.scale_mm_px
+
+    def lights(
+        self,
+        window: CellWindow,
+        seen: Sequence[tuple[WallMotion, BeamFrame]],
+        own: Float[np.ndarray, "q"],
+    ) -> Float[np.ndarray, "k n"]:
+        """Irradiance of the cells without motion and blur, after motions of the wall, by pose."""
+        lights = [
+            self.irradiance_alone(self.lattice(window, motion), pose, own) for motion, pose in seen
+        ]
+        return np.array(lights).reshape(-1, COUNT**2)
 
     def irradiance_alone(
         self,

@@ -322,11 +322,7 @@ def fit_wherever(
         # With the weights that the solution's other parts have.
         line = solver.model.linear(newest, solution.own)
         line = line._replace(weight=solution.linear[-1].weight)
-        solution = replace(
-            solution,
-            frames=[*solution.frames[:-1], newest],
-            linear=[*solution.linear[:-1], line],
-        )
+        solution = replace(solution, newest=newest, linear=[*solution.linear[:-1], line])
     return solution, mean_square, other_wall
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import binary_dilation, maximum_filter, minimum_filter
 from scipy.spatial.transform import Rotation
 
-from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep, blurred
+from eyespot.estimator.pixels.beam_on_cells import BeamLight, Sweep, blurred_each
 from eyespot.estimator.pixels.frame_cells import COUNT, SHADES, CellLight, CellWindow, rolled
 from eyespot.estimator.pixels.texture import TextureVariances
 from eyespot.optics.wall_light.pose_light import POSE, BeamFrame
@@ -361,7 +361,6 @@ class FrameModel:
         grain: Float[np.ndarray, "2 n"] | None = None,
     ) -> None:
         self.beam, self.window, self.texture, self.grain = beam, window, texture, grain
-        self.lattice = functools.partial(beam.lattice, window)
         self.side_mm = window.side * beam.scale_mm_px
 
     def linear(self, frame: FrameState, own: np.ndarray) -> Linear:
@@ -417,13 +416,13 @@ class FrameModel:
         self, frames: Sequence[FrameState], lights: Float[np.ndarray, "k n"]
     ) -> Float[np.ndarray, "k n"]:
         """Logarithm of frames' light over their gains, where the beam's is some before the blur."""
-        both = zip(frames, lights, strict=True)
-        return np.stack([self._log_light(frame, light) for frame, light in both])
+        blurs = [(one.blur_px2 / self.window.side**2, one.kurtosis) for one in frames]
+        seen = blurred_each(lights, blurs)
+        return np.stack([self._log_light(*both) for both in zip(frames, seen, strict=True)])
 
     def _log_light(
         self, frame: FrameState, light: Float[np.ndarray, "n"]
     ) -> Float[np.ndarray, "n"]:
-        light = blurred(light, frame.blur_px2 / self.window.side**2, frame.kurtosis)
         light, ambient = np.maximum(light, 0.0), math.exp(frame.log_ambient)
         if frame.cells.saturated:
             light, *_ = covered(light, self._room(frame, ambient))
@@ -437,9 +436,7 @@ class FrameModel:
 
     def lights(self, frames: Sequence[FrameState], own: np.ndarray) -> Float[np.ndarray, "k n"]:
         """Irradiance of the cells in frames per unit power, 1/mm², without motion and blur."""
-        irradiance, lattice = self.beam.irradiance_alone, self.lattice
-        lights = [irradiance(lattice(one.cells.motion), one.pose, own) for one in frames]
-        return np.array(lights).reshape(-1, COUNT**2)
+        return self.beam.lights(self.window, [(one.cells.motion, one.pose) for one in frames], own)
 
     def scanned(self, frames: Sequence[FrameState], own: np.ndarray) -> list[Scanned | None]:
         """A frame at several poses, with the gain and ambient light that suit them.

@@ -54,24 +54,39 @@ class PoseSolution:
 
     Attributes:
         solver: that found it, with the window and the wall's texture.
-        frames: with their new states; the newest is the last.
-        linear: their models at these states.
+        earlier: frames with their states before; `change` is that of all states.
+        newest: the newest frame with its new state.
+        linear: models of all frames at their new states.
         own: changes of the beam's own parameters, see `BeamLight`.
-        covariance: of all states: `OWN` of each frame, then the beam's own.
+        information: of all states: `OWN` of each frame, then the beam's own.
         cost: -2 log likelihood, up to a constant of the data.
         texture_map: log reflectance of the cells.
         factor: of the precision of this map.
     """
 
     solver: "PoseSolver"
-    frames: list[FrameState]
+    earlier: list[FrameState]
+    change: Float[np.ndarray, "s"]
+    newest: FrameState
     linear: list[Linear]
     own: Float[np.ndarray, "q"]
-    covariance: Float[np.ndarray, "s s"]
+    information: Information
     cost: float
     texture_map: Float[np.ndarray, "n"]
     factor: Factor
     converged: bool
+
+    @functools.cached_property
+    def frames(self) -> list[FrameState]:
+        """All frames with their new states; the newest is the last."""
+        changes = self.change[: OWN * len(self.earlier)].reshape(-1, OWN)
+        both = zip(self.earlier, changes, strict=True)
+        return [*(self.solver.moved(one, by) or one for one, by in both), self.newest]
+
+    @functools.cached_property
+    def covariance(self) -> Float[np.ndarray, "s s"]:
+        """Of all states."""
+        return self.information.inverse()
 
     @functools.cached_property
     def deviance(self) -> float:
@@ -118,21 +133,16 @@ class PoseSolution:
         """The same as if the beam's own parameters were known: what the frames leave open."""
         if not len(self.own):
             return self.newest_covariance
-        at, own = OWN * (len(self.frames) - 1), len(self.own)
+        at, own = OWN * len(self.earlier), len(self.own)
         with_own = self.covariance[at : at + POSE, -own:]
         slopes = np.linalg.solve(self.covariance[-own:, -own:], with_own.T)
         return self.newest_covariance - with_own @ slopes
 
     def newest_states(self, states: slice) -> Float[np.ndarray, "k k"]:
         """Covariance of some of the newest frame's states."""
-        at = OWN * (len(self.frames) - 1)
+        at = OWN * len(self.earlier)
         newest = self.covariance[at : at + OWN, at : at + OWN]
         return newest[states, states]
-
-    @functools.cached_property
-    def newest(self) -> FrameState:
-        """The newest frame."""
-        return self.frames[-1]
 
     def differs(self, other: "PoseSolution") -> bool:
         """Whether the newest pose is another one."""
@@ -150,7 +160,7 @@ class PoseSolution:
         rest = weighted - weights * texture_maps[:, None]
         pulls = [rest[:, k] @ line.slopes.T for k, line in enumerate(self.linear)]
         shared = sum(rest[:, k] @ line.shared.T for k, line in enumerate(self.linear))
-        at = OWN * (len(self.linear) - 1)
+        at = OWN * len(self.earlier)
         states = np.concatenate([*pulls, shared], axis=1) @ self.covariance[at : at + POSE].T
         return np.asarray(states)
 
@@ -298,7 +308,7 @@ class PoseSolver:
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
                 step = damped
-            moved = self._moved(frame, step[OWN * newest : OWN * (newest + 1)])
+            moved = self.moved(frame, step[OWN * newest : OWN * (newest + 1)])
             if distance < _DONE and moved is not None:
                 # So near, the model is linear.
                 lines = [_shifted(line, step, k, size) for k, line in enumerate(lines)]
@@ -336,15 +346,14 @@ class PoseSolver:
             hessian, gradient, cost, factor = self._system(frames, lines, motions, own, change)
             information = Information(hessian)
             converged = distance < small
-        for k in range(newest):
-            before = frames[k]
-            frames[k] = self._moved(before, change[OWN * k : OWN * (k + 1)]) or before
         return PoseSolution(
             solver=self,
-            frames=frames,
+            earlier=frames[:-1],
+            change=change,
+            newest=frame,
             linear=lines,
             own=own,
-            covariance=information.inverse(),
+            information=information,
             cost=cost,
             texture_map=self._map(lines, factor),
             factor=factor,
@@ -446,7 +455,8 @@ class PoseSolver:
         cost += sum(motion.cost for _, motion in _motions_after(motions, change))
         return float(cost + own @ own)
 
-    def _moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
+    def moved(self, frame: FrameState, change: np.ndarray) -> FrameState | None:
+        """A frame after a change of its states; None if such a frame is impossible."""
         turns = np.abs(change[3:POSE]).max()
         if not (frame.pose.distance + change[2] > 0 and turns < 0.5):
             return None

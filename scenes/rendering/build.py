@@ -1,4 +1,4 @@
-"""The Mitsuba dictionary of a scene, and how the tip is moved in it.
+"""The Mitsuba dictionary of a scene.
 
 Import after `load_mitsuba`. A stretched eyeball is a mesh, because Mitsuba's sphere cannot be
 stretched.
@@ -6,7 +6,6 @@ stretched.
 
 import json
 import math
-from collections.abc import Callable
 from typing import Any
 
 import cv2
@@ -106,7 +105,7 @@ def wall(world: World) -> Any:
     surface = _surface(scene, reflectance)
     if scene.phantom.kind == "plane":
         pole = world.wall.frame_at(eccentricity=0.0, azimuth=0.0)
-        place = _rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
+        place = rigid_transform(np.asarray(pole.origin), -np.asarray(pole.outward))
         half = np.diag([PICTURE_MM / 2, PICTURE_MM / 2, 1.0, 1.0])
         to_world = mi.ScalarTransform4f(place @ half)
         return {"type": "rectangle", "to_world": to_world, "bsdf": surface}
@@ -245,25 +244,13 @@ def mitsuba_dict(world: World, *, uniform: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-    """Rigid transform, 4 x 4, that maps the origin to `origin` and +z to `direction`."""
-    first, second = (np.asarray(v) for v in optics.perpendicular_frame(direction))
-    matrix = np.eye(4)
-    matrix[:3, 0], matrix[:3, 1], matrix[:3, 2], matrix[:3, 3] = first, second, direction, origin
+def rigid_transform(origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Rigid transforms, * x 4 x 4, that map the origin to `origin` and +z to `direction`, * x 3."""
+    matrix = np.zeros((*direction.shape[:-1], 4, 4))
+    columns = *optics.perpendicular_frame(direction), direction, origin
+    matrix[..., :3, :] = np.stack(columns, axis=-1)
+    matrix[..., 3, 3] = 1.0
     return matrix
-
-
-def mover(scene: Scene, mitsuba_scene: Any) -> Callable[[np.ndarray, np.ndarray], None]:
-    """Function that moves the tip and axis of a loaded scene."""
-    parameters = mi.traverse(mitsuba_scene)
-
-    def move(tip: np.ndarray, axis: np.ndarray) -> None:
-        values = {"source.tip": mi.Point3f(tip), "source.axis": mi.Vector3f(axis)}
-        if scene.instrument.visible:
-            values["instrument.to_world"] = mi.Transform4f(_rigid_transform(tip, axis))
-        parameters.update(values)
-
-    return move
 
 
 def _source(world: World) -> dict[str, Any]:
@@ -326,7 +313,7 @@ def _second_tool(scene: Scene) -> dict[str, Any]:
         [across * math.cos(azimuth), across * math.sin(azimuth), math.cos(polar)]
     )
     inwards = np.array(tool.tip_mm) - trocar
-    place = _rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
+    place = rigid_transform(np.array(tool.tip_mm), inwards / np.linalg.norm(inwards))
     radius = GAUGE_DIAMETER_MM[tool.gauge] / 2
     return {
         "tool_shapes": _rods(("tool", radius, -_SHAFT_MM, 0.0, _SHAFT_REFLECTANCE)),

@@ -1,16 +1,232 @@
-"""Radiance of a loaded Mitsuba scene: along lines of sight, in pixels and within them.
+"""A scene that is loaded into Mitsuba: its images at any pose of the tip, and its radiance.
 
 Import after `load_mitsuba`. Pixels and places within pixels lie on a regular grid.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from scipy.spatial.transform import Rotation
+
+from eyespot.scenes.description.scene import Scene
+from eyespot.scenes.rendering.build import mitsuba_dict, rigid_transform
+from eyespot.scenes.rendering.reach import Reach
+from eyespot.scenes.world.exposure import uniform_irradiance
+from eyespot.scenes.world.motion import DOWN, PARKED_MM, Poses
+from eyespot.scenes.world.world import Moment, World
+
+
+class Images:
+    """One scene, loaded once into Mitsuba. Only pixels that the tip can change are rendered again.
+
+    Attributes:
+        mitsuba_scene: the scene as it is loaded.
+        random: whether light is sampled randomly, so that all pixels differ between images.
+    """
+
+    def __init__(self, world: World, *, variant: str) -> None:
+        self.world, scene = world, world.scene
+        uniform = uniform_irradiance(world)
+        self.mitsuba_scene = mi.load_dict(mitsuba_dict(world, uniform=uniform))
+        self._parameters = mi.traverse(self.mitsuba_scene)
+        self._unsettle = _unsettler(world, self.mitsuba_scene, uniform=uniform)
+        self._still, self._shifts = scene.unrest.still, scene.unrest.shifts
+        self._reflexes = self._reflexes_at(np.zeros(2))
+        self.random = (
+            scene.source.kind == "photons"
+            or scene.phantom.indirect == "traced"
+            or scene.microscope.numerical_aperture > 0
+        )
+        # Scalar variants cannot render arrays of pixels.
+        self._in_arrays = not (self.random or variant.startswith("scalar"))
+        # A cone has a sharp edge, and each sample of it the mean over a square.
+        smooth, samples = scene.source.kind == "lens", scene.microscope.samples
+        self._pixels = pixel_means(self.mitsuba_scene, samples=samples, smooth=smooth)
+        self._reach = None
+        if self._still and self._in_arrays:
+            self.place(tip=PARKED_MM, axis=DOWN)
+            self._unlit = self._whole_image(seed=0)
+            self._reach = Reach(world, self.mitsuba_scene, wall=self._unlit[1])
+
+    @property
+    def by_colour(self) -> list["Images"]:
+        """Images for each set of lines of sight: these alone."""
+        return [self]
+
+    def at(
+        self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Image of one pose.
+
+        Args:
+            tip: mm, eye frame.
+            axis: unit vector from the tip towards the wall.
+            seed: random seed of light that is sampled randomly.
+            moment: what [unrest] moves; None: nothing.
+
+        Returns:
+            Radiance, H x W x 3, mW/(mm2 sr), and the fraction of each pixel that shows the wall.
+        """
+        ((radiance, wall),) = self._each(Poses(tip[None], axis[None]), [moment], [seed])
+        return radiance, wall
+
+    def mean(self, poses: Poses, moments: Sequence[Moment], seeds: Sequence[int]) -> np.ndarray:
+        """Mean radiance of the images of some poses, see `at`."""
+        total = np.zeros(1)
+        for radiance, _ in self._each(poses, moments, seeds):
+            total = total + radiance
+        return total / np.float32(len(seeds))
+
+    def _each(
+        self, poses: Poses, moments: Sequence[Moment | None], seeds: Sequence[int]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The image of each pose."""
+        placed = pose_values(self.world.scene, poses)
+        reached = [] if self._reach is None else self._reach.pixels(poses)
+        for number, (moment, seed) in enumerate(zip(moments, seeds, strict=True)):
+            self._bring_into(placed[number], moment)
+            if reached:
+                radiance, wall = (part.copy() for part in self._unlit)
+                pixels = reached[number]
+                radiance.reshape(-1, 3)[pixels], wall.reshape(-1)[pixels] = self._pixels(pixels)
+            else:
+                radiance, wall = self._whole_image(seed)
+            reflexes = self._reflexes
+            if moment is not None and self._shifts:
+                reflexes = self._reflexes_at(moment.view_px)
+            yield (radiance if reflexes is None else radiance + reflexes), wall
+
+    def place(self, *, tip: np.ndarray, axis: np.ndarray, moment: Moment | None = None) -> None:
+        """Bring the loaded scene into the state of one pose; see `at`."""
+        (values,) = pose_values(self.world.scene, Poses(tip[None], axis[None]))
+        self._bring_into(values, moment)
+
+    def _bring_into(self, values: dict[str, Any], moment: Moment | None) -> None:
+        self._parameters.update(values)
+        if moment is not None and not self._still:
+            self._unsettle(moment)
+
+    def _reflexes_at(self, view_px: np.ndarray) -> np.ndarray | None:
+        """Light of the lamp's reflexes in an image that is shifted by (x, y) px, H x W x 1."""
+        if self.world.reflections is None:
+            return None
+        return self.world.reflections.image(view_px)[..., None].astype(np.float32)
+
+    def _whole_image(self, seed: int) -> tuple[np.ndarray, np.ndarray]:
+        if self._in_arrays:
+            view = self.world.scene.microscope
+            shape = view.height_px, view.width_px
+            radiance, seen = self._pixels(np.arange(math.prod(shape), dtype=np.uint32))
+            return radiance.reshape(*shape, 3), seen.reshape(shape)
+        image = np.array(mi.render(self.mitsuba_scene, seed=mi.UInt32(seed)))
+        if self.world.scene.source.kind == "photons":
+            from eyespot.scenes.rendering.photons import photon_image
+
+            image[..., :3] += photon_image(
+                self.mitsuba_scene,
+                photons_per_pixel=self.world.scene.source.photons_per_pixel,
+                seed=seed,
+            )
+        return image[..., :3], image[..., 3]
+
+
+class ColourImages:
+    """Images of a scene in which each colour has its own lines of sight, rendered apart.
+
+    The attributes are those of `Images`, `mitsuba_scene` as green sees it.
+
+    Args:
+        colours: the scene as red, green and blue see it (`World.colours`).
+    """
+
+    def __init__(self, colours: Sequence[World], *, variant: str) -> None:
+        self.by_colour = [Images(world, variant=variant) for world in colours]
+        self.mitsuba_scene, self.random = self.by_colour[1].mitsuba_scene, self.by_colour[1].random
+
+    def at(
+        self, *, tip: np.ndarray, axis: np.ndarray, seed: int, moment: Moment | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Image of one pose, as `Images.at`; the wall's fraction of a pixel is green's."""
+        seen = [own.at(tip=tip, axis=axis, seed=seed, moment=moment) for own in self.by_colour]
+        radiance = np.stack([image[..., k] for k, (image, _) in enumerate(seen)], axis=-1)
+        return radiance, seen[1][1]
+
+    def mean(self, poses: Poses, moments: Sequence[Moment], seeds: Sequence[int]) -> np.ndarray:
+        """Mean radiance of the images of some poses, as `Images.mean`."""
+        seen = [own.mean(poses, moments, seeds) for own in self.by_colour]
+        return np.stack([image[..., k] for k, image in enumerate(seen)], axis=-1)
+
+
+def pose_values(scene: Scene, poses: Poses) -> list[dict[str, Any]]:
+    """Values of a loaded scene's parameters at each of some poses."""
+    values: list[dict[str, Any]] = [
+        {"source.tip": mi.Point3f(tip), "source.axis": mi.Vector3f(axis)}
+        for tip, axis in zip(*poses, strict=True)
+    ]
+    if scene.instrument.visible:
+        for own, place in zip(values, rigid_transform(*poses), strict=True):
+            own["instrument.to_world"] = mi.Transform4f(place)
+    return values
+
+
+def _unsettler(
+    world: World, mitsuba_scene: Any, *, uniform: np.ndarray
+) -> Callable[[Moment], None]:
+    """Function that brings a loaded scene into the state of a moment.
+
+    Args:
+        uniform: indirect irradiance per colour channel at the source's mean power, mW/mm2.
+    """
+    unrest, microscope = world.scene.unrest, world.scene.microscope
+    parameters = mi.traverse(mitsuba_scene)
+    ambient = 0.0 if microscope.light == "coaxial" else microscope.illumination_mw_mm2
+    centre = np.asarray(world.microscope.principal_point) + 0.5
+    sensors = [
+        name for name in ("sensor", "photon_camera") if f"{name}.principal_point" in parameters
+    ]
+    mean_power = float(np.array(parameters["source.power"]).item())
+    # A mesh has no transform, and does not turn.
+    at_rest = np.array(parameters["wall.to_world"].matrix, float) if unrest.turns else np.eye(4)
+
+    def unsettle(moment: Moment) -> None:
+        values: dict[str, Any] = {}
+        if unrest.shifts:
+            for name in sensors:
+                values[f"{name}.principal_point"] = _opaque(mi.Vector2f(centre + moment.view_px))
+        if unrest.turns:
+            turned = np.eye(4)
+            turned[:3, :3] = Rotation.from_rotvec(moment.turn).as_matrix()
+            values["wall.to_world"] = mi.Transform4f(turned @ at_rest.reshape(4, 4))
+        if unrest.power_swing:
+            values["source.power"] = _opaque(mi.Float(moment.power * mean_power))
+            light = moment.power * uniform + ambient
+            values["integrator.uniform"] = _opaque(mi.Color3f(light))
+        with _no_warnings():
+            parameters.update(values)
+
+    return unsettle
+
+
+@contextmanager
+def _no_warnings() -> Iterator[None]:
+    """Mitsuba warns of a shear above 1e-6, which float32 leaves in a rotation times 11.5 mm."""
+    level = mi.log_level()
+    mi.set_log_level(mi.LogLevel.Error)
+    try:
+        yield
+    finally:
+        mi.set_log_level(level)
+
+
+def _opaque(value: Any) -> Any:
+    """The value as data, so that Mitsuba does not compile a kernel for each."""
+    dr.make_opaque(value)
+    return value
 
 
 def radiance_along(mitsuba_scene: Any, *, start: np.ndarray, direction: np.ndarray) -> np.ndarray:

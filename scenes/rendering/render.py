@@ -2,16 +2,56 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.rendering.images import DOWN, PARKED_MM, images_of, variant_for
+from eyespot.scenes.description.scene_keys import SceneError
+from eyespot.scenes.machine.variant import load_mitsuba
+from eyespot.scenes.world.motion import DOWN, PARKED_MM
 from eyespot.scenes.world.world import Moment, World
+
+if TYPE_CHECKING:
+    from eyespot.scenes.rendering.loaded_scene import ColourImages, Images
 
 _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
 _ALL_SIDES = np.pi  # irradiance with which radiance equals reflectance
+
+
+def variant_for(scene: Scene, variant: str) -> None:
+    """Load Mitsuba in a variant that renders a scene in time.
+
+    Raises:
+        SceneError: the scene is too slow for a scalar variant.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    source, phantom = scene.source.kind, scene.phantom
+    more = source != "cone" or phantom.indirect == "traced" or phantom.spread != "none"
+    if variant.startswith("scalar") and more:
+        # Scalar variants run our emitters in Python, ray by ray: a minute per frame at least.
+        raise SceneError(
+            f"the variant {variant} renders only source.kind 'cone' without traced or spread "
+            f"light; got {source!r} with phantom.indirect {phantom.indirect!r} and "
+            f"spread {phantom.spread!r}. Use llvm_ad_rgb; `eyespot doctor` checks what it needs."
+        )
+    load_mitsuba(variant)
+
+
+def images_of(world: World, *, variant: str) -> "Images | ColourImages":
+    """Images of a scene, for any pose of the tip, in the colours that [viewing] asks for.
+
+    Raises:
+        SceneError: the scene is too slow for a scalar variant.
+        RendererUnavailable: Mitsuba cannot run that variant here.
+    """
+    variant_for(world.scene, variant)
+    # Mitsuba's plugins need the variant.
+    from eyespot.scenes.rendering.loaded_scene import ColourImages, Images
+
+    if len(world.colours) == 1:
+        return Images(world, variant=variant)
+    return ColourImages(world.colours, variant=variant)
 
 
 class ImageWindow(NamedTuple):

@@ -19,8 +19,7 @@ from eyespot.formats.stack import FrameLabels, Stack, StackWriter, read_stack
 from eyespot.formats.whole_files import require_space, written_whole
 from eyespot.optics.viewing.projection import PathCamera
 from eyespot.scenes.description.scene import Scene
-from eyespot.scenes.rendering.images import images_of
-from eyespot.scenes.rendering.render import Renderer
+from eyespot.scenes.rendering.render import Renderer, images_of
 from eyespot.scenes.sensor import CameraSensor
 from eyespot.scenes.stacks.bound import Bounds
 from eyespot.scenes.walls.picture import wall_colour

@@ -41,6 +41,9 @@ class Poses(NamedTuple):
     axis: NDArray[np.float64]
 
 
+PARKED_MM, DOWN = np.array([0.0, 0.0, -1e3]), np.array([0.0, 0.0, -1.0])
+"""Tip and axis far below the eye and pointing away: neither the tip nor its light is visible."""
+
 PosesAt = Callable[[NDArray[np.float64]], Poses]
 """Poses at times in s."""
 

@@ -179,7 +179,8 @@ def test_images_are_those_of_mitsuba_s_own_glass(medium, tmp_path):
     load_mitsuba()
     import mitsuba as mi
 
-    from eyespot.scenes.rendering.build import mitsuba_dict, mover
+    from eyespot.scenes.rendering.build import mitsuba_dict
+    from eyespot.scenes.rendering.loaded_scene import pose_values
     from eyespot.scenes.rendering.photons import photon_image as by_particles
 
     parts = {"spot": {"eccentricity_mm": 2.0}, "source": {"medium": medium}}
@@ -191,8 +192,8 @@ def test_images_are_those_of_mitsuba_s_own_glass(medium, tmp_path):
     index = nothing + optics.MEDIA[medium]
     world.light = LensLight(optics.IrradianceTable(cells, index, nothing, nothing), 1.0)
     loaded = mi.load_dict(mitsuba_dict(world, uniform=np.zeros(3)))
-    (tip,), (axis,) = world.motion.at(world.times[:1])
-    mover(inside, loaded)(tip, axis)
+    (placed,) = pose_values(inside, world.motion.at(world.times[:1]))
+    mi.traverse(loaded).update(placed)
     traced = [
         by_particles(loaded, photons_per_pixel=per_pixel, seed=seed)[..., 0]
         for seed in range(seeds)

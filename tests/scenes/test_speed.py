@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from eyespot.scenes import Scene, load_mitsuba
-from eyespot.scenes.rendering.images import Images
+from eyespot.scenes.rendering.render import images_of
 from eyespot.scenes.world.world import World
 from tests.support.drawn.scene_tables import scene_of
 
@@ -40,7 +40,7 @@ def scene(**parts: Any) -> Scene:
 )
 def test_a_frame_of_which_only_the_changes_are_rendered_is_the_whole_frame(settings):
     world = World(settings)
-    images = Images(world, variant="llvm_ad_rgb")
+    images = images_of(world, variant="llvm_ad_rgb")
     seen = []
     for tip, axis in zip(*world.motion.at(world.times), strict=True):
         radiance, wall = images.at(tip=tip, axis=axis, seed=0)

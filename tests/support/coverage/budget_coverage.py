@@ -18,7 +18,7 @@ from eyespot.estimator.distance.ranger import Ranger
 from eyespot.formats.spot import Spot
 from eyespot.formats.stated import Stated
 from eyespot.scenes import Scene, World, load_scene
-from eyespot.scenes.rendering.images import Images
+from eyespot.scenes.rendering.render import images_of
 from eyespot.scenes.sensor import CameraSensor
 from tests.support.drawn.made_up import a_calibration, a_microscope
 
@@ -92,7 +92,7 @@ def seen_spots(count: int, *, seed: int) -> Iterator[Seen]:
 
 
 def _seen_at(world: World, count: int, noise: np.random.Generator) -> Iterator[Seen]:
-    images, camera = Images(world, variant="llvm_ad_rgb"), CameraSensor(world.scene)
+    images, camera = images_of(world, variant="llvm_ad_rgb"), CameraSensor(world.scene)
     point, normal = (np.asarray(part) for part in world.spot_frame[:2])
     sides = np.linalg.svd(normal[None])[2][1:]
     principal = np.asarray(world.microscope.principal_point)
