@@ -172,8 +172,7 @@ def _edge_width(recordings: Sequence[RecordedTrial]) -> float:
     for recording in recordings:
         spots = [one.result for one in recording.records if isinstance(one.result, Spot)]
         width, radius = np.array([(spot.edge_width_px, spot.semi_minor_px) for spot in spots]).T
-        small, large = np.quantile(radius, (0.25, 0.75))
-        grows = large > _GROWN_RATIO * small
+        grows = np.quantile(radius, 0.75) > _GROWN_RATIO * radius.min()
         blur = min((1.0 + _WIDTH_ERROR) * float(width.min()), _MOST_BLUR_PX) if grows else 0.0
         shares.append(np.sqrt(np.maximum(width**2 - blur**2, 0.0)) / radius)
     return float(np.quantile(np.concatenate(shares), 0.75))
@@ -183,9 +182,10 @@ _MOST_BLUR_PX = 5.0
 """Standard deviation of the blur of a camera that is far out of focus. Far from the wall, a lens's
 edge may be as wide in all frames, too: that of the default scene by 12 px of 640."""
 _GROWN_RATIO, _WIDTH_ERROR = 1.35, 0.2
-"""Ratio of the quartiles of the radii from which spots grow, and relative error of an edge's width,
-on walls of 10 % texture. With them an edge that grows with the spot as a lens's does, 0.25 of the
-radius, is soft, whatever part of it is taken for a blur: 0.25 sqrt(1 - (1.2/1.35)^2) = 0.11."""
+"""Upper quartile of the radii over the smallest from which spots grow, and relative error of an
+edge's width, on walls of 10 % texture. With them an edge that grows with the spot as a lens's does,
+0.25 of the radius, is soft, whatever part of it is taken for a blur:
+0.25 sqrt(1 - (1.2/1.35)^2) = 0.11."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

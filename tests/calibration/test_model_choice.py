@@ -82,6 +82,17 @@ def test_a_narrow_edge_as_wide_in_all_frames_is_the_cameras_blur(stack, edge, mo
     assert chosen_model([one._replace(records=records)])[0] == model
 
 
+def test_a_blur_is_the_cameras_though_the_robot_rests_for_most_frames(stack):
+    one = recorded_trial(stack("cone", CONE))
+    records = [
+        replace(own, result=replace(spot, edge_width_px=4.0, semi_minor_px=radius))
+        for own in one.records
+        if isinstance(spot := own.result, Spot)
+        for radius in [min(spot.semi_minor_px, 31.0)]
+    ]
+    assert chosen_model([one._replace(records=records)])[0] == "cone"
+
+
 def test_of_two_exposures_the_metered_one_is_measured(stack):
     folder = stack("cone", CONE)
     usual, metered = (recorded_trial(Recording.open(folder, exposure=e)) for e in (None, "metered"))
