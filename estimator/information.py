@@ -3,8 +3,6 @@
 The one damped step of every Levenberg-Marquardt loop in NumPy, and the covariance at its end.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 _RIDGE = 1e-12
@@ -35,20 +33,16 @@ class Information:
         return self._axes @ ((values @ self._axes) / (self._values + damping))
 
     def solved_within(
-        self,
-        values: np.ndarray,
-        dampings: Sequence[float],
-        limits: dict[int, tuple[float, float]],
-    ) -> list[np.ndarray]:
-        """The same for some dampings, with some numbers kept within limits, one after the other."""
-        steps = [self.solved(values, damping) for damping in dampings]
-        for step, damping in zip(steps, dampings, strict=True):
-            for at, (least, most) in limits.items():
-                excess = step[at] - np.clip(step[at], least, most)
-                if excess:
-                    column = self.solved(np.eye(1, step.size, at)[0], damping)
-                    step -= column * (excess / column[at])
-        return steps
+        self, values: np.ndarray, damping: float, limits: dict[int, tuple[float, float]]
+    ) -> np.ndarray:
+        """The same with some numbers kept within limits, one after the other."""
+        step = self.solved(values, damping)
+        for at, (least, most) in limits.items():
+            excess = step[at] - np.clip(step[at], least, most)
+            if excess:
+                column = self.solved(np.eye(1, step.size, at)[0], damping)
+                step -= column * (excess / column[at])
+        return step
 
     def inverse(self) -> np.ndarray:
         """The covariance, if the residuals are over their standard deviations."""

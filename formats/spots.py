@@ -305,7 +305,7 @@ def _finish(partial: Path, path: Path, *, replace: bool) -> None:
 
 
 def spots_table(records: Iterable[SpotRecord]) -> "pd.DataFrame":
-    """The records as a table with the columns of a spots file, what is looked at first in front."""
+    """The records as a table with a spots file's columns; those that people read come first."""
     import pandas as pd
 
     table = pd.DataFrame(map(_cells, records), columns=[*COLUMNS])

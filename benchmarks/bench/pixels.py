@@ -46,7 +46,7 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
             the stack's first.
     """
     world = World(Scene.model_validate(stack.description["scene"]))
-    reader, poses = robot_reader(stack), noisy_poses(stack, rng)
+    reader, poses = informed_reader(stack), noisy_poses(stack, rng)
     start = stack.labels[0].half_max_x_px, stack.labels[0].half_max_y_px
     microscope = read_microscope(stack.folder / "microscope.json")
     subpixel, rows = own_reader("subpixel", microscope, click=start), []
@@ -82,7 +82,7 @@ def frame_errors(stack: Stack, rng: np.random.Generator, *, alone_every: int = 0
     )
 
 
-def robot_reader(stack: Stack) -> Reader:
+def informed_reader(stack: Stack) -> Reader:
     """A reader that knows the beam, how well the robot says the axis, and how the view shakes."""
     shake_px = stack.described("scene.unrest.shake_px", float)
     known = {"robot.axis_sigma_deg": PRIOR_DEG, "unrest.shake_px": shake_px}
@@ -336,7 +336,7 @@ def memory(full: bool = False) -> pd.DataFrame:
         stack = drawn_stack(Path(folder) / "stack", rng, frames=distinct, **hand)
         frames = list(open_source(stack.folder))
         began = time.perf_counter()
-        reader = robot_reader(stack)
+        reader = informed_reader(stack)
         start_s = time.perf_counter() - began
         poses = noisy_poses(stack, rng)
     for k, frame in enumerate(islice(cycle(frames + frames[-2:0:-1]), warm + number)):

@@ -23,7 +23,13 @@ from eyespot.estimator.detector.ellipse_rays import (
     ring_variances,
     robust_step,
 )
-from eyespot.estimator.detector.levels import Levels, background_of, sloping_top, top_counts
+from eyespot.estimator.detector.levels import (
+    Levels,
+    background_of,
+    garrote,
+    sloping_top,
+    top_counts,
+)
 from eyespot.estimator.detector.saturated_flank import hidden_bell, hidden_edge
 from eyespot.estimator.detector.tuning import FEWEST_RAYS, RAYS, Broad, Refine, Saturated, Sharp
 from eyespot.formats.spot import EVEN_LIGHT, NoSpot, OwnHalf, Reason
@@ -494,8 +500,7 @@ def _slope(band: Band, found: np.ndarray) -> tuple[np.ndarray, float, float]:
     The last number is the part of it that texture does not explain.
 
     A beam that meets the wall obliquely is brighter on the near side. Texture is uneven, too, so
-    the slope counts only as far as it exceeds what shorter waves explain (the garrote of Breiman
-    1995).
+    the slope counts only as far as it exceeds what shorter waves explain.
     """
     waves = np.where(found[:, None], _SLOPES, 0.0)
     _, fitted = cv2.solve(waves.T @ waves, waves.T @ band.gain[:, None].astype(float))
@@ -504,7 +509,7 @@ def _slope(band: Band, found: np.ndarray) -> tuple[np.ndarray, float, float]:
     rest = np.where(found, band.gain, 0.0) - waves @ fitted[:, 0]
     (scatter,) = ring_variances(rest, slice(2, 7))
     variance = Sharp.SLOPE_DOUBT * 2 * scatter / RAYS
-    return slope, variance, max(0.0, 1 - variance / square) if square > 0 else 0.0
+    return slope, variance, float(garrote(square, variance))
 
 
 def _refine_broad(

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -283,6 +283,14 @@ def _top(
     return plateau / (1 - kept + kept * plateau / top), dome, doubt, hidden
 
 
+def garrote(square: Any, doubt: Any) -> Any:
+    """Share of a feature of the light that counts: none if its square is below its doubt.
+
+    The garrote of Breiman (1995). Numbers or arrays.
+    """
+    return np.maximum(1 - doubt / np.maximum(square, 1e-30), 0.0)
+
+
 class SlopingTop(NamedTuple):
     """The levels with the peak of a top that slopes, and the slope.
 
@@ -306,7 +314,7 @@ def sloping_top(
     A beam that meets the wall obliquely is brighter on the near side, and a focused beam has a
     cusp: the peak is the maximum of a polynomial in the radius plus a slope across. Texture has
     cusps and slopes too. So they raise the peak above a parabola's only as far as they exceed what
-    the rest of the rays' spectrum explains (the garrote of Breiman 1995).
+    the rest of the rays' spectrum explains.
     """
     top = min(max(1 - Broad.SHOULDER * levels.width, 0.35), 0.9)  # of a bell; inside the edge
     radii = RADII[: max(int(np.searchsorted(RADII, top)), 8)]
@@ -337,12 +345,12 @@ def sloping_top(
     highest = int(np.argmax(profile + steepest * radii))
     rise = float(profile[highest] + steepest * radii[highest]) - simple
     doubt = Broad.TOP_DOUBT * pull_variance
-    kept = max(0.0, 1 - doubt / rise**2) if rise else 0.0
+    kept = float(garrote(rise**2, doubt))
     peak = simple + kept * rise
     height = peak - levels.background
     if not height > 0:
         return SlopingTop(levels, np.zeros(2))
-    sure = max(0.0, 1 - doubt / steepest**2) if steepest else 0.0
+    sure = float(garrote(steepest**2, doubt))
     # Where nothing counts, the light may slope as much as it seems to, and as texture may hide.
     unsure = pull_variance + (1 - sure) ** 2 * steepest**2
     return SlopingTop(

@@ -28,7 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.special import i1e
 
 from eyespot.estimator.detector.ellipse_rays import AffineEllipse
-from eyespot.estimator.detector.levels import outermost_radius
+from eyespot.estimator.detector.levels import garrote, outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
 from eyespot.estimator.information import Information
 from eyespot.formats.spot import OwnHalf
@@ -227,7 +227,7 @@ def _errors(
     Their mean over the likelihood is taken, because a few dozen cells leave their ratio open.
 
     The spot's own profile differs from the family's by a broken line in the radius. Each of its
-    components counts only as far as it exceeds noise and texture (the garrote of Breiman 1995).
+    components counts only as far as it exceeds noise and texture.
 
     Args:
         at: columns and rows of the frame, (2, n).
@@ -285,7 +285,7 @@ def _errors(
 
     found = own.T @ (rest * root)
     variances = noise + texture * (own * (correlated @ own)).sum(axis=0)
-    kept = _kept(found, variances)
+    kept = garrote(found**2, Broad.TOP_DOUBT * variances)
     # The mean profile over rays, and what a unit of each component changes in it.
     u, v = model.ellipse.centre[:, None] + model.ellipse.shape @ _ON_RAYS
     light, *slopes = model.linearised(u, v).reshape(7, -1, len(_RADII)).mean(axis=1)
@@ -325,11 +325,6 @@ def _errors(
     )
 
 
-def _kept(found: np.ndarray, variances: np.ndarray) -> np.ndarray:
-    """Share of each component that counts (the garrote of Breiman 1995)."""
-    return np.maximum(1 - Broad.TOP_DOUBT * variances / np.maximum(found**2, 1e-30), 0)
-
-
 def _own_half(
     ellipse: AffineEllipse,
     sloping: np.ndarray,
@@ -347,7 +342,7 @@ def _own_half(
     """
     mix, strength, own = np.linalg.svd(sloping, full_matrices=False)
     found, variances = own @ left, variance_of(own)
-    kept = _kept(found, variances)
+    kept = garrote(found**2, Broad.TOP_DOUBT * variances)
     unsure = variances + ((1 - kept) * found) ** 2
     # A Gaussian's slope is a shift, of which nothing is left.
     by_slope = -(mix / np.maximum(strength, np.finfo(float).eps)).T @ taken

@@ -304,7 +304,9 @@ class PoseSolver:
                 blur: (-frame.blur_px2, np.inf),  # no image is sharper than sharp
                 blur + 1: (LEAST_KURTOSIS - frame.kurtosis, MOST_KURTOSIS - frame.kurtosis),
             }
-            step, damped = information.solved_within(gradient, (0.0, damping), limits)
+            step, damped = (
+                information.solved_within(gradient, one, limits) for one in (0.0, damping)
+            )
             distance = float(np.sqrt(step @ hessian @ step / size))
             if distance >= _DONE:
                 step = damped
