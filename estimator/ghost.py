@@ -165,14 +165,15 @@ class GhostWatch:
         """Take a frame, and note in `found` what ghost the last ones show, of all in `strongest`.
 
         A ghost that was found stays, as what makes it does, until some frames in succession that
-        would show it do not.
+        would show it do not, or the spot is no longer sharp.
 
         Args:
             image: H x W, or H x W x 3.
         """
-        hidden = spot.coverage < _LEAST_COVERAGE  # its tool or a shadow is beside it
-        if hidden or not spot.edge_width_px <= _SHARP * spot.semi_minor_px:
+        sharp = spot.edge_width_px <= _SHARP * spot.semi_minor_px
+        if not sharp or spot.coverage < _LEAST_COVERAGE:  # its tool or a shadow is beside it
             self._kept, self._doubt = [], 0.0
+            self.found = self.found if sharp else None
             return
         if self._kept and _alike(self._kept[-1][1], spot):
             return
