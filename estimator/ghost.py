@@ -173,7 +173,8 @@ class GhostWatch:
         sharp = spot.edge_width_px <= _SHARP * spot.semi_minor_px
         if not sharp or spot.coverage < _LEAST_COVERAGE:  # its tool or a shadow is beside it
             self._kept, self._doubt = [], 0.0
-            self.found = self.found if sharp else None
+            if not sharp:
+                self.found = None
             return
         if self._kept and _alike(self._kept[-1][1], spot):
             return

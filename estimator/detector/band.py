@@ -27,6 +27,7 @@ from eyespot.estimator.detector.levels import (
     Levels,
     background_of,
     garrote,
+    left_doubt,
     sloping_top,
     top_counts,
 )
@@ -466,7 +467,7 @@ def _refine_sharp(
     # The half of each side's own light contains neither the slope that counts for the half of the
     # peak nor that slope's variance.
     centre_variance = per_slope**2 * doubt / 2
-    unsure = Sharp.HIDDEN_SLOPE * variance + (1 - sure) ** 2 * square
+    unsure = left_doubt(square, sure, Sharp.HIDDEN_SLOPE * variance)
     own_variance = misled**2 * unsure / 2 * semi_major * semi_minor
     return band.refined(
         levels,

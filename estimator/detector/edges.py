@@ -96,11 +96,7 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
     # Harmonics 0 to 2 are fitted; on a broad flank texture is strongest next to them.
     broad = levels.width > Refine.BROAD
     harmonics = Refine.LONG_WAVES_BROAD if broad else Refine.LONG_WAVES
-    freedom = 2 * (harmonics.stop - harmonics.start)
-    # The factor freedom / (freedom - 2) makes the mean of squared errors over so uncertain a
-    # variance one. Rays without an edge add nothing to it: hence the share.
-    (scattered,) = ring_variances(errors, harmonics)
-    variance = scattered / share * freedom / (freedom - 2)
+    variance = _variance(errors, harmonics, share)
     of_rays = cv2.invert(rows.T @ rows)[1]
     step_covariance = variance * of_rays
     texture = refined.band.texture
@@ -123,11 +119,10 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
             shape=1 + ErrorGrowth.SHAPE * rise,
         )
         # A blur moves an edge by its square times the relative slope of the wall's light across it.
-        # That is as large as the slope along it: of the second and third wave at least twice the
-        # wave, of which there are four numbers, as above.
+        # That is as large as the slope along it: for the second and third wave, at least twice the
+        # wave itself.
         light = np.where(refined.bright, refined.band.gain - 1, 0.0)
-        (uneven,) = ring_variances(light, slice(2, 4))
-        blurred = levels.width**4 * 2**2 * uneven / share * 4 / (4 - 2)
+        blurred = levels.width**4 * 2**2 * _variance(light, slice(2, 4), share)
         # A clipped plateau may be a dome: its half level is higher than the rim tells.
         size_variance += math.pi / 2 * (levels.width * Saturated.DOME) ** 2 * patch.clipped
     step_covariance = longer @ step_covariance @ longer + blurred * of_rays
@@ -141,6 +136,16 @@ def _finished(refined: Refined, patch: Patch, coarse: Coarse) -> EdgeFit:
         scatter=scatter,
         steeper=1.0 if clean else refined.band.steeper(refined.bright),
     )
+
+
+def _variance(values: np.ndarray, harmonics: slice, share: float) -> float:
+    """Variance per ray, at some harmonics, of values that a share of the rays has; 0 on the others.
+
+    It is raised so that the mean of squared errors over so uncertain a variance is one.
+    """
+    freedom = 2 * (harmonics.stop - harmonics.start)
+    (scattered,) = ring_variances(values, harmonics)
+    return scattered / share * freedom / (freedom - 2)
 
 
 def _longer_waves(*, size: float, centre: float, shape: float) -> np.ndarray:

@@ -291,6 +291,11 @@ def garrote(square: Any, doubt: Any) -> Any:
     return np.maximum(1 - doubt / np.maximum(square, 1e-30), 0.0)
 
 
+def left_doubt(square: Any, kept: Any, variance: Any) -> Any:
+    """Mean square error of a feature of which a share is kept: the rest, and what hides it."""
+    return variance + (1 - kept) ** 2 * square
+
+
 class SlopingTop(NamedTuple):
     """The levels with the peak of a top that slopes, and the slope.
 
@@ -352,7 +357,7 @@ def sloping_top(
         return SlopingTop(levels, np.zeros(2))
     sure = float(garrote(steepest**2, doubt))
     # Where nothing counts, the light may slope as much as it seems to, and as texture may hide.
-    unsure = pull_variance + (1 - sure) ** 2 * steepest**2
+    unsure = left_doubt(steepest**2, sure, pull_variance)
     return SlopingTop(
         replace(
             levels, peak=peak, dome=(1.0, 0.0, 0.0), variance=pull_variance / peak**2, hidden=0.0

@@ -28,7 +28,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.special import i1e
 
 from eyespot.estimator.detector.ellipse_rays import AffineEllipse
-from eyespot.estimator.detector.levels import garrote, outermost_radius
+from eyespot.estimator.detector.levels import garrote, left_doubt, outermost_radius
 from eyespot.estimator.detector.tuning import Broad, Small
 from eyespot.estimator.information import Information
 from eyespot.formats.spot import OwnHalf
@@ -78,12 +78,11 @@ class _Model(NamedTuple):
 
     def linearised(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
         """The light of peak 1 on pixels, and its derivatives by `stepped`, (7, n)."""
-        rows = self._integrated(u, v, _QUADRATURE)
-        x, y = u - self.ellipse.centre[0], v - self.ellipse.centre[1]
-        (a, b), (c, d) = np.linalg.inv(self.ellipse.shape).tolist()
-        away = np.abs(np.hypot(a * x + b * y, c * x + d * y) - 1) * self.ellipse.axes[1]
-        edge = away < Small.SHARP_EDGE_PX
-        rows[:, edge] = self._integrated(u[edge], v[edge], _FINE_QUADRATURE)
+        away = np.linalg.solve(self.ellipse.shape, np.stack([u, v]) - self.ellipse.centre[:, None])
+        edge = np.abs(np.hypot(*away) - 1) * self.ellipse.axes[1] < Small.SHARP_EDGE_PX
+        rows = np.empty((7, u.size))
+        for part, points in ((edge, _FINE_QUADRATURE), (~edge, _QUADRATURE)):
+            rows[:, part] = self._integrated(u[part], v[part], points)
         return rows
 
     def _integrated(self, u: np.ndarray, v: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -343,7 +342,7 @@ def _own_half(
     mix, strength, own = np.linalg.svd(sloping, full_matrices=False)
     found, variances = own @ left, variance_of(own)
     kept = garrote(found**2, Broad.TOP_DOUBT * variances)
-    unsure = variances + ((1 - kept) * found) ** 2
+    unsure = left_doubt(found**2, kept, variances)
     # A Gaussian's slope is a shift, of which nothing is left.
     by_slope = -(mix / np.maximum(strength, np.finfo(float).eps)).T @ taken
     moved_by = (kept * found) @ by_slope

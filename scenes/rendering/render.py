@@ -19,7 +19,7 @@ _LEAST_REFLECTANCE = 1e-3  # darker places give no light to measure
 _ALL_SIDES = np.pi  # irradiance with which radiance equals reflectance
 
 
-def variant_for(scene: Scene, variant: str) -> None:
+def load_variant_for(scene: Scene, variant: str) -> None:
     """Load Mitsuba in a variant that renders a scene in time.
 
     Raises:
@@ -45,7 +45,7 @@ def images_of(world: World, *, variant: str) -> "Images | ColourImages":
         SceneError: the scene is too slow for a scalar variant.
         RendererUnavailable: Mitsuba cannot run that variant here.
     """
-    variant_for(world.scene, variant)
+    load_variant_for(world.scene, variant)
     # Mitsuba's plugins need the variant.
     from eyespot.scenes.rendering.loaded_scene import ColourImages, Images
 
@@ -131,7 +131,7 @@ class Renderer:
     """
 
     def __init__(self, scene: Scene, *, variant: str = "llvm_ad_rgb") -> None:
-        variant_for(scene, variant)  # before JAX, which waits for ever in a forked process
+        load_variant_for(scene, variant)  # before JAX, which waits for ever in a forked process
         self.scene = scene
         self.world = World(scene)
         self.images = images_of(self.world, variant=variant)
